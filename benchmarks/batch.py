@@ -61,7 +61,9 @@ def check(folder: Path, *arguments: str) -> Took:
     before, start_s = os.times(), time.perf_counter()
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
     wall_s, after = time.perf_counter() - start_s, os.times()
-    used_s = after.children_user + after.children_system - before.children_user - before.children_system
+    used_s = (
+        after.children_user + after.children_system - before.children_user - before.children_system
+    )
     return Took(wall_s, used_s)
 
 

@@ -59,7 +59,9 @@ MOTIONS = {
         "fast turns, changes of speed, large roll and pitch",
         300.0,
         Wave(1.5, 1.2, 19.0),
-        tuple(part for angle_deg in TURNS_DEG * 2 for part in (Segment(10.0), turn(angle_deg, 30.0))),
+        tuple(
+            part for angle_deg in TURNS_DEG * 2 for part in (Segment(10.0), turn(angle_deg, 30.0))
+        ),
         roll_deg=Wave(0.0, 15.0, 9.0),
         pitch_deg=Wave(0.0, 12.0, 14.0),
         sway_mps=Wave(0.0, 0.4, 11.0),
@@ -69,7 +71,11 @@ MOTIONS = {
         "in one place, with turns on the spot",
         300.0,
         Wave(0.0, 0.05, 23.0),
-        tuple(part for angle_deg in (60.0, -60.0, 90.0, -90.0) * 2 for part in (Segment(25.0), turn(angle_deg, 8.0))),
+        tuple(
+            part
+            for angle_deg in (60.0, -60.0, 90.0, -90.0) * 2
+            for part in (Segment(25.0), turn(angle_deg, 8.0))
+        ),
         roll_deg=Wave(0.0, 1.5, 6.0),
         pitch_deg=Wave(0.0, 1.0, 5.0),
         sway_mps=Wave(0.0, 0.05, 17.0),
@@ -79,7 +85,11 @@ MOTIONS = {
         "a slow way near the surface, in swell",
         300.0,
         Wave(1.0, 0.3, 7.0),
-        tuple(part for angle_deg in (90.0, 90.0, -90.0, -90.0) for part in (Segment(50.0), turn(angle_deg, 10.0))),
+        tuple(
+            part
+            for angle_deg in (90.0, 90.0, -90.0, -90.0)
+            for part in (Segment(50.0), turn(angle_deg, 10.0))
+        ),
         roll_deg=Wave(0.0, 6.0, 7.0),
         pitch_deg=Wave(0.0, 4.0, 8.0),
         sway_mps=Wave(0.0, 0.2, 7.0),
@@ -122,13 +132,22 @@ def errors_over_sds() -> Iterator[Line]:
         for name, beams in (("beams as makers say", DvlErrors()), ("perfect beams", WHITE)):
             found = list(
                 parallel_map(
-                    lambda seed, args=(scenario, beams): found_of(built_in_otherwise(args[0], seed, args[1])), SEEDS
+                    lambda seed, args=(scenario, beams): found_of(
+                        built_in_otherwise(args[0], seed, args[1])
+                    ),
+                    SEEDS,
                 )
             )
             over = np.array([_over_sds(of_one, perfect_beams=beams is WHITE) for of_one in found])
             rms = np.sqrt(np.nanmean(over**2, axis=0))
-            told = ", ".join(f"{parameter} {size:.2f}" for parameter, size in zip(NAMES, rms, strict=True))
-            held = [parameter for parameter, of_one in zip(NAMES, over.T, strict=True) if np.isnan(of_one).any()]
+            told = ", ".join(
+                f"{parameter} {size:.2f}" for parameter, size in zip(NAMES, rms, strict=True)
+            )
+            held = [
+                parameter
+                for parameter, of_one in zip(NAMES, over.T, strict=True)
+                if np.isnan(of_one).any()
+            ]
             yield (
                 f"errors over sds, {scenario}, {name}",
                 "0.6 to 1.5 each",
@@ -136,7 +155,11 @@ def errors_over_sds() -> Iterator[Line]:
                 f"{', '.join(held) or 'none'}",
             )
             inside = np.nanmax(np.abs(over), axis=1) < 3.0
-            yield f"what was put in, {scenario}, {name}", "within 3 sds", f"{inside.sum()} of {len(inside)} dives"
+            yield (
+                f"what was put in, {scenario}, {name}",
+                "within 3 sds",
+                f"{inside.sum()} of {len(inside)} dives",
+            )
 
 
 def _over_sds(found: Calibration, *, perfect_beams: bool) -> Floats:
@@ -158,7 +181,9 @@ def with_estimated_imu_errors() -> Iterator[Line]:
     for name in MOTIONS:
         with patch.object(sim_dive, "SCENARIOS", MOTIONS):
             exact = exact_dive(name, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, YAW_DEG))
-        found = list(parallel_map(lambda seed, exact=exact: found_of(with_imu_errors(exact, seed)), SEEDS))
+        found = list(
+            parallel_map(lambda seed, exact=exact: found_of(with_imu_errors(exact, seed)), SEEDS)
+        )
         over = np.array([is_proposed(one) * (one.change - TRUTH) / _said(one) for one in found])
         told = []
         for parameter, sizes in zip(NAMES, over.T, strict=True):
@@ -166,7 +191,11 @@ def with_estimated_imu_errors() -> Iterator[Line]:
             size = f"{np.sqrt(np.mean(proposed**2)):.2f}" if len(proposed) else "-"
             left = len(sizes) - len(proposed)
             told.append(f"{parameter} {size}{f' (not determined on {left})' if left else ''}")
-        yield f"errors over sds, IMU of 1500 ppm and 1 mrad, {name}", "0.6 to 1.5 each", ", ".join(told)
+        yield (
+            f"errors over sds, IMU of 1500 ppm and 1 mrad, {name}",
+            "0.6 to 1.5 each",
+            ", ".join(told),
+        )
         for key, true in _true_noise("tactical").items():
             rows = [row for one in found for row in one.noise_rows if row.parameter == key]
             ratios = [row.after / true for row in rows if row.status == Estimated.ESTIMATED]
@@ -181,7 +210,9 @@ def with_estimated_imu_errors() -> Iterator[Line]:
 
 def _true_noise(grade: str) -> dict[str, float]:
     errors = GRADES[grade]
-    return {key: getattr(errors, key) for key in INERTIAL} | {"beam_sd_mps": DvlErrors().beam_sd_mps}
+    return {key: getattr(errors, key) for key in INERTIAL} | {
+        "beam_sd_mps": DvlErrors().beam_sd_mps
+    }
 
 
 def with_imu_errors(exact: Dive, seed: int) -> ReadDive:
@@ -189,10 +220,14 @@ def with_imu_errors(exact: Dive, seed: int) -> ReadDive:
     rng, imu = np.random.default_rng((seed, 77)), exact.imu
     turns = [
         np.eye(3) + np.where(np.eye(3) > 0.0, np.diag(1.5e-3 * along), 1e-3 * across)
-        for across, along in ((rng.standard_normal((3, 3)), rng.standard_normal(3)) for _ in range(2))
+        for across, along in (
+            (rng.standard_normal((3, 3)), rng.standard_normal(3)) for _ in range(2)
+        )
     ]
     imu = replace(
-        imu, specific_force_b=imu.specific_force_b @ turns[0].T, angular_rate_b=imu.angular_rate_b @ turns[1].T
+        imu,
+        specific_force_b=imu.specific_force_b @ turns[0].T,
+        angular_rate_b=imu.angular_rate_b @ turns[1].T,
     )
     dive = add_errors(replace(exact, imu=imu), GRADES["tactical"], DvlErrors(), seed)
     return as_read(late_and_long(dive, DELAY_S, SCALE), load_config("tactical"))
@@ -213,7 +248,9 @@ def wild_pings() -> Iterator[Line]:
         beams_mps = read.dive.dvl.beam_velocity_mps
         assert beams_mps is not None
         wild = np.random.default_rng(seed).random(len(beams_mps)) < 0.05
-        dvl = replace(read.dive.dvl, beam_velocity_mps=np.where(wild[:, None], 10.0 * beams_mps, beams_mps))
+        dvl = replace(
+            read.dive.dvl, beam_velocity_mps=np.where(wild[:, None], 10.0 * beams_mps, beams_mps)
+        )
         before, after = found_of(read), found_of(replace(read, dive=replace(read.dive, dvl=dvl)))
         moved.append(np.max(np.abs((after.fit.change(0) - before.fit.change(0)) / _said(before))))
     yield (
@@ -254,9 +291,21 @@ def snapir() -> Iterator[Line]:
     ratios = [finite(row.nis_per_dof_before) / finite(row.nis_per_dof_after) for row in rows]
     drifts = [finite(row.drift_before_m) / finite(row.drift_after_m) for row in rows]
     noisy = [finite(row.nis_per_dof_noise) for row in rows]
-    yield "Snapir, three other dives: NIS, the noise as configured", "10 times lower", _listed(ratios, " times")
-    yield "Snapir, three other dives: drift in 60 s", "halved in the median", _listed(drifts, " times less")
-    yield "Snapir, three other dives: NIS / dof with the noise of the four", "near 1", _listed(noisy)
+    yield (
+        "Snapir, three other dives: NIS, the noise as configured",
+        "10 times lower",
+        _listed(ratios, " times"),
+    )
+    yield (
+        "Snapir, three other dives: drift in 60 s",
+        "halved in the median",
+        _listed(drifts, " times less"),
+    )
+    yield (
+        "Snapir, three other dives: NIS / dof with the noise of the four",
+        "near 1",
+        _listed(noisy),
+    )
 
 
 def _listed(values: Sequence[float], unit: str = "") -> str:
@@ -269,28 +318,45 @@ def real_vehicles() -> Iterator[Line]:
         yield "Blueye and ufmil", "", "their dives are not here"
         return
     for dive in ("auto_square", "gnss_challenging"):
-        config = load_config(file=EXAMPLES / "blueye_x3.toml", overrides=["dvl.lever_arm_m=[0,0,0]", "dvl.latency_s=0"])
+        config = load_config(
+            file=EXAMPLES / "blueye_x3.toml",
+            overrides=["dvl.lever_arm_m=[0,0,0]", "dvl.latency_s=0"],
+        )
         after = found_of(read_dive(DATA / f"blueye_x3/{dive}.mcap", config)).after
         off_m = np.max(np.abs(np.array(after.lever_arm_m) - [-0.17, 0.0, 0.26]))
         yield f"Blueye, {dive}: arm", "5 cm from the papers'", f"{100.0 * off_m:.1f} cm"
         yield f"Blueye, {dive}: delay", "0.10 to 0.16 s", f"{after.latency_s:.3f} s"
     for dive in ("run_1", "run_2"):
-        config = load_config(file=EXAMPLES / "ufmil.toml", overrides=["dvl.mounting_rpy_deg=[0,0,0]"])
+        config = load_config(
+            file=EXAMPLES / "ufmil.toml", overrides=["dvl.mounting_rpy_deg=[0,0,0]"]
+        )
         read = read_dive(DATA / f"ufmil/{dive}.mcap", config)
         after = found_of(read.with_config(with_mounting(config, likeliest_mounting([read])))).after
-        yield f"ufmil, {dive}: heading of the DVL", "3 deg from 90", f"{after.mounting_rpy_deg[2]:.1f} deg"
+        yield (
+            f"ufmil, {dive}: heading of the DVL",
+            "3 deg from 90",
+            f"{after.mounting_rpy_deg[2]:.1f} deg",
+        )
 
 
 def three_commands() -> Iterator[Line]:
     """`inspect --propose`, `calibrate`, `run`: what the replay says of its own innovations."""
     asked = "consistent"
-    for name, typed in (("blueye_x3/auto_square", ()), ("ufmil/run_1", ("--set", "initial.latitude_deg=29.65"))):
+    for name, typed in (
+        ("blueye_x3/auto_square", ()),
+        ("ufmil/run_1", ("--set", "initial.latitude_deg=29.65")),
+    ):
         if (DATA / f"{name}.mcap").is_file():
             size, word = _replayed(DATA / f"{name}.mcap", typed)
             yield f"three commands, {name}: NIS / dof", asked, f"{size:.3f}, {word}"
     for grade in ("fog", "tactical", "mems"):
-        for put_in in ((), ("--lever-arm", "0.3,-0.1,0.2", "--mounting", "0,0,1.5", "--dvl-delay", "0.12")):
-            sizes, words = zip(*(_simulated(grade, seed, put_in) for seed in COMMAND_SEEDS), strict=True)
+        for put_in in (
+            (),
+            ("--lever-arm", "0.3,-0.1,0.2", "--mounting", "0,0,1.5", "--dvl-delay", "0.12"),
+        ):
+            sizes, words = zip(
+                *(_simulated(grade, seed, put_in) for seed in COMMAND_SEEDS), strict=True
+            )
             built = "built in otherwise" if put_in else "as configured"
             yield (
                 f"three commands, {len(words)} simulated dives, {grade}, {built}",
@@ -302,19 +368,35 @@ def three_commands() -> Iterator[Line]:
 def _simulated(grade: str, seed: int, put_in: Sequence[str]) -> tuple[float, str]:
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "dive.mcap"
-        _run(["simulate", "calibration", "--imu", grade, "--seed", str(seed), "-o", str(log), *put_in])
+        _run(
+            [
+                "simulate",
+                "calibration",
+                "--imu",
+                grade,
+                "--seed",
+                str(seed),
+                "-o",
+                str(log),
+                *put_in,
+            ]
+        )
         return _replayed(log, ())
 
 
 def _replayed(log: Path, typed: Sequence[str]) -> tuple[float, str]:
     with tempfile.TemporaryDirectory() as folder:
-        first, second, out = (str(Path(folder) / name) for name in ("first.toml", "second.toml", "out"))
+        first, second, out = (
+            str(Path(folder) / name) for name in ("first.toml", "second.toml", "out")
+        )
         _run(["inspect", str(log), "--propose", first])
         _run(["calibrate", str(log), "-c", first, "-o", second, *typed])
         _run(["run", str(log), "-c", first, "-c", second, "-o", out, "--starts", "1", *typed])
         report = json.loads((Path(out) / log.stem / "report.json").read_text("utf-8"))
     rows = report["tables"]["consistency"]
-    (row,) = (row for row in rows if (row["filter"], row["measurement"]) == ("baseline", "velocity"))
+    (row,) = (
+        row for row in rows if (row["filter"], row["measurement"]) == ("baseline", "velocity")
+    )
     return row["mean_nis"] / row["dof"], row["verdict"]
 
 

@@ -41,7 +41,10 @@ def sqlite(folder: Path, log: bytes) -> Path:
 
 def in_turn(logs: dict[str, Path]) -> dict[str, dict[str, float]]:
     """Read all logs, one after the other, several times; give the medians."""
-    rounds = [{name: measured(path, "insdvl-replay") for name, path in logs.items()} for _ in range(ROUNDS)]
+    rounds = [
+        {name: measured(path, "insdvl-replay") for name, path in logs.items()}
+        for _ in range(ROUNDS)
+    ]
     found = {}
     for name in logs:
         outcomes = [taken[name] for taken in rounds]

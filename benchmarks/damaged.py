@@ -35,7 +35,9 @@ Damage = Callable[[Dive], Dive]
 ALIKE = 1.5
 
 
-def imu(force: str = "frd", rate: str = "frd", force_scale: float = 1.0, rate_scale: float = 1.0) -> Damage:
+def imu(
+    force: str = "frd", rate: str = "frd", force_scale: float = 1.0, rate_scale: float = 1.0
+) -> Damage:
     """Return a damage of the IMU: other axes and scales."""
 
     def damage(dive: Dive) -> Dive:
@@ -73,8 +75,14 @@ def late(imu_s: float = 0.0, dvl_s: float = 0.0) -> Damage:
 
 G, MILLI_G, DEG_PER_S = 1.0 / STANDARD_GRAVITY_MPS2, 1000.0 / STANDARD_GRAVITY_MPS2, 1.0 / DEG
 DAMAGES: dict[str, Damage] = {
-    **{f"axes {axes}": imu(axes, axes) for axes in ("+y-x+z", "-y+x+z", "-x-y+z", "flu", "-x+y-z", "+y+x-z", "+z-y+x")},
-    **{f"accelerometers {axes}": imu(axes) for axes in ("-x-y-z", "-x+y+z", "+x-y+z", "+x+y-z", "-x-y+z")},
+    **{
+        f"axes {axes}": imu(axes, axes)
+        for axes in ("+y-x+z", "-y+x+z", "-x-y+z", "flu", "-x+y-z", "+y+x-z", "+z-y+x")
+    },
+    **{
+        f"accelerometers {axes}": imu(axes)
+        for axes in ("-x-y-z", "-x+y+z", "+x-y+z", "+x+y-z", "-x-y+z")
+    },
     **{f"gyros {axes}": imu(rate=axes) for axes in ("-x-y-z", "+x+y-z")},
     **{f"gyro scale {scale}": imu(rate_scale=scale) for scale in (0.6, 1.7)},
     "g": imu(force_scale=G),
@@ -99,7 +107,9 @@ def write_second_imu(path: Path, dive: Dive, folder: Path) -> None:
     """Write a dive whose log has another IMU, too: noisy, turned, and with the gyros of one axis wrong."""
     rng = np.random.default_rng(1)
     bad = imu("+y-x+z", "+y-x-z")(dive).imu
-    force, rate = (rng.normal(scale=scale, size=bad.specific_force_b.shape) for scale in (0.5, 0.05))
+    force, rate = (
+        rng.normal(scale=scale, size=bad.specific_force_b.shape) for scale in (0.5, 0.05)
+    )
     bad = ImuColumns(bad.time_ns, bad.specific_force_b + force, bad.angular_rate_b + rate)
     parts = {folder / "good.mcap": dive, folder / "bad.mcap": replace(dive, imu=bad)}
     with path.open("wb") as stream:
@@ -114,9 +124,15 @@ def write_second_imu(path: Path, dive: Dive, folder: Path) -> None:
                     if schema is None or (content is not dive and channel.topic != "/imu"):
                         continue
                     if topic not in channels:
-                        schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                        channels[topic] = writer.register_channel(topic, channel.message_encoding, schema_id)
-                    writer.add_message(channels[topic], message.log_time, message.data, message.publish_time)
+                        schema_id = writer.register_schema(
+                            schema.name, schema.encoding, schema.data
+                        )
+                        channels[topic] = writer.register_channel(
+                            topic, channel.message_encoding, schema_id
+                        )
+                    writer.add_message(
+                        channels[topic], message.log_time, message.data, message.publish_time
+                    )
             part.unlink()
         writer.finish()
 
@@ -151,9 +167,19 @@ def run(log: Path) -> tuple[Replay, FoundSettings | None]:
 def measured(replay: Replay) -> tuple[float, float]:
     """Return NIS/dof of the baseline, and its drift in 30 s without DVL, m."""
     name = replay.config.baseline
-    row = next(row for row in replay.tables.consistency if (row.filter, row.measurement) == (name, "velocity"))
-    drifts = [row.drift_median_m for row in replay.tables.outage if (row.filter, row.window_s) == (name, "30")]
-    return (row.mean_nis or np.nan) / row.dof, (drifts[0] if drifts and drifts[0] is not None else np.nan)
+    row = next(
+        row
+        for row in replay.tables.consistency
+        if (row.filter, row.measurement) == (name, "velocity")
+    )
+    drifts = [
+        row.drift_median_m
+        for row in replay.tables.outage
+        if (row.filter, row.window_s) == (name, "30")
+    ]
+    return (row.mean_nis or np.nan) / row.dof, (
+        drifts[0] if drifts and drifts[0] is not None else np.nan
+    )
 
 
 def variants(dive: Dive, folder: Path, only: tuple[str, ...] = ()) -> Iterator[tuple[str, str]]:
@@ -181,7 +207,10 @@ def variants(dive: Dive, folder: Path, only: tuple[str, ...] = ()) -> Iterator[t
         warnings = sorted({note.code for note in notes if note.severity == "warning"})
         outcome = "right" if is_right else "named" if warnings else "silent"
         seconds = time.process_time() - started_s
-        yield name, f"{outcome:8} NIS/dof {now:.2f}, drift {moved_m:.3g} m, {seconds:.1f} s, {', '.join(warnings)}"
+        yield (
+            name,
+            f"{outcome:8} NIS/dof {now:.2f}, drift {moved_m:.3g} m, {seconds:.1f} s, {', '.join(warnings)}",
+        )
         log.unlink()
 
 
@@ -192,8 +221,14 @@ def main() -> None:
     parser.add_argument("--only", default="")
     arguments = parser.parse_args()
     dives = [read_with_settings(log) for log in arguments.logs] or [
-        replace(simulate_dive("figure-eight", duration_s=400.0, seed=3, grade="mems"), name="figure_eight"),
-        replace(simulate_dive("calibration", duration_s=400.0, seed=4, grade="tactical"), name="calibration"),
+        replace(
+            simulate_dive("figure-eight", duration_s=400.0, seed=3, grade="mems"),
+            name="figure_eight",
+        ),
+        replace(
+            simulate_dive("calibration", duration_s=400.0, seed=4, grade="tactical"),
+            name="calibration",
+        ),
     ]
     outcomes: list[str] = []
     with tempfile.TemporaryDirectory() as folder:

@@ -38,7 +38,10 @@ GOALS = (
 STATES = {
     "12": ((), ()),
     "15: and the position": (("position",), (1.0, 1.0, 1.0)),
-    "17: and the DVL's scale and yaw": (("position", "dvl_scale", "dvl_yaw"), (1.0, 1.0, 1.0, 5e-3, 2e-2)),
+    "17: and the DVL's scale and yaw": (
+        ("position", "dvl_scale", "dvl_yaw"),
+        (1.0, 1.0, 1.0, 5e-3, 2e-2),
+    ),
 }
 """Blocks of states beside the twelve, and their standard deviations at the start."""
 STAGES = {"add_errors": "noise", "run_filter": "filters", "run_errors": "statistics"}
@@ -156,7 +159,9 @@ def state_rows() -> list[str]:
             )  # fmt: skip
             least_s[name] = min(least_s[name], time.thread_time() - start_s)
     twelve_s = least_s["12"]
-    return [f"| {name} | {1e6 * s / epochs:.2f} | {s / twelve_s:.1f} x |" for name, s in least_s.items()]
+    return [
+        f"| {name} | {1e6 * s / epochs:.2f} | {s / twelve_s:.1f} x |" for name, s in least_s.items()
+    ]
 
 
 @contextmanager

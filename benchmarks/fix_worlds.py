@@ -34,7 +34,9 @@ FIX_SD_M, BAD_SD_M, BAD_SHARE = 2.0, 23.0, 0.2
 WAY: Final = {"duration_s": 7200.0, "imu_rate_hz": 25.0, "reference_rate_hz": 1.0}
 
 
-def fixes(dive: Dive, rng: np.random.Generator, *, every_s: int = 60, bad_share: float = 0.0) -> Dive:
+def fixes(
+    dive: Dive, rng: np.random.Generator, *, every_s: int = 60, bad_share: float = 0.0
+) -> Dive:
     """Add fixes to a simulated dive whose reference, which is exact, has 1 Hz; a share of them is far off."""
     if dive.reference is None:
         raise ValueError("a simulated dive has a reference")
@@ -46,7 +48,10 @@ def fixes(dive: Dive, rng: np.random.Generator, *, every_s: int = 60, bad_share:
 
 
 def _world(name: str, config: Config, harm: Harm) -> World:
-    filters = {"baseline": Filter(aiding=("velocity",)), "fixed": Filter(aiding=("velocity", "position"))}
+    filters = {
+        "baseline": Filter(aiding=("velocity",)),
+        "fixed": Filter(aiding=("velocity", "position")),
+    }
     config = msgspec.structs.replace(config, filters=filters, position=Position(sd_m=FIX_SD_M))
     return World(name, config, *matched_errors(config), WAY, harm)
 
@@ -63,12 +68,18 @@ def lines(world: World, dives: int, starts: int) -> Iterator[str]:
     config, exact = world.config, exact_dive("figure-eight", **world.way)
     for dive in range(dives):
         errors_rng, harm_rng = np.random.SeedSequence(SEED, spawn_key=(dive,)).spawn(2)
-        made = add_errors(exact, world.imu_errors, world.dvl_errors, int(errors_rng.generate_state(1)[0]))
+        made = add_errors(
+            exact, world.imu_errors, world.dvl_errors, int(errors_rng.generate_state(1)[0])
+        )
         made = replace(world.harm(made, np.random.default_rng(harm_rng)), name=f"dive {dive + 1}")
-        replay = replay_dive(made, msgspec.structs.replace(config, evaluation=Evaluation(starts=starts, seed=dive)))
+        replay = replay_dive(
+            made, msgspec.structs.replace(config, evaluation=Evaluation(starts=starts, seed=dive))
+        )
         (found,) = replay.verdicts.values()
         rows = replay.tables.evidence
-        not_evaluated = f"; not evaluated: {found.reason}" if found.verdict == Verdict.NOT_EVALUATED else ""
+        not_evaluated = (
+            f"; not evaluated: {found.reason}" if found.verdict == Verdict.NOT_EVALUATED else ""
+        )
         if not not_evaluated:
             evidence.append(rows)
         told = {row.quantity: f"{row.baseline:.2f} -> {row.value:.2f} {row.unit}" for row in rows}

@@ -34,7 +34,9 @@ from insdvl_replay.sim.dive import simulate_dive
 
 GROUPS, LENGTH_S, STARTS = 12, 300.0, 2
 PRESET = "tactical"
-DVL_SD_MPS = 0.006  # as a simulated DVL errs; the preset's is too large for the baseline to be judged by
+DVL_SD_MPS = (
+    0.006  # as a simulated DVL errs; the preset's is too large for the baseline to be judged by
+)
 TRUTH = "FOREIGN_TRUTH"  # names the file with the exact motion
 FACTOR = 2.0
 NAME = "twice"
@@ -47,7 +49,9 @@ class Twice(Candidate):
 
     def run(self, dive: Dive, start: CandidateStart) -> Solution:
         """Run the baseline from the start that is given."""
-        initial = Initial(source="level", heading_deg=0.0, latitude_deg=float(start.position[0] / DEG))
+        initial = Initial(
+            source="level", heading_deg=0.0, latitude_deg=float(start.position[0] / DEG)
+        )
         config = msgspec.structs.replace(
             settings(), initial=initial, filters={"baseline": Filter(aiding=("velocity",))}
         )
@@ -59,7 +63,8 @@ class Twice(Candidate):
         with np.load(os.environ[TRUTH]) as truth:
             true_ns = truth["time_ns"]
             position, velocity_n = (
-                interpolated(true_ns, truth[name], found.time_ns) for name in ("position", "velocity_n")
+                interpolated(true_ns, truth[name], found.time_ns)
+                for name in ("position", "velocity_n")
             )
             mat_nb = interpolated_attitude(true_ns, truth["mat_nb"], found.time_ns)
         turn = vector_from_mat(found.mat_nb @ np.swapaxes(mat_nb, 1, 2))
@@ -76,19 +81,29 @@ def settings() -> Config:
     preset = load_config(PRESET)
     filters = {"baseline": Filter(aiding=("velocity",)), NAME: Filter(candidate="foreign:Twice")}
     dvl = msgspec.structs.replace(preset.dvl, velocity_sd_mps=DVL_SD_MPS)
-    return msgspec.structs.replace(preset, dvl=dvl, filters=filters, evaluation=Evaluation(starts=STARTS))
+    return msgspec.structs.replace(
+        preset, dvl=dvl, filters=filters, evaluation=Evaluation(starts=STARTS)
+    )
 
 
 def record_of_dive(seed: int) -> Record:
     """Simulate and replay one dive; return what verdicts over dives are made of."""
     dive = simulate_dive(
-        ("lawnmower", "figure-eight")[seed % 2], seed=seed, duration_s=LENGTH_S, grade=PRESET, imu_rate_hz=25.0
+        ("lawnmower", "figure-eight")[seed % 2],
+        seed=seed,
+        duration_s=LENGTH_S,
+        grade=PRESET,
+        imu_rate_hz=25.0,
     )
     motion = dive.reference
     assert motion is not None
     with tempfile.TemporaryDirectory() as folder:
         os.environ[TRUTH] = str(Path(folder, "truth.npz"))
-        columns = {"position": motion.position, "velocity_n": motion.velocity_n, "mat_nb": motion.mat_nb}
+        columns = {
+            "position": motion.position,
+            "velocity_n": motion.velocity_n,
+            "mat_nb": motion.mat_nb,
+        }
         np.savez(os.environ[TRUTH], time_ns=motion.time_ns, **columns)
         with classes_run_here():
             return record_of(replay_dive(dive, settings()), NAME)
@@ -102,7 +117,9 @@ def words(groups: int, jobs: int) -> dict[int, Counter[str]]:
     found = {}
     for size in SIZES:
         firsts = range(0, len(records) - size + 1, size)
-        found[size] = Counter(verdict_over(NAME, "baseline", records[first : first + size]) for first in firsts)
+        found[size] = Counter(
+            verdict_over(NAME, "baseline", records[first : first + size]) for first in firsts
+        )
     return found
 
 

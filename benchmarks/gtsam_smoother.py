@@ -51,7 +51,9 @@ def smooth(inputs: Inputs) -> Smoothed:
 
 def _params(start: Start, noise_density: Floats) -> gtsam.PreintegrationCombinedParams:
     latitude, height_m = start.position[0], start.position[2]
-    params = gtsam.PreintegrationCombinedParams.MakeSharedD(float(normal_gravity(latitude, height_m)))
+    params = gtsam.PreintegrationCombinedParams.MakeSharedD(
+        float(normal_gravity(latitude, height_m))
+    )
     params.setAccelerometerCovariance(np.diag(noise_density[DV]))
     params.setGyroscopeCovariance(np.diag(noise_density[PHI]))
     params.setBiasAccCovariance(np.diag(noise_density[BA]))
@@ -65,7 +67,9 @@ def _integrated(
     at: Instants, params: gtsam.PreintegrationCombinedParams
 ) -> list[gtsam.PreintegratedCombinedMeasurements]:
     """Integrate from ping to ping."""
-    force_b, rate_b = ((one[1:] + one[:-1]) / 2.0 for one in (at.specific_force_b, at.angular_rate_b))
+    force_b, rate_b = (
+        (one[1:] + one[:-1]) / 2.0 for one in (at.specific_force_b, at.angular_rate_b)
+    )
     step_s, is_end = np.diff(at.time_s), at.ping[1:] >= 0
     is_end[-1] = True
     between = []
@@ -90,7 +94,9 @@ def _graph(
         graph.add(gtsam.CombinedImuFactor(X(i), V(i), X(i + 1), V(i + 1), B(i), B(i + 1), measured))
         state = measured.predict(state, bias)
         if i < len(pings):
-            velocity_b, cov_b = (column[pings[i]] for column in (inputs.velocity.values, inputs.velocity.cov))
+            velocity_b, cov_b = (
+                column[pings[i]] for column in (inputs.velocity.values, inputs.velocity.cov)
+            )
             noise = gtsam.noiseModel.Gaussian.Covariance(cov_b)
             graph.add(gtsam.CustomFactor(noise, [X(i + 1), V(i + 1)], _residual_of(velocity_b)))
             velocity_n = state.attitude().matrix() @ velocity_b
@@ -99,18 +105,26 @@ def _graph(
     return graph, guess
 
 
-def _begin(graph: gtsam.NonlinearFactorGraph, start: Start) -> tuple[gtsam.NavState, gtsam.imuBias.ConstantBias]:
+def _begin(
+    graph: gtsam.NonlinearFactorGraph, start: Start
+) -> tuple[gtsam.NavState, gtsam.imuBias.ConstantBias]:
     pose, bias = gtsam.Pose3(gtsam.Rot3(start.mat_nb), np.zeros(3)), gtsam.imuBias.ConstantBias()
     pose_cov = np.diag(np.full(6, POSITION_SD_M**2))
     pose_cov[:3, :3] = start.mat_nb.T @ np.diag(start.sd[PHI] ** 2) @ start.mat_nb
     biases = gtsam.noiseModel.Diagonal.Sigmas(start.sd[BA.start :])
     graph.add(gtsam.PriorFactorPose3(X(0), pose, gtsam.noiseModel.Gaussian.Covariance(pose_cov)))
-    graph.add(gtsam.PriorFactorVector(V(0), start.velocity_n, gtsam.noiseModel.Diagonal.Sigmas(start.sd[DV])))
+    graph.add(
+        gtsam.PriorFactorVector(
+            V(0), start.velocity_n, gtsam.noiseModel.Diagonal.Sigmas(start.sd[DV])
+        )
+    )
     graph.add(gtsam.PriorFactorConstantBias(B(0), bias, biases))
     return gtsam.NavState(pose, start.velocity_n), bias
 
 
-def _insert(values: gtsam.Values, i: int, state: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> None:
+def _insert(
+    values: gtsam.Values, i: int, state: gtsam.NavState, bias: gtsam.imuBias.ConstantBias
+) -> None:
     values.insert(X(i), state.pose())
     values.insert(V(i), state.velocity())
     values.insert(B(i), bias)
@@ -119,7 +133,9 @@ def _insert(values: gtsam.Values, i: int, state: gtsam.NavState, bias: gtsam.imu
 def _residual_of(measured_b: Floats) -> Residual:
     """Predict a velocity in the body, and write the Jacobians for a turn about its axes and for the velocity."""
 
-    def residual(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Floats] | None) -> Floats:
+    def residual(
+        factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Floats] | None
+    ) -> Floats:
         pose, velocity = factor.keys()
         mat_bn = values.atPose3(pose).rotation().matrix().T
         predicted_b: Floats = mat_bn @ values.atVector(velocity)

@@ -98,7 +98,9 @@ def judged_dive(task: Task) -> JudgedDive:
         try:
             replay = replay_dive(read_checked_dive(path, world.config), world.config)
         except LogError:
-            return JudgedDive(task.world, task.number, dict.fromkeys(world.candidates, REFUSED), {}, None)
+            return JudgedDive(
+                task.world, task.number, dict.fromkeys(world.candidates, REFUSED), {}, None
+            )
     return JudgedDive(
         task.world,
         task.number,
@@ -119,7 +121,10 @@ def true_errors_of(histories: Sequence[History], exact: Dive) -> dict[str, MeanS
     """Measure what filters are off by against the exact motion, however noisy the reference in the log is."""
     if exact.reference is None:
         raise ValueError("a simulated dive has a reference")
-    return {history.filter: mean_squares(reference_errors(history, exact.reference)) for history in histories}
+    return {
+        history.filter: mean_squares(reference_errors(history, exact.reference))
+        for history in histories
+    }
 
 
 def judged_dives(tasks: Sequence[Task], jobs: int) -> Iterator[JudgedDive]:
@@ -162,10 +167,16 @@ class Judged:
     def kind(self) -> str:
         """Name the truth, and where it is a gain or loss of 10 % or more, say so."""
         is_far = self.truth.high <= 1.0 / LARGE or self.truth.low >= LARGE
-        return f"{self.truth.name} 10 %" if is_far and self.truth.kind != "no word" else self.truth.name
+        return (
+            f"{self.truth.name} 10 %"
+            if is_far and self.truth.kind != "no word"
+            else self.truth.name
+        )
 
 
-def judged_candidates(number: int, dives: Sequence[JudgedDive], groups: int, seed: int) -> list[Judged]:
+def judged_candidates(
+    number: int, dives: Sequence[JudgedDive], groups: int, seed: int
+) -> list[Judged]:
     """Say the tool's words on all candidates of a world, for drawn groups of its dives."""
     world = WORLDS[number]
     replayed = [dive for dive in dives if dive.records]
@@ -180,7 +191,10 @@ def judged_candidates(number: int, dives: Sequence[JudgedDive], groups: int, see
                 name=world.name if len(world.candidates) == 1 else f"{world.name}: {candidate}",
                 truth=truth_of(world, ratios, is_copy=is_copy),
                 ratios=ratios,
-                words={size: Counter(said[candidate] for said in of_size) for size, of_size in words.items()},
+                words={
+                    size: Counter(said[candidate] for said in of_size)
+                    for size, of_size in words.items()
+                },
                 soundness=_median_soundness(replayed),
                 dives=len(replayed),
                 is_copy=is_copy,
@@ -257,8 +271,12 @@ def _is_of(*kinds: str) -> Callable[[Judged], bool]:
 
 
 QUESTIONS: Final = (
-    Question("dead or unfit, said anything but *not evaluated*", _is_of("no word"), _is_evaluated, 0.0),
-    Question("copies, said anything but *no effect*", lambda judged: judged.is_copy, _has_effect, 0.0),
+    Question(
+        "dead or unfit, said anything but *not evaluated*", _is_of("no word"), _is_evaluated, 0.0
+    ),
+    Question(
+        "copies, said anything but *no effect*", lambda judged: judged.is_copy, _has_effect, 0.0
+    ),
     Question("the same, said better, worse or mixed", _is_of("same"), _is_decided, 5.0),
     Question("better by 10 % or more, said better", _is_of("better 10 %"), _is_gain),
     Question("worse by 10 % or more, said worse", _is_of("worse 10 %"), _is_loss),
@@ -285,7 +303,9 @@ def rates(candidates: Sequence[Judged]) -> tuple[list[str], bool]:
                 cells.append("-")
                 continue
             pct = 100.0 * said / total
-            met = question.at_most_pct is None or is_at_most(pct, question.at_most_pct, chosen, size)
+            met = question.at_most_pct is None or is_at_most(
+                pct, question.at_most_pct, chosen, size
+            )
             all_met &= met
             cells.append(f"{pct:.1f} ({said} of {total}){'' if met else ' *'}")
         asked = "" if question.at_most_pct is None else f"at most {question.at_most_pct:g}"
@@ -307,7 +327,9 @@ def is_at_most(pct: float, asked_pct: float, candidates: Sequence[Judged], size:
     """Return whether a rate is as asked, but for the chance of so many groups that have no dive in common."""
     independent = sum(judged.dives for judged in candidates) / size
     share = asked_pct / 100.0
-    return pct <= asked_pct + ALLOWED_ERRORS * 100.0 * math.sqrt(share * (1.0 - share) / independent)
+    return pct <= asked_pct + ALLOWED_ERRORS * 100.0 * math.sqrt(
+        share * (1.0 - share) / independent
+    )
 
 
 def page(candidates: Sequence[Judged], dives: int, groups: int, took_s: float) -> tuple[str, bool]:
@@ -325,7 +347,8 @@ def page(candidates: Sequence[Judged], dives: int, groups: int, took_s: float) -
         "gain or loss of equal ones, the opposite, and *equivalent* where 10 % are true."
     )
     words = [
-        f"| {it.name} | {it.kind} | {' | '.join(word_counts(it.words[size]) for size in SIZES)} |" for it in candidates
+        f"| {it.name} | {it.kind} | {' | '.join(word_counts(it.words[size]) for size in SIZES)} |"
+        for it in candidates
     ]
     facts_about = (
         "True ratios of position, drift in 60 s and velocity, each with its interval of 95 % and the scatter s of the "
@@ -344,7 +367,10 @@ def page(candidates: Sequence[Judged], dives: int, groups: int, took_s: float) -
         *("", "How often each word was said, in percent of the groups:", ""),
         *table(("world", "truth", *sizes), words),
         *("", facts_about, ""),
-        *table(("world", "position", "drift", "velocity", "rejected [%]", "NIS / dof", "error [%]"), facts),
+        *table(
+            ("world", "position", "drift", "velocity", "rejected [%]", "NIS / dof", "error [%]"),
+            facts,
+        ),
         *("", f"{machine()}; {took_s:.0f} s."),
     ]
     return "\n".join(lines), all_met
@@ -363,23 +389,39 @@ def tasks_of(number: int, dives: int, truth_dives: int, sea_seed: int) -> list[T
 def main() -> None:
     """Judge, print and write the page; exit with 1 if a rate is not as asked."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--dives", type=int, default=DIVES, help="in each world; half as many of 2 h")
-    parser.add_argument("--truth-dives", type=int, default=TRUTH_DIVES, help="more, that are not replayed")
+    parser.add_argument(
+        "--dives", type=int, default=DIVES, help="in each world; half as many of 2 h"
+    )
+    parser.add_argument(
+        "--truth-dives", type=int, default=TRUTH_DIVES, help="more, that are not replayed"
+    )
     parser.add_argument("--groups", type=int, default=GROUPS)
-    parser.add_argument("--worlds", nargs="+", default=[""], help="those whose names hold one of these texts")
+    parser.add_argument(
+        "--worlds", nargs="+", default=[""], help="those whose names hold one of these texts"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--seed", type=int, default=SEA_SEED, help="of the worlds at sea")
-    parser.add_argument("--print", action="store_true", help="print only, and leave the page as it is")
+    parser.add_argument(
+        "--print", action="store_true", help="print only, and leave the page as it is"
+    )
     given = parser.parse_args()
     for library in ("OPENBLAS", "OMP"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")  # each process, which has yet to load numpy, has one core
+        os.environ.setdefault(
+            f"{library}_NUM_THREADS", "1"
+        )  # each process, which has yet to load numpy, has one core
     begun_s = time.monotonic()
-    chosen = [i for i, world in enumerate(WORLDS) if any(part in world.name for part in given.worlds)]
-    tasks = [task for i in chosen for task in tasks_of(i, given.dives, given.truth_dives, given.seed)]
+    chosen = [
+        i for i, world in enumerate(WORLDS) if any(part in world.name for part in given.worlds)
+    ]
+    tasks = [
+        task for i in chosen for task in tasks_of(i, given.dives, given.truth_dives, given.seed)
+    ]
     dives = list(judged_dives(tasks, given.jobs))
     candidates = list[Judged]()
     for i in chosen:
-        candidates += judged_candidates(i, [dive for dive in dives if dive.world == i], given.groups, given.seed)
+        candidates += judged_candidates(
+            i, [dive for dive in dives if dive.world == i], given.groups, given.seed
+        )
     part, all_met = page(candidates, given.dives, given.groups, time.monotonic() - begun_s)
     finish(part, is_whole=given.worlds == [""] and not given.print, all_met=all_met)
 

@@ -18,8 +18,18 @@ import numpy as np
 from insdvl_replay.core.quantities import is_beam
 from insdvl_replay.core.tables import EvidenceRow, finite
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.evaluation.answers import CandidateAnswer, levels_of, pooled_candidate, primary_of
-from insdvl_replay.evaluation.interval import LEVEL, level_of_candidates, log_ratio_interval, word_of_interval
+from insdvl_replay.evaluation.answers import (
+    CandidateAnswer,
+    levels_of,
+    pooled_candidate,
+    primary_of,
+)
+from insdvl_replay.evaluation.interval import (
+    LEVEL,
+    level_of_candidates,
+    log_ratio_interval,
+    word_of_interval,
+)
 from insdvl_replay.nav.user_candidate import CandidateStart, Solution
 from insdvl_replay.preparation.programs import UserProcesses, solution_of_class
 from insdvl_replay.replay import Replay
@@ -40,7 +50,10 @@ def drawn_groups(numbers: Sequence[int], size: int, groups: int, seed: int) -> l
     if len(rows_of) < size:
         return []
     return [
-        [int(rng.choice(rows_of[number])) for number in rng.choice(list(rows_of), size, replace=False).tolist()]
+        [
+            int(rng.choice(rows_of[number]))
+            for number in rng.choice(list(rows_of), size, replace=False).tolist()
+        ]
         for _ in range(groups)
     ]
 
@@ -49,7 +62,9 @@ def word_counts(words: Counter[str]) -> str:
     """Write how often each word was said, in percent."""
     if not words:
         return "-"
-    return ", ".join(f"{100.0 * words[word] / words.total():.0f} {word}" for word in Verdict if words[word])
+    return ", ".join(
+        f"{100.0 * words[word] / words.total():.0f} {word}" for word in Verdict if words[word]
+    )
 
 
 # --- The rule for one ratio over dives.
@@ -65,7 +80,11 @@ class Found(NamedTuple):
 
 
 def over_dives(
-    log_ratios: Sequence[float], *, level: float = LEVEL, vehicles: Sequence[str] | None = None, always: bool = True
+    log_ratios: Sequence[float],
+    *,
+    level: float = LEVEL,
+    vehicles: Sequence[str] | None = None,
+    always: bool = True,
 ) -> Found:
     """Ask the tool for its interval over dives, and for its word.
 
@@ -163,7 +182,9 @@ def verdicts_over(
     for answer in alone:
         name, level = answer.filter, levels[answer.filter]
         is_shared = level != LEVEL
-        found[name] = _answer(baseline, name, records[name], primary, level) if is_shared else answer
+        found[name] = (
+            _answer(baseline, name, records[name], primary, level) if is_shared else answer
+        )
     return {name: str(answer.verdict) for name, answer in found.items()}
 
 
@@ -189,10 +210,14 @@ def verdict_over(candidate: str, baseline: str, records: Sequence[Record]) -> st
     return verdicts_over(baseline, {candidate: records})[candidate]
 
 
-def words_of_groups(candidate: str, baseline: str, records: Sequence[Record], size: int, groups: int, seed: int) -> str:
+def words_of_groups(
+    candidate: str, baseline: str, records: Sequence[Record], size: int, groups: int, seed: int
+) -> str:
     """Count the words on the only candidate, on drawn groups of dives, in percent."""
     drawn = drawn_groups(range(len(records)), size, groups, seed)
-    return word_counts(Counter(verdict_over(candidate, baseline, [records[row] for row in rows]) for rows in drawn))
+    return word_counts(
+        Counter(verdict_over(candidate, baseline, [records[row] for row in rows]) for rows in drawn)
+    )
 
 
 def log_ratio_of(record: Record, quantity: str) -> float:
@@ -208,7 +233,12 @@ def classes_run_here() -> Iterator[None]:
     """Run classes of the user's in this process: words do not depend on it, and an interpreter takes far longer."""
 
     def run(
-        processes: UserProcesses, _: str, dive_file: Path, start: CandidateStart, *, new_process: bool = False
+        processes: UserProcesses,
+        _: str,
+        dive_file: Path,
+        start: CandidateStart,
+        *,
+        new_process: bool = False,
     ) -> Solution:
         return solution_of_class(processes.settings.candidate or "", dive_file, start)
 

@@ -20,7 +20,13 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES
 from insdvl_replay.core.tables import CredibilityRow, finite
 from insdvl_replay.evaluation.consistency import mean_interval
-from insdvl_replay.evaluation.credibility import StateErrors, about_vehicle, credibility_table, state_errors, whitened
+from insdvl_replay.evaluation.credibility import (
+    StateErrors,
+    about_vehicle,
+    credibility_table,
+    state_errors,
+    whitened,
+)
 from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
@@ -30,20 +36,29 @@ from insdvl_replay.studies.montecarlo import MonteCarloSetup, drawn_start, match
 DIVES, SEED, DURATION_S = 200, 1, 300.0
 SCENARIO: Final = "figure-eight"
 PRESETS: Final = ("fog", "tactical", "mems")
-COLUMNS: Final = ("quantity", *(f"{preset}: {what}" for preset in PRESETS for what in ("alone", "held", "samples")))
+COLUMNS: Final = (
+    "quantity",
+    *(f"{preset}: {what}" for preset in PRESETS for what in ("alone", "held", "samples")),
+)
 
 
 def matched_dives(preset: str, dives: int) -> Iterator[StateErrors]:
     """Run the preset's baseline over dives that it knows all about but what was drawn, the start included."""
     config = load_config(preset)
-    config = msgspec.structs.replace(config, filters={config.baseline: config.filters[config.baseline]})
-    setup = MonteCarloSetup(exact_dive(SCENARIO, duration_s=DURATION_S), *matched_errors(config), config)
+    config = msgspec.structs.replace(
+        config, filters={config.baseline: config.filters[config.baseline]}
+    )
+    setup = MonteCarloSetup(
+        exact_dive(SCENARIO, duration_s=DURATION_S), *matched_errors(config), config
+    )
     for seed in (run_seed(SEED, dive) for dive in range(dives)):
         dive = add_errors(setup.exact, setup.imu_errors, setup.dvl_errors, seed)
         if dive.reference is None:
             raise ValueError("a simulated dive has a reference")
         prepared = prepare_dive(dive, config)
-        begun = replace(prepared, alignment=replace(prepared.alignment, start=drawn_start(setup, seed)))
+        begun = replace(
+            prepared, alignment=replace(prepared.alignment, start=drawn_start(setup, seed))
+        )
         timeline = prepared_timeline(dive, begun)
         history = run_one(begun.filters[0], begun, timeline, cov_ns=dive.reference.time_ns)
         yield state_errors(history, dive.reference, dive.truth).after(begun.alignment.start_ns)
@@ -51,7 +66,9 @@ def matched_dives(preset: str, dives: int) -> Iterator[StateErrors]:
 
 def judged(errors: StateErrors) -> dict[str, CredibilityRow]:
     """Give the rows of one dive by quantity."""
-    return {row.quantity: row for row in credibility_table("dive", ["baseline"], {"baseline": errors})}
+    return {
+        row.quantity: row for row in credibility_table("dive", ["baseline"], {"baseline": errors})
+    }
 
 
 def is_held(row: CredibilityRow) -> bool:
@@ -74,7 +91,9 @@ def _standardised(errors: StateErrors, quantity: str) -> Floats:
     return turned.error[:, [state]] / turned.sd[:, [state]]
 
 
-def cells_of(dives: Sequence[StateErrors], rows: Sequence[dict[str, CredibilityRow]], quantity: str) -> list[str]:
+def cells_of(
+    dives: Sequence[StateErrors], rows: Sequence[dict[str, CredibilityRow]], quantity: str
+) -> list[str]:
     """Write how often intervals hold, by the errors alone and as they are, and the median number of samples."""
     alone = 100.0 * float(np.mean([held_alone(errors, quantity) for errors in dives]))
     held = 100.0 * float(np.mean([is_held(row[quantity]) for row in rows]))

@@ -30,7 +30,12 @@ DIVES, LENGTH_S, STARTS, GROUPS, SEED = 8, 400.0, 2, 60, 5
 OFF_BY_MPS = (0.05, 0.2, 1.0)
 TIMES = 3.0
 WITH_POSITION = ("position",)
-QUANTITIES = {"position x": "position", "velocity x": "velocity_across", "drift x": "drift_60s", "NIS x": "nis"}
+QUANTITIES = {
+    "position x": "position",
+    "velocity x": "velocity_across",
+    "drift x": "drift_60s",
+    "NIS x": "nis",
+}
 
 
 def worlds() -> Iterator[tuple[str, Callable[[int], Dive], Config, str]]:
@@ -42,7 +47,12 @@ def worlds() -> Iterator[tuple[str, Callable[[int], Dive], Config, str]]:
         for aiding in ("velocity", "beams"):
             yield f"{off_by_mps:g} m/s off", made, competitors(aiding, STARTS), aiding
     made = partial(noisier_dive, length_s=LENGTH_S, times=TIMES)
-    for aiding, states in (("velocity", ()), ("beams", ()), ("velocity", WITH_POSITION), ("beams", WITH_POSITION)):
+    for aiding, states in (
+        ("velocity", ()),
+        ("beams", ()),
+        ("velocity", WITH_POSITION),
+        ("beams", WITH_POSITION),
+    ):
         words = " + ".join([aiding, *states])
         yield f"noise x {TIMES:g}", made, competitors(aiding, STARTS, states), words
 
@@ -54,7 +64,9 @@ def rows() -> Iterator[tuple[str, ...]]:
         for name in CANDIDATES:
             records = [record_of(replay, name) for replay in replays]
             ratios = (f"{ratio(records, quantity):.3f}" for quantity in QUANTITIES.values())
-            words = (words_of_groups(name, "baseline", records, size, GROUPS, SEED) for size in SIZES)
+            words = (
+                words_of_groups(name, "baseline", records, size, GROUPS, SEED) for size in SIZES
+            )
             yield world, aiding, name, *words, *ratios
 
 
@@ -77,7 +89,9 @@ def main() -> None:
         f"velocity across, drift in 60 s, and how far NIS / dof is from 1. {machine()}."
     )
     columns = ("pings", "aiding", "noise", *(f"{size} dives" for size in SIZES), *QUANTITIES)
-    part = "\n".join(["# Noise", "", about, "", *table(columns, [f"| {' | '.join(row)} |" for row in rows()])])
+    part = "\n".join(
+        ["# Noise", "", about, "", *table(columns, [f"| {' | '.join(row)} |" for row in rows()])]
+    )
     write_part(part)
     sys.stdout.write(f"{part}\n")
 

@@ -35,11 +35,16 @@ FACTORS = (1.0, 5.0, 0.2)
 
 def flown_dive(preset: str, config: Config, seed: int, factor: float) -> Dive:
     """Make a dive with what its vehicle found from a start of its own, whose errors are by a factor larger."""
-    dive = simulate_dive(("lawnmower", "figure-eight")[seed % 2], seed=seed, duration_s=LENGTH_S, grade=preset)
+    dive = simulate_dive(
+        ("lawnmower", "figure-eight")[seed % 2], seed=seed, duration_s=LENGTH_S, grade=preset
+    )
     prepared = prepare_dive(dive, config)
     _, start = drawn_starts(prepared.alignment.start, 2, (seed, 77))
     begun = replace(prepared, alignment=replace(prepared.alignment, start=start))
-    onboard, reference = run_one(prepared.filters[0], begun, prepared_timeline(dive, prepared)).motion(), dive.reference
+    onboard, reference = (
+        run_one(prepared.filters[0], begun, prepared_timeline(dive, prepared)).motion(),
+        dive.reference,
+    )
     assert reference is not None
     onboard = onboard.rows(np.isin(onboard.time_ns, reference.time_ns))
     true = reference.rows(np.isin(reference.time_ns, onboard.time_ns))
@@ -47,7 +52,9 @@ def flown_dive(preset: str, config: Config, seed: int, factor: float) -> Dive:
     return replace(dive, solutions={"onboard": solution})
 
 
-def _with_errors(onboard: ReferenceColumns, true: ReferenceColumns, factor: float) -> ReferenceColumns:
+def _with_errors(
+    onboard: ReferenceColumns, true: ReferenceColumns, factor: float
+) -> ReferenceColumns:
     turn = vector_from_mat(onboard.mat_nb @ np.swapaxes(true.mat_nb, 1, 2))
     return replace(
         onboard,
@@ -61,8 +68,13 @@ def rows() -> Iterator[tuple[str, ...]]:
     """Count the words of each preset, factor and way in which the start is laid."""
     for preset in PRESETS:
         for factor, align in [*((factor, "none") for factor in FACTORS), (1.0, "heading")]:
-            solution = Solution(topic="/odometry", align="heading" if align == "heading" else "none")
-            filters = {"baseline": Filter(aiding=("velocity",)), "onboard": Filter(solution=solution)}
+            solution = Solution(
+                topic="/odometry", align="heading" if align == "heading" else "none"
+            )
+            filters = {
+                "baseline": Filter(aiding=("velocity",)),
+                "onboard": Filter(solution=solution),
+            }
             given = load_config(preset)
             dvl = msgspec.structs.replace(given.dvl, velocity_sd_mps=DVL_SD_MPS)
             evaluation = msgspec.structs.replace(given.evaluation, starts=STARTS)
@@ -71,8 +83,13 @@ def rows() -> Iterator[tuple[str, ...]]:
             records = [record_of(replay_dive(dive, config), "onboard") for dive in dives]
             logs = np.array([log_ratio_of(record, "position") for record in records])
             known = logs[np.isfinite(logs)]
-            told = f"{np.exp(known.mean()):.2f}, s {known.std(ddof=1):.2f}" if len(known) > 1 else "-"
-            words = (words_of_groups("onboard", "baseline", records, size, GROUPS, SEED) for size in SIZES)
+            told = (
+                f"{np.exp(known.mean()):.2f}, s {known.std(ddof=1):.2f}" if len(known) > 1 else "-"
+            )
+            words = (
+                words_of_groups("onboard", "baseline", records, size, GROUPS, SEED)
+                for size in SIZES
+            )
             yield preset, f"{factor:g}", align, told, *words
 
 

@@ -29,13 +29,24 @@ LENGTHS_S = {
     "tactical": (0.0, 300.0, 1200.0, 2400.0, 3600.0),
     "fog": (0.0, 1200.0, 3600.0, 7200.0),
 }
-COLUMNS = ("preset", "outage [s]", "before", "last in it", "after 1.5 s", "after 60 s", "at the end", "not finite")
+COLUMNS = (
+    "preset",
+    "outage [s]",
+    "before",
+    "last in it",
+    "after 1.5 s",
+    "after 60 s",
+    "at the end",
+    "not finite",
+)
 
 
 def runs_through(preset: str, length_s: float) -> list[RunErrors]:
     """Run the preset's baseline through many dives with one outage."""
     config = load_config(preset)
-    config = msgspec.structs.replace(config, filters={config.baseline: config.filters[config.baseline]})
+    config = msgspec.structs.replace(
+        config, filters={config.baseline: config.filters[config.baseline]}
+    )
     outages = [(BEFORE_S, BEFORE_S + length_s)] if length_s else []
     exact = exact_dive(
         SCENARIO,
@@ -45,7 +56,12 @@ def runs_through(preset: str, length_s: float) -> list[RunErrors]:
         outages=outages,
     )
     setup = replace(make_setup(SCENARIO, config, "matched", 10.0), exact=exact)
-    return [run for (run,) in parallel_map(lambda k: simulated_run(setup, run_seed(SEED, k)), range(1, RUNS + 1))]
+    return [
+        run
+        for (run,) in parallel_map(
+            lambda k: simulated_run(setup, run_seed(SEED, k)), range(1, RUNS + 1)
+        )
+    ]
 
 
 def nees_at(runs: Sequence[RunErrors], times_s: Sequence[float]) -> Floats:
@@ -64,7 +80,12 @@ def main() -> None:
             runs, end_s = runs_through(preset, length_s), BEFORE_S + length_s
             means = nees_at(runs, [BEFORE_S, end_s, end_s + 1.5, end_s + 60.0, end_s + AFTER_S])
             broken = sum(not np.isfinite(run.nees).all() for run in runs)
-            cells = [preset, f"{length_s:g}" if length_s else "none", *(f"{mean:.1f}" for mean in means), str(broken)]
+            cells = [
+                preset,
+                f"{length_s:g}" if length_s else "none",
+                *(f"{mean:.1f}" for mean in means),
+                str(broken),
+            ]
             rows.append(f"| {' | '.join(cells)} |")
     about = (
         f"Mean NEES of the baseline, 12 expected, over {RUNS} runs of `{SCENARIO}` with one outage of the DVL from "

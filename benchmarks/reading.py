@@ -43,7 +43,13 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 WITH_CAMERA = 100_000
 """Messages of the IMU beside a camera."""
-COLUMNS = ("log", "MB", "s", "k messages/s", *(f"against {name}" for name in ("mcap", "mcap-ros2-support", "rosbags")))
+COLUMNS = (
+    "log",
+    "MB",
+    "s",
+    "k messages/s",
+    *(f"against {name}" for name in ("mcap", "mcap-ros2-support", "rosbags")),
+)
 COLUMNS += ("MB beyond columns",)
 GOALS = "At least 15 times mcap and 60 times mcap-ros2-support for zstd, and at most 250 MB beyond the columns kept."
 
@@ -66,13 +72,19 @@ def rewrite(source: Path, target: Path, images: int = 0, **options: Any) -> None
         writer.start(profile="ros2")
         ids = {}
         for channel in log.channels:
-            schema = writer.register_schema(channel.type_name, channel.schema_encoding, channel.schema_data)
+            schema = writer.register_schema(
+                channel.type_name, channel.schema_encoding, channel.schema_data
+            )
             ids[channel.id] = writer.register_channel(channel.topic, channel.encoding, schema)
-        schema = writer.register_schema("sensor_msgs/msg/CompressedImage", "ros2msg", b"uint8[] data\n")
+        schema = writer.register_schema(
+            "sensor_msgs/msg/CompressedImage", "ros2msg", b"uint8[] data\n"
+        )
         camera = writer.register_channel("/camera", "cdr", schema)
         every, count = sum(channel.messages for channel in log.channels) // max(images, 1), 0
         for block in log.blocks(set(ids)):
-            rows = zip(block.offsets.tolist(), block.sizes.tolist(), block.log_time.tolist(), strict=True)
+            rows = zip(
+                block.offsets.tolist(), block.sizes.tolist(), block.log_time.tolist(), strict=True
+            )
             for offset, size, time_ns in rows:
                 payload = bytes(block.buffer[offset : offset + size])
                 writer.add_message(ids[block.channel_id], time_ns, payload, time_ns)
@@ -125,7 +137,11 @@ def with_insdvl_replay(path: Path) -> dict[str, float]:
     imu = read_dive(path, Config()).imu
     elapsed_s = time.perf_counter() - start_s
     kept_mb = (imu.time_ns.nbytes + imu.specific_force_b.nbytes + imu.angular_rate_b.nbytes) / 2**20
-    return {"messages": len(imu.time_ns) * PER_IMU, "s": elapsed_s, "mb": max(peak_mb() - before_mb - kept_mb, 0.0)}
+    return {
+        "messages": len(imu.time_ns) * PER_IMU,
+        "s": elapsed_s,
+        "mb": max(peak_mb() - before_mb - kept_mb, 0.0),
+    }
 
 
 def counted(items: Iterator[Any], most: int) -> dict[str, float]:
@@ -161,7 +177,9 @@ def with_rosbags(path: Path) -> dict[str, float]:
     with AnyReader([describe_bag(path)]) as reader:
         wanted = [connection for connection in reader.connections if connection.topic in TOPICS]
         messages = reader.messages(connections=wanted)
-        return counted((reader.deserialize(data, one.msgtype) for one, _, data in messages), DECODED)
+        return counted(
+            (reader.deserialize(data, one.msgtype) for one, _, data in messages), DECODED
+        )
 
 
 READERS: dict[str, Callable[[Path], dict[str, float]]] = {
@@ -186,7 +204,9 @@ def in_turn(path: Path) -> dict[str, dict[str, float] | None]:
     found: dict[str, dict[str, float] | None] = {}
     for reader in READERS:
         outcomes = [outcome for taken in rounds if (outcome := taken[reader])]
-        found[reader] = {key: median(one[key] for one in outcomes) for key in outcomes[0]} if outcomes else None
+        found[reader] = (
+            {key: median(one[key] for one in outcomes) for key in outcomes[0]} if outcomes else None
+        )
     return found
 
 
@@ -201,7 +221,13 @@ def row(name: str, path: Path) -> str:
         f"{speed / (outcome['messages'] / outcome['s']):.0f} x" if outcome else "cannot"
         for outcome in outcomes.values()
     ]
-    cells = [name, f"{path.stat().st_size / 1e6:.0f}", f"{ours['s']:.2f}", f"{speed / 1e3:.0f}", *ratios]
+    cells = [
+        name,
+        f"{path.stat().st_size / 1e6:.0f}",
+        f"{ours['s']:.2f}",
+        f"{speed / 1e3:.0f}",
+        *ratios,
+    ]
     return f"| {' | '.join([*cells, format(ours['mb'], '.0f')])} |"
 
 
@@ -211,12 +237,22 @@ def logs(folder: Path, messages: int, camera_gb: float) -> Iterator[tuple[str, P
     source.parent.mkdir()
     write_dive(source, dive(messages))
     for kind, options in KINDS.items():
-        yield kind, _made(folder / kind, messages, lambda path, chosen=options: rewrite(source, path, **chosen))
+        yield (
+            kind,
+            _made(
+                folder / kind,
+                messages,
+                lambda path, chosen=options: rewrite(source, path, **chosen),
+            ),
+        )
     write_dive(source, dive(min(messages, WITH_CAMERA)))
     images = int(camera_gb * 1e9 / len(IMAGE))
     bare = {"compression": CompressionType.NONE, "enable_crcs": False}
     name = f"none, with a camera, {camera_gb:g} GB"
-    yield name, _made(folder / "camera", messages, lambda path: rewrite(source, path, images, **bare))
+    yield (
+        name,
+        _made(folder / "camera", messages, lambda path: rewrite(source, path, images, **bare)),
+    )
 
 
 def _made(folder: Path, messages: int, write: Callable[[Path], None]) -> Path:

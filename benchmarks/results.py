@@ -17,7 +17,9 @@ def machine() -> str:
     """Say on which machine, when and of which commit this is."""
     where = f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}, numpy {version('numpy')}"
     commit = _git("rev-parse", "--short=8", "HEAD") or "not in git"
-    changed = ", changed since" if _git("status", "--porcelain", "--", "*.py", "../insdvl_replay") else ""
+    changed = (
+        ", changed since" if _git("status", "--porcelain", "--", "*.py", "../insdvl_replay") else ""
+    )
     return f"{where}; {datetime.now(UTC):%Y-%m-%d}, {commit}{changed}"
 
 

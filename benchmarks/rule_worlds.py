@@ -218,20 +218,26 @@ FEWEST_VEHICLES: Final = 3
 """Of fewer nobody can say anything about vehicles that were not there: the truth is that of these."""
 
 
-def of_vehicles(dives: Sequence[int], scatter: float, between: float, ratio: float, repeats: int) -> Tally:
+def of_vehicles(
+    dives: Sequence[int], scatter: float, between: float, ratio: float, repeats: int
+) -> Tally:
     """Judge archives of several vehicles, each of which has a ratio of its own."""
     rng = generator("vehicles", tuple(dives), scatter, between, ratio)
     own = math.log(ratio) + between * rng.standard_normal((repeats, len(dives)))
     of_dive = np.repeat(np.arange(len(dives)), dives)
     logs = own[:, of_dive] + scatter * rng.standard_normal((repeats, len(of_dive)))
-    log_truths = own.mean(axis=1) if len(dives) < FEWEST_VEHICLES else np.full(repeats, math.log(ratio))
+    log_truths = (
+        own.mean(axis=1) if len(dives) < FEWEST_VEHICLES else np.full(repeats, math.log(ratio))
+    )
     return tally(logs, log_truths, vehicles=[f"vehicle {number + 1}" for number in of_dive])
 
 
 def vehicles_row(dives: Sequence[int], scatter: float, between: float, repeats: int) -> Row:
     """Judge equal pairs and a change of 20 % on some vehicles."""
     equal, changed = (of_vehicles(dives, scatter, between, ratio, repeats) for ratio in (1.0, 0.8))
-    is_met = at_most(equal, equal.wrong, 5.0) and at_most(changed, changed.opposite, MOST_OPPOSITE_PCT)
+    is_met = at_most(equal, equal.wrong, 5.0) and at_most(
+        changed, changed.opposite, MOST_OPPOSITE_PCT
+    )
     return Row(
         f"| {' + '.join(map(str, dives))} | {scatter:g} | {between:g} | {equal.share(equal.wrong):.1f} | "
         f"{equal.share(equal.missed):.1f} | {changed.share(changed.better):.1f} | {changed.share(changed.worse):.2f} |",
@@ -264,7 +270,13 @@ class Looks:
 
 
 def looks(
-    scatter: float, ratio: float, dives: int, archives: int, shape: str = "normal", *, always: bool = True
+    scatter: float,
+    ratio: float,
+    dives: int,
+    archives: int,
+    shape: str = "normal",
+    *,
+    always: bool = True,
 ) -> Looks:
     """Look at archives after each dive from the third on, by the interval for every look or by the usual one."""
     rng = generator("looks", scatter, ratio, shape)
@@ -308,8 +320,13 @@ def looks_row(scatter: float, ratio: float, dives: int, shape: str, archives: in
     usual = looks(scatter, ratio, 20, archives, shape, always=False)
     is_asked = ratio == 1.0 and shape == "normal"
     error_pct = 100.0 * math.sqrt(MOST_FALSE_PCT / 100.0 / archives)
-    is_met = not is_asked or found.pct(found.false_by, dives) <= MOST_FALSE_PCT + ALLOWED_ERRORS * error_pct
-    better = " | ".join(f"{found.pct(found.found_by, count):.1f}" if ratio < 0.95 else "" for count in BY_DIVES)
+    is_met = (
+        not is_asked
+        or found.pct(found.false_by, dives) <= MOST_FALSE_PCT + ALLOWED_ERRORS * error_pct
+    )
+    better = " | ".join(
+        f"{found.pct(found.found_by, count):.1f}" if ratio < 0.95 else "" for count in BY_DIVES
+    )
     asked = f"{MOST_FALSE_PCT:g}" if is_asked else ""
     return Row(
         f"| {shape} | {scatter:g} | {ratio:.3g} | {found.pct(found.false_by, 20):.1f} | "
@@ -338,7 +355,9 @@ class Family(NamedTuple):
     """Archives in which the first candidate is said to be better."""
 
 
-def family(count: int, dives: int, scatter: float, *, named: bool, ratio: float, repeats: int) -> Family:
+def family(
+    count: int, dives: int, scatter: float, *, named: bool, ratio: float, repeats: int
+) -> Family:
     """Judge several candidates, all but the first of which are equal to the baseline; the first may be named."""
     rng = generator("family", count, dives, scatter, ratio)
     common = math.sqrt(CORRELATION) * rng.standard_normal((repeats, 1, dives))
@@ -349,7 +368,8 @@ def family(count: int, dives: int, scatter: float, *, named: bool, ratio: float,
     wrong = others_wrong = found = 0
     for archive in logs.tolist():
         words = [
-            over_dives(of_one, level=level, always=False).word for of_one, level in zip(archive, levels, strict=True)
+            over_dives(of_one, level=level, always=False).word
+            for of_one, level in zip(archive, levels, strict=True)
         ]
         is_false = [word in DECIDED for word in words]
         is_false[0] = contradicts(words[0], math.log(ratio))
@@ -361,7 +381,10 @@ def family(count: int, dives: int, scatter: float, *, named: bool, ratio: float,
 
 def family_row(count: int, dives: int, scatter: float, named: bool, repeats: int) -> Row:
     """Judge several candidates, none of which differs, and then with a first one that is better by 20 %."""
-    equal, changed = (family(count, dives, scatter, named=named, ratio=ratio, repeats=repeats) for ratio in (1.0, 0.8))
+    equal, changed = (
+        family(count, dives, scatter, named=named, ratio=ratio, repeats=repeats)
+        for ratio in (1.0, 0.8)
+    )
     pct = 100.0 / repeats
     asked = equal.others_wrong if named else equal.wrong
     is_met = asked * pct <= 5.0 + ALLOWED_ERRORS * 100.0 * math.sqrt(0.05 / repeats)
@@ -464,15 +487,22 @@ def main() -> None:
     """Judge, print and write the page; exit with 1 if a rate is not as it must be."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=REPEATS)
-    parser.add_argument("--looked", type=int, default=LOOKED, help="archives that are looked at after every dive")
+    parser.add_argument(
+        "--looked", type=int, default=LOOKED, help="archives that are looked at after every dive"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--print", action="store_true", help="print only, and leave the page as it is")
+    parser.add_argument(
+        "--print", action="store_true", help="print only, and leave the page as it is"
+    )
     given = parser.parse_args()
     begun_s = time.monotonic()
     asked = list(works(given.repeats, given.looked))
     with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as processes:
         found = list(processes.map(row_of, asked))
-    rows = {name: [row for work, row in zip(asked, found, strict=True) if work.table == name] for name in COLUMNS}
+    rows = {
+        name: [row for work, row in zip(asked, found, strict=True) if work.table == name]
+        for name in COLUMNS
+    }
     part = page(rows, given.repeats, given.looked, time.monotonic() - begun_s)
     finish(part, is_whole=not given.print, all_met=all(row.is_met for row in found))
 

@@ -75,7 +75,9 @@ def read_case() -> tuple[Case, ReferenceColumns]:
     folder = Path(os.environ[CASE])
     case = msgspec.json.decode((folder / CASE_FILE).read_bytes(), type=Case)
     with np.load(folder / EXACT_FILE) as exact:
-        return case, ReferenceColumns(exact["time_ns"], exact["position"], exact["velocity_n"], exact["mat_nb"])
+        return case, ReferenceColumns(
+            exact["time_ns"], exact["position"], exact["velocity_n"], exact["mat_nb"]
+        )
 
 
 def with_other_sensors(dive: Dive, told: Told) -> Dive:
@@ -88,8 +90,15 @@ def with_other_sensors(dive: Dive, told: Told) -> Dive:
     sensors = dict(dive.sensors)
     if "heading" in sensors and told.heading_deg:
         heading = sensors["heading"]
-        sensors["heading"] = replace(heading, values=heading.values + told.heading_deg * DEG, mat_nb=None)
-    return replace(dive, imu=imu, dvl=turned_dvl(dive.dvl, told.mounting_rpy_deg, told.shake_mps), sensors=sensors)
+        sensors["heading"] = replace(
+            heading, values=heading.values + told.heading_deg * DEG, mat_nb=None
+        )
+    return replace(
+        dive,
+        imu=imu,
+        dvl=turned_dvl(dive.dvl, told.mounting_rpy_deg, told.shake_mps),
+        sensors=sensors,
+    )
 
 
 def turned_dvl(dvl: DvlColumns, rpy_deg: Vector, shake_mps: float = 0.0) -> DvlColumns:
@@ -143,7 +152,9 @@ class OtherSensors(Candidate):
         told = case.told[self.name]
         # Readings come in the axes of the IMU, and the start is replaced below.
         dvl = msgspec.structs.replace(case.config.dvl, mounting_rpy_deg=NO_TURN, scale=1.0)
-        initial = Initial(source="level", heading_deg=0.0, latitude_deg=float(start.position[0] / DEG))
+        initial = Initial(
+            source="level", heading_deg=0.0, latitude_deg=float(start.position[0] / DEG)
+        )
         filters = {case.config.baseline: baseline_of(case.config, told)}
         config = msgspec.structs.replace(case.config, dvl=dvl, initial=initial, filters=filters)
         dive = with_other_sensors(dive, told)
@@ -165,7 +176,9 @@ def rows_of_solution(sample_ns: TimeNs, start_ns: int, end_ns: int) -> TimeNs:
 def _plain(start: CandidateStart) -> Start:
     """Give the state and its uncertainty alone."""
     cov = start.cov[:PLAIN_STATES, :PLAIN_STATES]
-    return Start(start.position, start.velocity_n, start.mat_nb, cov, start.accel_bias_b, start.gyro_bias_b)
+    return Start(
+        start.position, start.velocity_n, start.mat_nb, cov, start.accel_bias_b, start.gyro_bias_b
+    )
 
 
 class First(OtherSensors):

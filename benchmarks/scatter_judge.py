@@ -187,9 +187,17 @@ def outcome(word: str, truth: Truth) -> Outcome:
     if said == "mixed":
         return "mixed" if truth.kind == "ensemble" else "wrong"
     if said == "better":
-        return "right" if truth.name == "better" else "undecided" if truth.low <= 1.0 / MARGIN else "wrong"
+        return (
+            "right"
+            if truth.name == "better"
+            else "undecided"
+            if truth.low <= 1.0 / MARGIN
+            else "wrong"
+        )
     if said == "worse":
-        return "right" if truth.name == "worse" else "undecided" if truth.high >= MARGIN else "wrong"
+        return (
+            "right" if truth.name == "worse" else "undecided" if truth.high >= MARGIN else "wrong"
+        )
     if truth.name == "same":
         return "right"
     return "wrong" if truth.high <= 1.0 / LARGE or truth.low >= LARGE else "undecided"
@@ -208,7 +216,9 @@ FLEET: Final = 4
 """Vehicles of a group, at most, where dives are of vehicles."""
 
 
-def drawn_fleets(vehicles: Sequence[int], sides: Sequence[bool], size: int, groups: int, seed: int) -> list[list[int]]:
+def drawn_fleets(
+    vehicles: Sequence[int], sides: Sequence[bool], size: int, groups: int, seed: int
+) -> list[list[int]]:
     """Draw groups of rows of some vehicles; filters are exchanged on all dives of a vehicle, or on none."""
     fleet = min(size, FLEET)
     rng = np.random.default_rng((seed, size))
@@ -234,7 +244,9 @@ def drawn_fleets(vehicles: Sequence[int], sides: Sequence[bool], size: int, grou
     return found
 
 
-def groups_of(world: ScatterWorld, dives: Sequence[JudgedDive], size: int, groups: int, seed: int) -> list[list[int]]:
+def groups_of(
+    world: ScatterWorld, dives: Sequence[JudgedDive], size: int, groups: int, seed: int
+) -> list[list[int]]:
     """Draw groups of the dives of a world, of which each is a row."""
     if not world.dives_of_vehicle:
         return drawn_groups([dive.number for dive in dives], size, groups, seed)
@@ -273,14 +285,21 @@ class JudgedPair:
 
     def opposite(self, size: int) -> int:
         """Count the words of the wrong sign."""
-        return sum(count for word, count in self.words[size].items() if is_opposite(word, self.truth))
+        return sum(
+            count for word, count in self.words[size].items() if is_opposite(word, self.truth)
+        )
 
 
-def judged_pairs(world: ScatterWorld, dives: Sequence[JudgedDive], groups: int, seed: int) -> list[JudgedPair]:
+def judged_pairs(
+    world: ScatterWorld, dives: Sequence[JudgedDive], groups: int, seed: int
+) -> list[JudgedPair]:
     """Say the tool's word on all candidates of a world, for drawn groups of its dives."""
     replayed = [dive for dive in dives if dive.records]
     drawn = {size: groups_of(world, replayed, size, groups, seed) for size in SIZES}
-    said = {size: [_words_on(world, [replayed[row] for row in rows]) for rows in drawn[size]] for size in SIZES}
+    said = {
+        size: [_words_on(world, [replayed[row] for row in rows]) for rows in drawn[size]]
+        for size in SIZES
+    }
     return [
         _judged_pair(
             world,
@@ -295,9 +314,13 @@ def judged_pairs(world: ScatterWorld, dives: Sequence[JudgedDive], groups: int, 
 
 def _words_on(world: ScatterWorld, dives: Sequence[JudgedDive]) -> dict[str, str]:
     """Say the tool's words on all candidates, which share the error rate of one."""
-    records = {candidate: [dive.records[candidate] for dive in dives] for candidate in world.candidates}
+    records = {
+        candidate: [dive.records[candidate] for dive in dives] for candidate in world.candidates
+    }
     settings = world.config.evaluation
-    return verdicts_over(world.config.baseline, records, named=settings.candidate, primary=settings.primary)
+    return verdicts_over(
+        world.config.baseline, records, named=settings.candidate, primary=settings.primary
+    )
 
 
 def _judged_pair(
@@ -316,13 +339,22 @@ def _judged_pair(
     for size, groups in drawn.items():
         known = [rows for rows in groups if np.isfinite(logs[rows]).all()]
         primary[size] = [
-            over_dives(logs[rows].tolist(), level=level, vehicles=[records[row].vehicle for row in rows], always=False)
+            over_dives(
+                logs[rows].tolist(),
+                level=level,
+                vehicles=[records[row].vehicle for row in rows],
+                always=False,
+            )
             for rows in known
         ]
     words = {size: Counter(of_size) for size, of_size in by_group.items()}
     words[1] = Counter(record.word for record in records)
     finite = logs[np.isfinite(logs)]
-    reported = (math.exp(finite.mean()), float(finite.std(ddof=1))) if len(finite) > 1 else (math.nan, math.nan)
+    reported = (
+        (math.exp(finite.mean()), float(finite.std(ddof=1)))
+        if len(finite) > 1
+        else (math.nan, math.nan)
+    )
     truth = truth_of(world, ratios[world.primary])
     return JudgedPair(world, candidate, truth, ratios, reported, words, by_group, primary)
 
@@ -344,7 +376,13 @@ class Question(NamedTuple):
     """Of several the ones that are meant; empty for all."""
 
 
-EQUAL: Final = ("two compasses", "two mountings", "two IMUs", "equal on average", "late: two compasses")
+EQUAL: Final = (
+    "two compasses",
+    "two mountings",
+    "two IMUs",
+    "equal on average",
+    "late: two compasses",
+)
 CHANGED: Final = ("errors times", "a mounting", "baseline's R")
 FIVE_PCT, ONE_PCT, NONE, ALL = (5.0,) * 3, (1.0,) * 3, (0.0,) * 3, (100.0,) * 3
 
@@ -359,7 +397,9 @@ QUESTIONS: Final = (
     _equal("0.2"),
     _equal("0.5"),
     Question("equal pairs, all, a word", EQUAL, "wrong", FIVE_PCT),
-    Question("five at once, none differs, any has a word", ("five compasses",), "any wrong", FIVE_PCT),
+    Question(
+        "five at once, none differs, any has a word", ("five compasses",), "any wrong", FIVE_PCT
+    ),
     Question("vehicles that differ, a word", ("vehicles",), "wrong", FIVE_PCT),
     Question(
         "five at once, the named one is 0.8, s 0.1, found",
@@ -376,8 +416,20 @@ QUESTIONS: Final = (
         FIVE_PCT,
         candidates=FIVE[1:],
     ),
-    Question("errors times 0.8, s 0.1, found", ("errors times 0.8, s 0.1",), "right", (35.0, 80.0, 97.0), True),
-    Question("errors times 0.8, s 0.2, found", ("errors times 0.8, s 0.2",), "right", (13.0, 30.0, 54.0), True),
+    Question(
+        "errors times 0.8, s 0.1, found",
+        ("errors times 0.8, s 0.1",),
+        "right",
+        (35.0, 80.0, 97.0),
+        True,
+    ),
+    Question(
+        "errors times 0.8, s 0.2, found",
+        ("errors times 0.8, s 0.2",),
+        "right",
+        (13.0, 30.0, 54.0),
+        True,
+    ),
     Question("true changes, all, found", CHANGED, "right"),
     Question("true changes, all, opposite sign", CHANGED, "opposite", ONE_PCT),
     Question("start headings, opposite sign", ("a compass",), "opposite", ONE_PCT),
@@ -395,7 +447,8 @@ def of_question(question: Question, pairs: Sequence[JudgedPair]) -> list[JudgedP
     return [
         pair
         for pair in pairs
-        if pair.world.name.startswith(question.names) and pair.candidate in (question.candidates or (pair.candidate,))
+        if pair.world.name.startswith(question.names)
+        and pair.candidate in (question.candidates or (pair.candidate,))
     ]
 
 
@@ -404,7 +457,10 @@ def counted(question: Question, pairs: Sequence[JudgedPair], size: int) -> tuple
     if question.part == "any wrong":
         together = zip(*(pair.by_group[size] for pair in pairs), strict=True)
         rows = [
-            any(outcome(word, pair.truth) == "wrong" for word, pair in zip(words, pairs, strict=True))
+            any(
+                outcome(word, pair.truth) == "wrong"
+                for word, pair in zip(words, pairs, strict=True)
+            )
             for words in together
         ]
         return sum(rows), len(rows)
@@ -437,7 +493,11 @@ def rate_rows(pairs: Sequence[JudgedPair], dives: int) -> tuple[list[str], bool]
             pct = 100.0 * said / total
             met = asked is None or is_met(question, pct, asked, worlds * dives / size)
             all_met &= met
-            limit = "" if asked is None else f"{'at least' if question.is_least else 'at most'} {asked:g}"
+            limit = (
+                ""
+                if asked is None
+                else f"{'at least' if question.is_least else 'at most'} {asked:g}"
+            )
             cells += [f"{pct:.1f}{'' if met else ' *'}", limit]
         rows.append(f"| {question.asks} | {' | '.join(cells)} |")
     return rows, all_met
@@ -463,7 +523,11 @@ def missed_pct(pair: JudgedPair, size: int) -> str:
 
 def spoken_alone(pair: JudgedPair) -> int:
     """Count the single dives that have a word of gain or loss."""
-    return sum(count for word, count in pair.words[1].items() if plain(word) in ("better", "worse", "mixed"))
+    return sum(
+        count
+        for word, count in pair.words[1].items()
+        if plain(word) in ("better", "worse", "mixed")
+    )
 
 
 def one_dive_words(pairs: Sequence[JudgedPair]) -> tuple[int, int]:
@@ -492,7 +556,8 @@ def truth_row(pair: JudgedPair) -> str:
     several = len(pair.world.candidates) > 1
     name = f"{pair.world.name}: {pair.candidate}" if several else pair.world.name
     cells = [
-        f"{pair.ratios[quantity].value:.3f}, s {pair.ratios[quantity].scatter:.2f}" for quantity in TrueErrors._fields
+        f"{pair.ratios[quantity].value:.3f}, s {pair.ratios[quantity].scatter:.2f}"
+        for quantity in TrueErrors._fields
     ]
     return f"| {name} | {' | '.join(cells)} |"
 
@@ -516,7 +581,9 @@ COLUMNS: Final = (
 )
 
 
-def page(pairs: Sequence[JudgedPair], dives: Sequence[JudgedDive], took_s: float, groups: int) -> tuple[str, bool]:
+def page(
+    pairs: Sequence[JudgedPair], dives: Sequence[JudgedDive], took_s: float, groups: int
+) -> tuple[str, bool]:
     """Write the part of the page of results; and say whether all rates are as asked."""
     replayed = [dive for dive in dives if dive.records]
     each = max(Counter(dive.world for dive in replayed).values())
@@ -549,7 +616,9 @@ def tasks_of(worlds: Sequence[int], dives: int, truth_dives: int, seed: int) -> 
     found = list[Task]()
     for world in worlds:
         if WORLDS[world].can_be_exchanged:
-            found += [Task(world, row // 2, seed, True, is_exchanged=row % 2 == 1) for row in range(dives)]
+            found += [
+                Task(world, row // 2, seed, True, is_exchanged=row % 2 == 1) for row in range(dives)
+            ]
         else:
             found += [Task(world, number, seed, True) for number in range(dives)]
         if WORLDS[world].kind == "ensemble":
@@ -561,23 +630,33 @@ def main() -> None:
     """Judge, print and write the page; exit with 1 if a rate is not as asked."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--dives", type=int, default=DIVES, help="in each world")
-    parser.add_argument("--truth-dives", type=int, default=TRUTH_DIVES, help="more, that are not replayed")
+    parser.add_argument(
+        "--truth-dives", type=int, default=TRUTH_DIVES, help="more, that are not replayed"
+    )
     parser.add_argument("--groups", type=int, default=GROUPS)
-    parser.add_argument("--worlds", nargs="+", default=[""], help="those whose names hold one of these texts")
+    parser.add_argument(
+        "--worlds", nargs="+", default=[""], help="those whose names hold one of these texts"
+    )
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--print", action="store_true", help="print only, and leave the page as it is")
+    parser.add_argument(
+        "--print", action="store_true", help="print only, and leave the page as it is"
+    )
     parser.add_argument("--keep", type=Path, help="store what was found in each dive")
     parser.add_argument("--kept", type=Path, help="judge what was stored, without replays")
     given = parser.parse_args()
     for library in ("OPENBLAS", "OMP"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     begun_s = time.monotonic()
-    chosen = [row for row, world in enumerate(WORLDS) if any(part in world.name for part in given.worlds)]
+    chosen = [
+        row for row, world in enumerate(WORLDS) if any(part in world.name for part in given.worlds)
+    ]
     if given.kept:
         dives = pickle.loads(given.kept.read_bytes())
     else:
-        dives = list(judged_dives(tasks_of(chosen, given.dives, given.truth_dives, given.seed), given.jobs))
+        dives = list(
+            judged_dives(tasks_of(chosen, given.dives, given.truth_dives, given.seed), given.jobs)
+        )
     if given.keep:
         given.keep.write_bytes(pickle.dumps(dives))
     pairs = list[JudgedPair]()

@@ -29,7 +29,14 @@ from true_errors import TrueRatio, ratio_of_logs
 
 from insdvl_replay.core.config import Config, Filter, Heading, InertialNoise, Vector
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ReferenceColumns, SensorColumns, nanoseconds
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    Floats,
+    ReferenceColumns,
+    SensorColumns,
+    nanoseconds,
+)
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors, reference_errors
@@ -131,7 +138,10 @@ def dive_of(world: ScatterWorld, number: int, seed: int = SEED) -> Drawn:
         return found
     rng = np.random.default_rng((seed, of_world, VEHICLE_STREAM, world.vehicle_of(number)))
     factor = math.exp(world.vehicle_log_sd * rng.standard_normal())
-    told = {name: msgspec.structs.replace(one, factor=factor * one.factor) for name, one in found.told.items()}
+    told = {
+        name: msgspec.structs.replace(one, factor=factor * one.factor)
+        for name, one in found.told.items()
+    }
     return found._replace(told=told)
 
 
@@ -149,7 +159,9 @@ def exchanged(drawn: Drawn, name: str) -> Drawn:
         heading_deg=-told.heading_deg,
         factor=1.0 / told.factor,
     )
-    return drawn._replace(reported=with_other_sensors(drawn.reported, told), told={**drawn.told, name: back})
+    return drawn._replace(
+        reported=with_other_sensors(drawn.reported, told), told={**drawn.told, name: back}
+    )
 
 
 # --- What is drawn.
@@ -166,14 +178,19 @@ def compasses(*names: str, sd_deg: float, white_deg: float = 0.3) -> Draw:
     def draw(reported: Dive, exact: Dive, rng: np.random.Generator) -> Drawn:
         of_baseline_deg, *others_deg = sd_deg * rng.standard_normal(1 + len(names))
         told = {
-            name: Told(heading_deg=float(off - of_baseline_deg)) for name, off in zip(names, others_deg, strict=True)
+            name: Told(heading_deg=float(off - of_baseline_deg))
+            for name, off in zip(names, others_deg, strict=True)
         }
-        return Drawn(with_compass(reported, exact, float(of_baseline_deg), white_deg, rng), exact, told)
+        return Drawn(
+            with_compass(reported, exact, float(of_baseline_deg), white_deg, rng), exact, told
+        )
 
     return draw
 
 
-def with_compass(reported: Dive, exact: Dive, off_deg: float, white_deg: float, rng: np.random.Generator) -> Dive:
+def with_compass(
+    reported: Dive, exact: Dive, off_deg: float, white_deg: float, rng: np.random.Generator
+) -> Dive:
     """Add readings of a heading once a second: the true one, a constant and white noise."""
     true = reference_of(exact)
     rate_hz = round((len(true.time_ns) - 1) * NS_PER_S / float(true.time_ns[-1] - true.time_ns[0]))
@@ -187,9 +204,13 @@ def mountings(name: str, *, sd_deg: float) -> Draw:
     """Draw how the DVL is mounted, and how each of two filters is told so; the baseline's error is in the readings."""
 
     def draw(reported: Dive, exact: Dive, rng: np.random.Generator) -> Drawn:
-        of_baseline, of_other = (mat_from_rpy(rpy) for rpy in sd_deg * DEG * rng.standard_normal((2, 3)))
+        of_baseline, of_other = (
+            mat_from_rpy(rpy) for rpy in sd_deg * DEG * rng.standard_normal((2, 3))
+        )
         reported = replace(reported, dvl=turned_dvl(reported.dvl, rpy_deg_of(of_baseline)))
-        return Drawn(reported, exact, {name: Told(mounting_rpy_deg=rpy_deg_of(of_other @ of_baseline.T))})
+        return Drawn(
+            reported, exact, {name: Told(mounting_rpy_deg=rpy_deg_of(of_other @ of_baseline.T))}
+        )
 
     return draw
 
@@ -201,7 +222,9 @@ def calibrated_mounting(name: str, *, of_baseline_deg: float, of_other_deg: floa
         side = rng.choice((-1.0, 1.0))
         before, after = side * of_baseline_deg, side * of_other_deg
         reported = replace(reported, dvl=turned_dvl(reported.dvl, (0.0, 0.0, float(before))))
-        return Drawn(reported, exact, {name: Told(mounting_rpy_deg=(0.0, 0.0, float(after - before)))})
+        return Drawn(
+            reported, exact, {name: Told(mounting_rpy_deg=(0.0, 0.0, float(after - before)))}
+        )
 
     return draw
 
@@ -219,8 +242,15 @@ def imus(name: str, *, accel_mg: float, gyro_degph: float) -> Draw:
         accel = accel_mg * MG * rng.standard_normal((2, 3))
         gyro = gyro_degph * DEG_PER_HOUR * rng.standard_normal((2, 3))
         of_baseline = Told(accel_bias_mps2=vector_of(accel[0]), gyro_bias_radps=vector_of(gyro[0]))
-        of_other = Told(accel_bias_mps2=vector_of(accel[1] - accel[0]), gyro_bias_radps=vector_of(gyro[1] - gyro[0]))
-        return Drawn(replace(reported, imu=with_other_sensors(reported, of_baseline).imu), exact, {name: of_other})
+        of_other = Told(
+            accel_bias_mps2=vector_of(accel[1] - accel[0]),
+            gyro_bias_radps=vector_of(gyro[1] - gyro[0]),
+        )
+        return Drawn(
+            replace(reported, imu=with_other_sensors(reported, of_baseline).imu),
+            exact,
+            {name: of_other},
+        )
 
     return draw
 
@@ -247,7 +277,11 @@ def first_of_several(*names: str, ratio: float, log_sd: float) -> Draw:
     def draw(reported: Dive, exact: Dive, rng: np.random.Generator) -> Drawn:
         spread = np.exp(log_sd * rng.standard_normal(len(names)))
         spread[0] *= ratio
-        return Drawn(reported, exact, {name: Told(factor=float(by)) for name, by in zip(names, spread, strict=True)})
+        return Drawn(
+            reported,
+            exact,
+            {name: Told(factor=float(by)) for name, by in zip(names, spread, strict=True)},
+        )
 
     return draw
 
@@ -327,11 +361,15 @@ def true_errors_of(world: ScatterWorld, drawn: Drawn) -> dict[str, TrueErrors]:
         since_s = (time_ns - first_ns) / NS_PER_S
         kept &= (since_s < begin_s) | (since_s >= end_s)
     reported = drawn.reported
-    in_outages = histories_of(world, drawn._replace(reported=replace(reported, dvl=reported.dvl.rows(kept))))
+    in_outages = histories_of(
+        world, drawn._replace(reported=replace(reported, dvl=reported.dvl.rows(kept)))
+    )
     reference = reference_of(drawn.exact)
     return {
         name: _true_errors(
-            reference_errors(whole[name], reference), reference_errors(in_outages[name], reference), int(first_ns)
+            reference_errors(whole[name], reference),
+            reference_errors(in_outages[name], reference),
+            int(first_ns),
         )
         for name in world.config.filters
     }
@@ -398,12 +436,16 @@ def _rms(errors: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 
-def true_ratios(errors: list[dict[str, TrueErrors]], baseline: str, candidate: str) -> dict[str, TrueRatio]:
+def true_ratios(
+    errors: list[dict[str, TrueErrors]], baseline: str, candidate: str
+) -> dict[str, TrueRatio]:
     """Compare two filters over an ensemble of dives, quantity by quantity."""
     before = np.array([dive[baseline] for dive in errors])
     after = np.array([dive[candidate] for dive in errors])
     logs = np.log(after / before)
-    return {name: ratio_of_logs(column) for name, column in zip(TrueErrors._fields, logs.T, strict=True)}
+    return {
+        name: ratio_of_logs(column) for name, column in zip(TrueErrors._fields, logs.T, strict=True)
+    }
 
 
 # --- The worlds.
@@ -413,7 +455,9 @@ DVL_SD_MPS: Final = 0.008
 """What filters are told of the DVL, which is nearly true; the preset's 20 mm/s are far from it."""
 
 
-def _settings(*others: str, aiding: tuple[str, ...] = ("velocity",), sd_mps: float = DVL_SD_MPS) -> Config:
+def _settings(
+    *others: str, aiding: tuple[str, ...] = ("velocity",), sd_mps: float = DVL_SD_MPS
+) -> Config:
     """Give a baseline and filters with sensors of their own; all are told the preset of the IMU's grade."""
     preset = load_config(SEA.grade)
     noise = SEA.reference
@@ -427,7 +471,9 @@ def _settings(*others: str, aiding: tuple[str, ...] = ("velocity",), sd_mps: flo
     filters |= {name: as_filter(name) for name in others}
     evaluation = msgspec.structs.replace(preset.evaluation, starts=STARTS)
     heading = Heading(sd_deg=1.0)
-    return msgspec.structs.replace(preset, filters=filters, reference=reference, evaluation=evaluation, heading=heading)
+    return msgspec.structs.replace(
+        preset, filters=filters, reference=reference, evaluation=evaluation, heading=heading
+    )
 
 
 def _with(config: Config, **filters: Filter) -> Config:
@@ -440,12 +486,16 @@ def _by_velocity(sd_mps: float) -> Filter:
 
 def _dependent(config: Config) -> Config:
     """Say that the reference was computed from the same sensors, so that the drift without the DVL counts."""
-    return msgspec.structs.replace(config, reference=msgspec.structs.replace(config.reference, independent=False))
+    return msgspec.structs.replace(
+        config, reference=msgspec.structs.replace(config.reference, independent=False)
+    )
 
 
 def _named(config: Config, candidate: str) -> Config:
     """Name the candidate that the question is about, before anything is run."""
-    return msgspec.structs.replace(config, evaluation=msgspec.structs.replace(config.evaluation, candidate=candidate))
+    return msgspec.structs.replace(
+        config, evaluation=msgspec.structs.replace(config.evaluation, candidate=candidate)
+    )
 
 
 def _noisy(white_mps: float) -> Sea:
@@ -469,11 +519,15 @@ WITH_COMPASS: Final = ("velocity", "heading")
 
 def _two_compasses(scatter: float, sd_deg: float) -> ScatterWorld:
     config = _settings(OTHER, aiding=WITH_COMPASS)
-    return ScatterWorld(f"two compasses, s {scatter:g}", "equal", config, compasses(OTHER, sd_deg=sd_deg))
+    return ScatterWorld(
+        f"two compasses, s {scatter:g}", "equal", config, compasses(OTHER, sd_deg=sd_deg)
+    )
 
 
 def _two_mountings(scatter: float, sd_deg: float) -> ScatterWorld:
-    return ScatterWorld(f"two mountings, s {scatter:g}", "equal", _settings(OTHER), mountings(OTHER, sd_deg=sd_deg))
+    return ScatterWorld(
+        f"two mountings, s {scatter:g}", "equal", _settings(OTHER), mountings(OTHER, sd_deg=sd_deg)
+    )
 
 
 def _two_imus(scatter: float, accel_mg: float, gyro_degph: float) -> ScatterWorld:
@@ -481,11 +535,16 @@ def _two_imus(scatter: float, accel_mg: float, gyro_degph: float) -> ScatterWorl
     return ScatterWorld(f"two IMUs, s {scatter:g}", "equal", _settings(OTHER), draw)
 
 
-def _start_heading(name: str, *, told_deg: float, vehicle_deg: float = 0.0, reference_deg: float = 0.0) -> ScatterWorld:
+def _start_heading(
+    name: str, *, told_deg: float, vehicle_deg: float = 0.0, reference_deg: float = 0.0
+) -> ScatterWorld:
     """Hold a compass against none, where the heading at the start is as uncertain as the filters are told."""
     config = _settings()
     initial = msgspec.structs.replace(
-        config.initial, uncertainty="settings", misalignment_sd_deg=(0.05, 0.05, told_deg), velocity_sd_mps=0.02
+        config.initial,
+        uncertainty="settings",
+        misalignment_sd_deg=(0.05, 0.05, told_deg),
+        velocity_sd_mps=0.02,
     )
     compass = Filter(aiding=WITH_COMPASS, velocity_sd_mps=DVL_SD_MPS)
     config = _with(msgspec.structs.replace(config, initial=initial), compass=compass)
@@ -525,17 +584,34 @@ WORLDS: Final[tuple[ScatterWorld, ...]] = (
         dives_of_vehicle=2,
         vehicle_log_sd=0.2,
     ),
-    ScatterWorld("equal on average, s 0.3", "equal", _settings(OTHER), factors(OTHER, ratio=1.0, log_sd=0.3)),
+    ScatterWorld(
+        "equal on average, s 0.3", "equal", _settings(OTHER), factors(OTHER, ratio=1.0, log_sd=0.3)
+    ),
     # True changes.
-    ScatterWorld("errors times 0.8, s 0.1", "ensemble", _settings(OTHER), factors(OTHER, ratio=0.8, log_sd=0.1)),
-    ScatterWorld("errors times 0.8, s 0.2", "ensemble", _settings(OTHER), factors(OTHER, ratio=0.8, log_sd=0.2)),
+    ScatterWorld(
+        "errors times 0.8, s 0.1",
+        "ensemble",
+        _settings(OTHER),
+        factors(OTHER, ratio=0.8, log_sd=0.1),
+    ),
+    ScatterWorld(
+        "errors times 0.8, s 0.2",
+        "ensemble",
+        _settings(OTHER),
+        factors(OTHER, ratio=0.8, log_sd=0.2),
+    ),
     ScatterWorld(
         "five at once, the first is named and 0.8 of the baseline",
         "ensemble",
         _named(_settings(*FIVE), FIVE[0]),
         first_of_several(*FIVE, ratio=0.8, log_sd=0.1),
     ),
-    ScatterWorld("errors times 1.25, s 0.2", "ensemble", _settings(OTHER), factors(OTHER, ratio=1.25, log_sd=0.2)),
+    ScatterWorld(
+        "errors times 1.25, s 0.2",
+        "ensemble",
+        _settings(OTHER),
+        factors(OTHER, ratio=1.25, log_sd=0.2),
+    ),
     ScatterWorld(
         "a mounting known to 0.8 deg, before to 1",
         "ensemble",
@@ -559,7 +635,9 @@ WORLDS: Final[tuple[ScatterWorld, ...]] = (
     _start_heading("a compass, start heading good to 0.02 deg", told_deg=0.02, vehicle_deg=0.02),
     _start_heading("a compass, start heading good to 0.3 deg", told_deg=0.3, vehicle_deg=0.3),
     _start_heading("a compass, start heading good to 1 deg", told_deg=1.0, vehicle_deg=1.0),
-    _start_heading("a compass, the reference's heading good to 1 deg", told_deg=1.0, reference_deg=1.0),
+    _start_heading(
+        "a compass, the reference's heading good to 1 deg", told_deg=1.0, reference_deg=1.0
+    ),
     # Late stamps of reference and DVL.
     ScatterWorld(
         "late: R of 2 mm/s, truly 7",
@@ -583,13 +661,19 @@ WORLDS: Final[tuple[ScatterWorld, ...]] = (
         late(compasses(OTHER, sd_deg=0.07)),
     ),
     # No difference, and none that could be told.
-    ScatterWorld("a copy", "copy", _with(_settings(), copy=_by_velocity(DVL_SD_MPS)), nothing_drawn),
-    ScatterWorld("a copy that is a class", "copy", _settings(OTHER), factors(OTHER, ratio=1.0, log_sd=0.0)),
+    ScatterWorld(
+        "a copy", "copy", _with(_settings(), copy=_by_velocity(DVL_SD_MPS)), nothing_drawn
+    ),
+    ScatterWorld(
+        "a copy that is a class", "copy", _settings(OTHER), factors(OTHER, ratio=1.0, log_sd=0.0)
+    ),
     ScatterWorld(
         "baseline's noise 800 times too large",
         "no word",
         _too_large(800.0),
         nothing_drawn,
     ),
-    ScatterWorld("another answer each time", "no word", _settings(OTHER), shaken(OTHER, sd_mps=0.03)),
+    ScatterWorld(
+        "another answer each time", "no word", _settings(OTHER), shaken(OTHER, sd_mps=0.03)
+    ),
 )

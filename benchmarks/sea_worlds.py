@@ -13,7 +13,15 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    TimeNs,
+)
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
@@ -76,13 +84,17 @@ class DrawnMotion(Scenario):
 
     def _waves(self, time_s: Floats, of: slice) -> Floats:
         total = np.zeros((len(time_s), 3))
-        for frequency, phase, size in zip(self.frequency[:, of], self.phase[:, of], self.size[:, of], strict=True):
+        for frequency, phase, size in zip(
+            self.frequency[:, of], self.phase[:, of], self.size[:, of], strict=True
+        ):
             total += size * np.sin(np.outer(time_s, frequency) + phase)
         return total
 
     def _wave_rates(self, time_s: Floats, of: slice) -> Floats:
         total = np.zeros((len(time_s), 3))
-        for frequency, phase, size in zip(self.frequency[:, of], self.phase[:, of], self.size[:, of], strict=True):
+        for frequency, phase, size in zip(
+            self.frequency[:, of], self.phase[:, of], self.size[:, of], strict=True
+        ):
             total += size * frequency * np.cos(np.outer(time_s, frequency) + phase)
         return total
 
@@ -93,7 +105,9 @@ def drawn_motion(voyage: Voyage, duration_s: float, rng: np.random.Generator) ->
     legs_s = rng.uniform(0.4, 1.6, int(end_s / (0.4 * voyage.leg_s)) + 4) * voyage.leg_s
     knots_s = np.cumsum(np.append(-voyage.leg_s, legs_s))
     knots_s = knots_s[: np.searchsorted(knots_s, end_s) + 3]
-    heading = HEADING_DEG * DEG + np.cumsum(voyage.turn_sd_deg * DEG * rng.standard_normal(len(knots_s)))
+    heading = HEADING_DEG * DEG + np.cumsum(
+        voyage.turn_sd_deg * DEG * rng.standard_normal(len(knots_s))
+    )
     # Two knots on each course: a leg is nearly straight, and a turn takes a third of the time.
     twice_s = np.ravel(np.column_stack([knots_s[:-1], knots_s[:-1] + np.diff(knots_s) * 0.65]))
     speed_mps = voyage.speed_mps + voyage.speed_sd_mps * rng.standard_normal((len(knots_s), 1))
@@ -108,7 +122,9 @@ def drawn_motion(voyage: Voyage, duration_s: float, rng: np.random.Generator) ->
         speed=CubicSpline(knots_s, np.column_stack([speed_mps, drift_mps])),
         frequency=2.0 * np.pi / voyage.wave_period_s * rng.uniform(0.5, 1.6, (waves, 6)),
         phase=rng.uniform(0.0, 2.0 * np.pi, (waves, 6)),
-        size=np.sqrt(2.0 / waves) * np.concatenate([tilt, sway_mps]) * rng.uniform(0.5, 1.5, (waves, 6)),
+        size=np.sqrt(2.0 / waves)
+        * np.concatenate([tilt, sway_mps])
+        * rng.uniform(0.5, 1.5, (waves, 6)),
     )
 
 
@@ -200,7 +216,9 @@ GRADE_ERRORS: Final = {
 }
 
 
-def _gauss_markov(time_ns: TimeNs, columns: int, sd: float, time_constant_s: float, rng: np.random.Generator) -> Floats:
+def _gauss_markov(
+    time_ns: TimeNs, columns: int, sd: float, time_constant_s: float, rng: np.random.Generator
+) -> Floats:
     """Draw a stationary first-order Gauss-Markov process at evenly spaced times, shape (k, columns)."""
     step_s = float(time_ns[-1] - time_ns[0]) / NS_PER_S / (len(time_ns) - 1)
     kept = float(np.exp(-step_s / time_constant_s))
@@ -210,16 +228,24 @@ def _gauss_markov(time_ns: TimeNs, columns: int, sd: float, time_constant_s: flo
 
 
 def _imu_at_sea(exact: ImuColumns, errors: SeaImu, rng: np.random.Generator) -> ImuColumns:
-    root_rate = np.sqrt((len(exact.time_ns) - 1) * NS_PER_S / float(exact.time_ns[-1] - exact.time_ns[0]))
+    root_rate = np.sqrt(
+        (len(exact.time_ns) - 1) * NS_PER_S / float(exact.time_ns[-1] - exact.time_ns[0])
+    )
     readings = []
     slow = errors.gauss_markov_accel_mps2, errors.gauss_markov_gyro_radps
     columns = exact.specific_force_b, exact.angular_rate_b
-    for reading, white, turn_on, wander in zip(columns, errors.white, errors.turn_on, slow, strict=True):
+    for reading, white, turn_on, wander in zip(
+        columns, errors.white, errors.turn_on, slow, strict=True
+    ):
         matrix = np.eye(3) + errors.misalignment_rad * rng.standard_normal((3, 3))
         np.fill_diagonal(matrix, 1.0 + errors.scale * rng.standard_normal(3))
-        noise = white * root_rate * rng.standard_normal(reading.shape) + turn_on * rng.standard_normal(3)
+        noise = white * root_rate * rng.standard_normal(
+            reading.shape
+        ) + turn_on * rng.standard_normal(3)
         readings.append(
-            reading @ matrix.T + noise + _gauss_markov(exact.time_ns, 3, wander, errors.gauss_markov_s, rng)
+            reading @ matrix.T
+            + noise
+            + _gauss_markov(exact.time_ns, 3, wander, errors.gauss_markov_s, rng)
         )
     return ImuColumns(exact.time_ns, *readings)
 
@@ -228,9 +254,13 @@ def _dvl_at_sea(exact: DvlColumns, errors: SeaDvl, rng: np.random.Generator) -> 
     if exact.beam_velocity_mps is None:
         raise ValueError("a simulated DVL has beams")
     pings, beams = exact.beam_velocity_mps.shape
-    noise = errors.white_mps * rng.standard_normal((pings, beams)) + errors.bias_mps * rng.standard_normal(beams)
+    noise = errors.white_mps * rng.standard_normal(
+        (pings, beams)
+    ) + errors.bias_mps * rng.standard_normal(beams)
     noise += _gauss_markov(exact.time_ns, beams, errors.correlated_mps, errors.correlated_s, rng)
-    velocity_mps = exact.beam_velocity_mps * (1.0 + errors.scale * rng.standard_normal(beams)) + noise
+    velocity_mps = (
+        exact.beam_velocity_mps * (1.0 + errors.scale * rng.standard_normal(beams)) + noise
+    )
     time_s = (exact.time_ns - exact.time_ns[0]) / NS_PER_S
     for _ in range(errors.lost_spans):
         begun_s, lost_s = rng.uniform(30.0, time_s[-1]), rng.uniform(*errors.lost_s)
@@ -240,7 +270,9 @@ def _dvl_at_sea(exact: DvlColumns, errors: SeaDvl, rng: np.random.Generator) -> 
     return replace(exact, beam_velocity_mps=velocity_mps)
 
 
-def _reference_at_sea(exact: ReferenceColumns, errors: SeaReference, rng: np.random.Generator) -> ReferenceColumns:
+def _reference_at_sea(
+    exact: ReferenceColumns, errors: SeaReference, rng: np.random.Generator
+) -> ReferenceColumns:
     def noise(sd: float) -> Floats:
         stays = _gauss_markov(exact.time_ns, 3, sd / 3.0, 60.0, rng)
         return sd * rng.standard_normal((len(exact.time_ns), 3)) + stays

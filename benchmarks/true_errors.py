@@ -80,11 +80,16 @@ def ratio_of_logs(logs: Floats) -> TrueRatio:
     return TrueRatio(math.exp(mean), math.exp(mean - width), math.exp(mean + width), scatter)
 
 
-def true_ratios(dives: Sequence[Mapping[str, MeanSquares]], baseline: str, candidate: str) -> dict[str, TrueRatio]:
+def true_ratios(
+    dives: Sequence[Mapping[str, MeanSquares]], baseline: str, candidate: str
+) -> dict[str, TrueRatio]:
     """Compare the root mean squares of two filters over dives, quantity by quantity."""
     before, after = (np.array([dive[name] for dive in dives]) for name in (baseline, candidate))
     logs = 0.5 * np.log(after / before)
-    return {name: ratio_of_logs(column) for name, column in zip(MeanSquares._fields, logs.T, strict=True)}
+    return {
+        name: ratio_of_logs(column)
+        for name, column in zip(MeanSquares._fields, logs.T, strict=True)
+    }
 
 
 def soundness(histories: Sequence[History], errors: Mapping[str, ReferenceErrors]) -> Soundness:
@@ -92,5 +97,10 @@ def soundness(histories: Sequence[History], errors: Mapping[str, ReferenceErrors
     leading = [history.innovations[0] for history in histories]
     rejected = [np.mean(~innovations.used) for innovations in leading]
     nis_per_dof = [np.mean(innovations.nis) / innovations.dof for innovations in leading]
-    error = [np.sqrt(_mean_square(error.position_error_ned_m[:, :2])) / error.distance_m for error in errors.values()]
-    return Soundness(100.0 * float(max(rejected)), float(max(nis_per_dof)), 100.0 * float(max(error)))
+    error = [
+        np.sqrt(_mean_square(error.position_error_ned_m[:, :2])) / error.distance_m
+        for error in errors.values()
+    ]
+    return Soundness(
+        100.0 * float(max(rejected)), float(max(nis_per_dof)), 100.0 * float(max(error))
+    )

@@ -28,11 +28,18 @@ def row_of(log: Path) -> tuple[str, bool]:
         spent_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         name = f"{log.parent.name}/{log.name}"
         if done.returncode:
-            return f"| {name} | {spent_s:.1f} | - | {done.stderr.strip().splitlines()[-1]} | |", False
+            return (
+                f"| {name} | {spent_s:.1f} | - | {done.stderr.strip().splitlines()[-1]} | |",
+                False,
+            )
         (path,) = Path(folder).glob("*/report.json")
         report = json.loads(path.read_text())
     consistency = report["tables"]["consistency"]
-    row = next(row for row in consistency if (row["filter"], row["measurement"]) == (report["baseline"], "velocity"))
+    row = next(
+        row
+        for row in consistency
+        if (row["filter"], row["measurement"]) == (report["baseline"], "velocity")
+    )
     size = row["mean_nis"] / row["dof"]
     words = ", ".join(candidate["verdict"] for candidate in report["filters"].values())
     notes = [note for note in report["notes"] if note["code"].startswith("found_")]
@@ -44,11 +51,18 @@ def row_of(log: Path) -> tuple[str, bool]:
 def main() -> None:
     """Print the table."""
     logs = [Path(argument) for argument in sys.argv[1:]]
-    logs = logs or [log for folder in FOLDERS for ending in ("*.mcap", "*.bag") for log in (DATA / folder).glob(ending)]
+    logs = logs or [
+        log
+        for folder in FOLDERS
+        for ending in ("*.mcap", "*.bag")
+        for log in (DATA / folder).glob(ending)
+    ]
     found = [row_of(log) for log in sorted(logs)]
     sys.stdout.write("\n".join(table(COLUMNS, [row for row, _ in found])) + "\n")
     judged = sum(is_judged for _, is_judged in found)
-    sys.stdout.write(f"{judged} of {len(found)} end with NIS/dof from 0.4 to 2.5 and a verdict ({machine()})\n")
+    sys.stdout.write(
+        f"{judged} of {len(found)} end with NIS/dof from 0.4 to 2.5 and a verdict ({machine()})\n"
+    )
 
 
 if __name__ == "__main__":

@@ -26,7 +26,12 @@ from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import north_east_m, solve_beams
-from insdvl_replay.geometry.rotation import mat_from_rpy, quat_from_mat, rpy_from_mat, vector_from_mat
+from insdvl_replay.geometry.rotation import (
+    mat_from_rpy,
+    quat_from_mat,
+    rpy_from_mat,
+    vector_from_mat,
+)
 from insdvl_replay.inspection.automatic import find_settings
 from insdvl_replay.logs.columns.imu import in_frd
 from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
@@ -49,9 +54,13 @@ _TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
 _VECTOR = "MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z"
 _QUATERNION = "MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w"
 _TWIST = "MSG: geometry_msgs/Twist\ngeometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular"
-_TWIST_COV = "MSG: geometry_msgs/TwistWithCovariance\ngeometry_msgs/Twist twist\nfloat64[36] covariance"
+_TWIST_COV = (
+    "MSG: geometry_msgs/TwistWithCovariance\ngeometry_msgs/Twist twist\nfloat64[36] covariance"
+)
 _POINT = "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z"
-_POSE = "MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation"
+_POSE = (
+    "MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation"
+)
 _POSE_COV = "MSG: geometry_msgs/PoseWithCovariance\ngeometry_msgs/Pose pose\nfloat64[36] covariance"
 DEFINITIONS: Final = {
     "sensor_msgs/msg/Imu": _SEPARATOR.join([
@@ -106,7 +115,11 @@ class Vehicle:
             imu_hz=float(rng.choice([20.0, 50.0, 100.0, 200.0, 400.0, 1000.0])),
             dvl_hz=float(rng.choice([1.0, 2.0, 5.0, 10.0, 20.0])),
             dvl_rpy_deg=(roll, float(rng.normal(0.0, 3.0)), float(rng.uniform(-180.0, 180.0))),
-            arm_m=(float(rng.uniform(-1.0, 1.0)), float(rng.uniform(-0.3, 0.3)), float(rng.uniform(-0.3, 0.3))),
+            arm_m=(
+                float(rng.uniform(-1.0, 1.0)),
+                float(rng.uniform(-0.3, 0.3)),
+                float(rng.uniform(-0.3, 0.3)),
+            ),
             delay_s=float(rng.uniform(0.0, 0.2)),
             scale=float(rng.uniform(0.98, 1.02)),
             imu_turn=axes,
@@ -129,7 +142,9 @@ class Vehicle:
             self.scenario, duration_s=LONGEST_S, imu_rate_hz=self.imu_hz, dvl_rate_hz=self.dvl_hz,
             lever_arm_m=self.arm_m, mounting_rpy_deg=self.dvl_rpy_deg,
         )  # fmt: skip
-        return late_and_long(add_errors(exact, GRADES[self.grade], DvlErrors(), seed), self.delay_s, self.scale)
+        return late_and_long(
+            add_errors(exact, GRADES[self.grade], DvlErrors(), seed), self.delay_s, self.scale
+        )
 
 
 def write_log(path: Path, dive: Dive, vehicle: Vehicle, seed: int) -> None:
@@ -138,15 +153,21 @@ def write_log(path: Path, dive: Dive, vehicle: Vehicle, seed: int) -> None:
         writer = Writer(stream)
         schemas = {name: writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()}
         for topic, kind, time_ns, message in _messages(dive, vehicle, np.random.default_rng(seed)):
-            writer.write_message(topic, schemas[kind], message, log_time=time_ns, publish_time=time_ns)
+            writer.write_message(
+                topic, schemas[kind], message, log_time=time_ns, publish_time=time_ns
+            )
         writer.finish()
 
 
-def _messages(dive: Dive, vehicle: Vehicle, rng: np.random.Generator) -> Iterator[tuple[str, str, int, dict[str, Any]]]:
+def _messages(
+    dive: Dive, vehicle: Vehicle, rng: np.random.Generator
+) -> Iterator[tuple[str, str, int, dict[str, Any]]]:
     unknown = [-1.0, *[0.0] * 8]
     force = dive.imu.specific_force_b @ vehicle.imu_turn.T / (G_MPS2 if vehicle.in_g else 1.0)
     rate = dive.imu.angular_rate_b @ vehicle.imu_turn.T / (DEG if vehicle.in_degrees else 1.0)
-    for time_ns, felt, turning in zip(dive.imu.time_ns.tolist(), force.tolist(), rate.tolist(), strict=True):
+    for time_ns, felt, turning in zip(
+        dive.imu.time_ns.tolist(), force.tolist(), rate.tolist(), strict=True
+    ):
         yield "/imu/data", "sensor_msgs/msg/Imu", time_ns, {
             "header": _header(time_ns), "orientation": _quaternion(np.eye(3)), "orientation_covariance": unknown,
             "angular_velocity": _xyz(turning), "angular_velocity_covariance": [0.0] * 9,
@@ -156,7 +177,10 @@ def _messages(dive: Dive, vehicle: Vehicle, rng: np.random.Generator) -> Iterato
     assert dive.dvl.beam_vectors_d is not None
     velocity_d, *_ = solve_beams(dive.dvl.beam_velocity_mps, dive.dvl.beam_vectors_d)
     for time_ns, velocity in zip(dive.dvl.time_ns.tolist(), velocity_d.tolist(), strict=True):
-        twist = {"twist": {"linear": _xyz(velocity), "angular": _xyz([0.0] * 3)}, "covariance": [0.0] * 36}
+        twist = {
+            "twist": {"linear": _xyz(velocity), "angular": _xyz([0.0] * 3)},
+            "covariance": [0.0] * 36,
+        }
         yield "/dvl/twist", "geometry_msgs/msg/TwistWithCovarianceStamped", time_ns, {
             "header": _header(time_ns), "twist": twist,
         }  # fmt: skip
@@ -171,7 +195,10 @@ def _odometry(dive: Dive) -> Iterator[tuple[str, str, int, dict[str, Any]]]:
         mat = NED_TO_ENU @ reference.mat_nb[row] @ FLU
         velocity = FLU @ reference.mat_nb[row].T @ reference.velocity_n[row]
         up_m = float(reference.position[row, 2] - reference.position[0, 2])
-        pose = {"position": _xyz([float(east_m[row]), float(north_m[row]), up_m]), "orientation": _quaternion(mat)}
+        pose = {
+            "position": _xyz([float(east_m[row]), float(north_m[row]), up_m]),
+            "orientation": _quaternion(mat),
+        }
         twist = {"linear": _xyz(velocity.tolist()), "angular": _xyz([0.0] * 3)}
         yield "/odometry", "nav_msgs/msg/Odometry", time_ns, {
             "header": _header(time_ns, "odom"), "child_frame_id": "base_link",
@@ -184,7 +211,11 @@ def _fixes(dive: Dive, rng: np.random.Generator) -> Iterator[tuple[str, str, int
     assert reference is not None
     for row in range(0, len(reference.time_ns), 5):
         time_ns = int(reference.time_ns[row])
-        latitude, longitude, height_m = reference.position[row] + rng.normal(0.0, 0.3, 3) / [6.37e6, 5.3e6, 1.0]
+        latitude, longitude, height_m = reference.position[row] + rng.normal(0.0, 0.3, 3) / [
+            6.37e6,
+            5.3e6,
+            1.0,
+        ]
         yield "/gps/fix", "sensor_msgs/msg/NavSatFix", time_ns, {
             "header": _header(time_ns, "gps"), "status": {"status": 0, "service": 1},
             "latitude": float(latitude / DEG), "longitude": float(longitude / DEG), "altitude": float(height_m),
@@ -240,7 +271,13 @@ def judged(log: Path, dive: Dive, vehicle: Vehicle) -> Found:
     mounting_off_deg = float(np.linalg.norm(vector_from_mat(between @ true.T))) / DEG
     heading_off_deg, sd_deg = _heading_off_deg(log, config, dive)
     doubts = tuple(note.code for note in found.notes if note.severity == Severity.WARNING)
-    return Found(mounting_off_deg, heading_off_deg, sd_deg, doubts, "; ".join(note.text for note in found.notes))
+    return Found(
+        mounting_off_deg,
+        heading_off_deg,
+        sd_deg,
+        doubts,
+        "; ".join(note.text for note in found.notes),
+    )
 
 
 def _heading_off_deg(log: Path, config: Config, dive: Dive) -> tuple[float, float]:
@@ -250,8 +287,14 @@ def _heading_off_deg(log: Path, config: Config, dive: Dive) -> tuple[float, floa
     history = run_one(prepared.filters[0], prepared, prepared_timeline(read, prepared))
     reference = dive.reference
     assert reference is not None
-    true_s, true_rad = (reference.time_ns - reference.time_ns[0]) * 1e-9, rpy_from_mat(reference.mat_nb)[:, 2]
-    our_s, our_rad = (history.time_ns - reference.time_ns[0]) * 1e-9, rpy_from_mat(history.mat_nb)[:, 2]
+    true_s, true_rad = (
+        (reference.time_ns - reference.time_ns[0]) * 1e-9,
+        rpy_from_mat(reference.mat_nb)[:, 2],
+    )
+    our_s, our_rad = (
+        (history.time_ns - reference.time_ns[0]) * 1e-9,
+        rpy_from_mat(history.mat_nb)[:, 2],
+    )
     late = our_s > 0.5 * float(true_s[-1])
     off = np.exp(1j * (our_rad[late] - np.interp(our_s[late], true_s, np.unwrap(true_rad))))
     return abs(float(np.angle(np.mean(off)))) / DEG, float(history.sd[-1, 5]) / DEG
@@ -290,7 +333,9 @@ def main() -> None:
         )
         sys.stdout.write(rows[-1] + "\n" + (f"    {found.text}\n" if asked.verbose else ""))
         sys.stdout.flush()
-    summary = ", ".join(f"{verdicts.count(word)} {word}" for word in ("right", "doubted", "refused", "WRONG"))
+    summary = ", ".join(
+        f"{verdicts.count(word)} {word}" for word in ("right", "doubted", "refused", "WRONG")
+    )
     sys.stdout.write(f"{summary} of {len(verdicts)}\n")
     if asked.write:
         heading = f"{HEADING} {asked.seed} to {asked.seed + asked.count - 1}"

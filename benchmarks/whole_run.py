@@ -100,7 +100,10 @@ def simulated(log: Path, scenario: str, duration_s: float, imu_rate_hz: float = 
         "duration_s, imu_rate_hz = map(float, numbers); "
         "write_dive(Path(log), simulate_dive(scenario, seed=1, duration_s=duration_s, imu_rate_hz=imu_rate_hz))"
     )
-    subprocess.run([sys.executable, "-c", code, str(log), scenario, str(duration_s), str(imu_rate_hz)], check=True)
+    subprocess.run(
+        [sys.executable, "-c", code, str(log), scenario, str(duration_s), str(imu_rate_hz)],
+        check=True,
+    )
     return log
 
 
@@ -117,7 +120,9 @@ def start(_: Path) -> list[str]:
         "`insdvl-replay --help`": (*PROGRAM, "--help"),
         "`insdvl-replay schema report`": (*PROGRAM, "schema", "report"),
     }
-    return used_rows(in_turn({name: lambda one=one: used_by(one) for name, one in commands.items()}, ROUNDS))
+    return used_rows(
+        in_turn({name: lambda one=one: used_by(one) for name, one in commands.items()}, ROUNDS)
+    )
 
 
 def dive(folder: Path) -> list[str]:
@@ -128,7 +133,9 @@ def dive(folder: Path) -> list[str]:
         "`run`, 424 s": (*PROGRAM, *run_of(log)),
     }
     used_by(commands["`run`, 424 s"])
-    return used_rows(in_turn({name: lambda one=one: used_by(one) for name, one in commands.items()}, ROUNDS))
+    return used_rows(
+        in_turn({name: lambda one=one: used_by(one) for name, one in commands.items()}, ROUNDS)
+    )
 
 
 def first(folder: Path) -> list[str]:
@@ -138,7 +145,10 @@ def first(folder: Path) -> list[str]:
     def cold(*arguments: str) -> Used:
         return used_by((*PROGRAM, *arguments), INSDVL_REPLAY_CACHE=mkdtemp(dir=folder))
 
-    contenders = {"`run`, 424 s, the first": lambda: cold(*run_of(log)), "`compile`": lambda: cold("compile")}
+    contenders = {
+        "`run`, 424 s, the first": lambda: cold(*run_of(log)),
+        "`compile`": lambda: cold("compile"),
+    }
     return used_rows(in_turn(contenders, ROUNDS))
 
 
@@ -156,12 +166,16 @@ def growth(folder: Path, rounds: int = ROUNDS, most_hours: float = math.inf) -> 
     lengths = [length for length in LENGTHS if length.duration_s <= 3600.0 * most_hours]
     runs: dict[Length, list[dict[str, Any]]] = {length: [] for length in lengths}
     logs = {
-        length: simulated(folder / f"{length.name}.mcap", "lawnmower", length.duration_s, length.imu_rate_hz)
+        length: simulated(
+            folder / f"{length.name}.mcap", "lawnmower", length.duration_s, length.imu_rate_hz
+        )
         for length in lengths
     }
     for number in range(rounds):
         for length in (length for length in lengths if number < length.rounds):
-            runs[length].append(json.loads(subprocess.check_output(staged(logs[length]), stderr=subprocess.DEVNULL)))
+            runs[length].append(
+                json.loads(subprocess.check_output(staged(logs[length]), stderr=subprocess.DEVNULL))
+            )
     return [grown_row(length, of_length) for length, of_length in runs.items()]
 
 
@@ -170,7 +184,10 @@ def grown_row(length: Length, runs: list[dict[str, Any]]) -> str:
     cells = [length.name, f"{length.columns_mb:.0f}"]
     whole_s = median(sum(run["stages"].values()) for run in runs)
     cells += [f"{median(run['peak_mb'] for run in runs):.0f}", f"{whole_s:.1f}"]
-    cells += [f"{median(run['stages'].get(stage, 0.0) for run in runs):.2f}" for stage in ("start", *STAGES.values())]
+    cells += [
+        f"{median(run['stages'].get(stage, 0.0) for run in runs):.2f}"
+        for stage in ("start", *STAGES.values())
+    ]
     return f"| {' | '.join(cells)} |"
 
 
@@ -201,7 +218,9 @@ def run_by_stages(arguments: list[str]) -> None:
         code = run_command_line(arguments)
     end_stage("", 0, 0)
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    sys.stdout.write(json.dumps({"stages": spent, "wall_s": time.perf_counter() - begin_s, "peak_mb": peak_mb}))
+    sys.stdout.write(
+        json.dumps({"stages": spent, "wall_s": time.perf_counter() - begin_s, "peak_mb": peak_mb})
+    )
     sys.exit(code)
 
 
@@ -247,7 +266,10 @@ def main() -> None:
         run_by_stages(sys.argv[2:])
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS)}; all if none is named"
+        "sections",
+        nargs="*",
+        metavar="SECTION",
+        help=f"of {', '.join(SECTIONS)}; all if none is named",
     )
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="of the growth")
     parser.add_argument("--hours", type=float, default=math.inf, help="longest dive of the growth")

@@ -77,12 +77,17 @@ def calls_by_step(folder: Path) -> Iterator[tuple[str, float]]:
     yield "read a log", calls_a_sample(reading)
     yield "write a log", calls_a_sample(lambda dive: lambda: write_dive(folder / "dive.mcap", dive))
     yield "filter", calls_a_sample(lambda dive: lambda: replay_dive(dive, Config()))
-    yield "filter and save", calls_a_sample(lambda dive: lambda: save_replay(replay_dive(dive, Config()), folder))
+    yield (
+        "filter and save",
+        calls_a_sample(lambda dive: lambda: save_replay(replay_dive(dive, Config()), folder)),
+    )
 
 
 def inputs_at(imu_rate_hz: float) -> Inputs:
     """Prepare the baseline for readings at some rate."""
-    return baseline_inputs(simulate_dive("straight", seed=1, duration_s=FILTER_S, imu_rate_hz=imu_rate_hz), Config())
+    return baseline_inputs(
+        simulate_dive("straight", seed=1, duration_s=FILTER_S, imu_rate_hz=imu_rate_hz), Config()
+    )
 
 
 def arrays_made(inputs: Inputs) -> int:
@@ -107,7 +112,9 @@ def machine_code(function: Any, *arguments: Any) -> str:
 def references_counted() -> int:
     """Count the places where mechanisation and covariance count a reference."""
 
-    def go(timeline: Timeline, state: NavState, P: Floats, noise_density: Floats, place: LocalEarth) -> NavState:
+    def go(
+        timeline: Timeline, state: NavState, P: Floats, noise_density: Floats, place: LocalEarth
+    ) -> NavState:
         before = first_node(timeline)
         while not is_last(timeline, before):
             now = next_node(timeline, before)
@@ -118,24 +125,40 @@ def references_counted() -> int:
         return state
 
     inputs, state = inputs_at(SLOW_HZ), NavState(STILL, STILL, LEVEL, STILL, STILL)
-    code = machine_code(go, inputs.timeline, state, np.eye(12).ravel(), inputs.noise_density, local_earth_at(0.0, 0.0))
+    code = machine_code(
+        go,
+        inputs.timeline,
+        state,
+        np.eye(12).ravel(),
+        inputs.noise_density,
+        local_earth_at(0.0, 0.0),
+    )
     return code.count("call void @NRT_incref")
 
 
 def vector_products() -> int:
     """Count the places where several columns of the covariance are multiplied at once."""
     motion = Motion(STILL, STILL, STILL, LEVEL, STILL)
-    return machine_code(propagate_cov, np.eye(12).ravel(), motion, np.ones(12), 0.01).count("fmul <")
+    return machine_code(propagate_cov, np.eye(12).ravel(), motion, np.ones(12), 0.01).count(
+        "fmul <"
+    )
 
 
 def report() -> str:
     """Count, and make a part of the page of it."""
     with tempfile.TemporaryDirectory() as name:
-        rows = [f"| calls of Python a sample: {step} | {count:.3f} |" for step, count in calls_by_step(Path(name))]
+        rows = [
+            f"| calls of Python a sample: {step} | {count:.3f} |"
+            for step, count in calls_by_step(Path(name))
+        ]
     for rate_hz in (SLOW_HZ, FAST_HZ):
         arrays_a_ping = arrays_made(inputs_at(rate_hz)) / (FILTER_S * PING_HZ)
-        rows.append(f"| arrays a ping that the filter makes, IMU at {rate_hz:g} Hz | {arrays_a_ping:.1f} |")
-    rows.append(f"| places where mechanisation and covariance count a reference | {references_counted()} |")
+        rows.append(
+            f"| arrays a ping that the filter makes, IMU at {rate_hz:g} Hz | {arrays_a_ping:.1f} |"
+        )
+    rows.append(
+        f"| places where mechanisation and covariance count a reference | {references_counted()} |"
+    )
     rows.append(f"| places where columns of the covariance grow together | {vector_products()} |")
     about = f"Counted, not timed. Calls into C count, too. {GOALS} {machine()}, numba {numba.__version__}."
     return "\n".join(["# Work", "", about, "", *table(("what", "count"), rows)]) + "\n"

@@ -86,7 +86,9 @@ def made_dive(number: int, seed: int) -> tuple[Dive, Dive]:
         return world.sea.dive(seed)
     exact = exact_way(number)
     dive = add_errors(exact, world.imu_errors, world.dvl_errors, seed)
-    return world.harm(dive, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_HARM_STREAM,)))), exact
+    return world.harm(
+        dive, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_HARM_STREAM,)))
+    ), exact
 
 
 @cache
@@ -98,7 +100,9 @@ def exact_way(number: int) -> Dive:
 def _world(name: str, config: Config, **filters: Filter) -> World:
     """Let the sensors err exactly as the settings say; filters other than their own may be told something else."""
     errors = matched_errors(config)
-    return World(name, msgspec.structs.replace(config, filters=filters) if filters else config, *errors)
+    return World(
+        name, msgspec.structs.replace(config, filters=filters) if filters else config, *errors
+    )
 
 
 def _by_velocity(**told: Any) -> Filter:
@@ -121,7 +125,9 @@ def _paper() -> World:
         "published": _by_acceleration(Acceleration(model="published", sd_mps2=0.103)),
     }
     config = msgspec.structs.replace(load_config("levy-klein"), filters=filters)
-    return World("unfit: FOG sensors, the paper's settings", config, GRADES["fog"], DvlErrors(), dead=True)
+    return World(
+        "unfit: FOG sensors, the paper's settings", config, GRADES["fog"], DvlErrors(), dead=True
+    )
 
 
 def _over_confident() -> World:
@@ -139,14 +145,21 @@ def _over_confident() -> World:
 def _with_covariance_divided() -> World:
     """Divide Q and R of one filter by four, which leaves the gains. Both are nearly as sure at the start as ever."""
     initial = Initial(
-        velocity_sd_mps=0.02, misalignment_sd_deg=(0.03, 0.03, 0.3), accel_bias_sd_mg=0.05, gyro_bias_sd_degph=0.05
+        velocity_sd_mps=0.02,
+        misalignment_sd_deg=(0.03, 0.03, 0.3),
+        accel_bias_sd_mg=0.05,
+        gyro_bias_sd_degph=0.05,
     )
     config = msgspec.structs.replace(_TACTICAL, initial=initial)
-    less = _by_velocity(velocity_sd_mps=0.5 * config.dvl.velocity_sd_mps, **_scaled_noise(config, 0.5))
+    less = _by_velocity(
+        velocity_sd_mps=0.5 * config.dvl.velocity_sd_mps, **_scaled_noise(config, 0.5)
+    )
     return _world("covariance divided by four", config, baseline=_by_velocity(), divided=less)
 
 
-def _pings_that_lie(dive: Dive, rng: np.random.Generator, *, share: float = 0.01, sd_mps: float = 0.3) -> Dive:
+def _pings_that_lie(
+    dive: Dive, rng: np.random.Generator, *, share: float = 0.01, sd_mps: float = 0.3
+) -> Dive:
     """Let some pings report another velocity than that of the vehicle."""
     if dive.dvl.beam_velocity_mps is None or dive.dvl.beam_vectors_d is None:
         raise ValueError("a simulated DVL has beams")
@@ -156,7 +169,9 @@ def _pings_that_lie(dive: Dive, rng: np.random.Generator, *, share: float = 0.01
     return replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=beams))
 
 
-def _knock(dive: Dive, rng: np.random.Generator, *, samples: int = 3, force_mps2: float = 300.0) -> Dive:
+def _knock(
+    dive: Dive, rng: np.random.Generator, *, samples: int = 3, force_mps2: float = 300.0
+) -> Dive:
     """Knock at the IMU for some samples: a single one would be taken out as it is read."""
     force_b = dive.imu.specific_force_b.copy()
     first = int(rng.integers(len(force_b) // 10, len(force_b) // 2))
@@ -167,7 +182,9 @@ def _knock(dive: Dive, rng: np.random.Generator, *, samples: int = 3, force_mps2
 def _in_millimetres(dive: Dive, _: np.random.Generator) -> Dive:
     if dive.dvl.beam_velocity_mps is None:
         raise ValueError("a simulated DVL has beams")
-    return replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=1000.0 * dive.dvl.beam_velocity_mps))
+    return replace(
+        dive, dvl=replace(dive.dvl, beam_velocity_mps=1000.0 * dive.dvl.beam_velocity_mps)
+    )
 
 
 _FOG, _TACTICAL, _MEMS = (load_config(preset) for preset in ("fog", "tactical", "mems"))
@@ -247,7 +264,12 @@ WORLDS: Final[tuple[World, ...]] = (
         other=_by_velocity(velocity_sd_mps=0.018),
     ),
     replace(
-        _world("a gate against 1 % of outliers", _TACTICAL, baseline=_by_velocity(), gated=_by_velocity(**_GATE)),
+        _world(
+            "a gate against 1 % of outliers",
+            _TACTICAL,
+            baseline=_by_velocity(),
+            gated=_by_velocity(**_GATE),
+        ),
         harm=_pings_that_lie,
     ),
     replace(
@@ -270,12 +292,20 @@ WORLDS: Final[tuple[World, ...]] = (
         },
         dead=True,
     ),
-    replace(_world("dead: a DVL turned by 90 deg", _TACTICAL), way={"mounting_rpy_deg": (0.0, 0.0, 90.0)}, dead=True),
+    replace(
+        _world("dead: a DVL turned by 90 deg", _TACTICAL),
+        way={"mounting_rpy_deg": (0.0, 0.0, 90.0)},
+        dead=True,
+    ),
     replace(_world("dead: a DVL in mm/s", _TACTICAL), harm=_in_millimetres, dead=True),
     # Worlds at sea: the baseline is set nearly right, and copies, like ones and worse ones stand beside it.
     _at_sea(
         "MEMS in waves, 200 s",
-        Sea(Voyage(1.2, 0.2, 25.0, 60.0, wave_deg=4.0, wave_mps=0.2, wave_period_s=6.0), "mems", 200.0),
+        Sea(
+            Voyage(1.2, 0.2, 25.0, 60.0, wave_deg=4.0, wave_mps=0.2, wave_period_s=6.0),
+            "mems",
+            200.0,
+        ),
         copy=_by_velocity(),
         alike=_by_velocity(velocity_sd_mps=0.0105),
         wide=_by_velocity(velocity_sd_mps=0.05),
@@ -291,7 +321,12 @@ WORLDS: Final[tuple[World, ...]] = (
     ),
     _at_sea(
         "FOG, a DVL whose errors stay, 600 s",
-        Sea(Voyage(1.5, 0.1, 60.0, 70.0), "fog", 600.0, SeaDvl(correlated_mps=0.008, correlated_s=20.0)),
+        Sea(
+            Voyage(1.5, 0.1, 60.0, 70.0),
+            "fog",
+            600.0,
+            SeaDvl(correlated_mps=0.008, correlated_s=20.0),
+        ),
         copy=_by_velocity(),
         alike=_by_velocity(velocity_sd_mps=0.0103),
         wide=_by_velocity(velocity_sd_mps=0.05),
@@ -309,7 +344,13 @@ WORLDS: Final[tuple[World, ...]] = (
     ),
     _at_sea(
         "MEMS, the bottom lost now and then, 900 s",
-        Sea(Voyage(1.0, 0.2, 50.0, 60.0, wave_deg=2.0), "mems", 900.0, SeaDvl(lost_spans=8), imu_rate_hz=40.0),
+        Sea(
+            Voyage(1.0, 0.2, 50.0, 60.0, wave_deg=2.0),
+            "mems",
+            900.0,
+            SeaDvl(lost_spans=8),
+            imu_rate_hz=40.0,
+        ),
         sd_mps=0.012,
         copy=_by_velocity(),
         alike=_by_velocity(velocity_sd_mps=0.0123),
@@ -331,7 +372,14 @@ WORLDS: Final[tuple[World, ...]] = (
     ),
     _at_sea(
         "tactical survey of 2 h",
-        Sea(Voyage(1.5, 0.05, 240.0, 80.0), "tactical", 7200.0, SeaDvl(lost_spans=20), SeaReference(rate_hz=0.5), 20.0),
+        Sea(
+            Voyage(1.5, 0.05, 240.0, 80.0),
+            "tactical",
+            7200.0,
+            SeaDvl(lost_spans=20),
+            SeaReference(rate_hz=0.5),
+            20.0,
+        ),
         copy=_by_velocity(),
         alike=_by_velocity(velocity_sd_mps=0.0105),
         wide=_by_velocity(velocity_sd_mps=0.05),

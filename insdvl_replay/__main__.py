@@ -3,7 +3,9 @@
 # ruff: noqa: E402
 import _signal  # type: ignore[import-not-found]
 
-_signal.pthread_sigmask(_signal.SIG_BLOCK, {_signal.SIGINT, _signal.SIGTERM})  # until they are handled
+_signal.pthread_sigmask(
+    _signal.SIG_BLOCK, {_signal.SIGINT, _signal.SIGTERM}
+)  # until they are handled
 
 import os
 import sys

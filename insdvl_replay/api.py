@@ -24,7 +24,14 @@ from insdvl_replay.nav.user_candidate import Solution as Solution
 from insdvl_replay.nav.user_measurement import UserMeasurement as UserMeasurement
 from insdvl_replay.nav.user_measurement import UserNoise as UserNoise
 from insdvl_replay.nav.user_measurement import UserReadings as UserReadings
-from insdvl_replay.results.folder import MAPS, PAGE, TRAJECTORY_FILE, is_result, result_file, result_folder
+from insdvl_replay.results.folder import (
+    MAPS,
+    PAGE,
+    TRAJECTORY_FILE,
+    is_result,
+    result_file,
+    result_folder,
+)
 from insdvl_replay.results.stored_results import read_one_result, read_reports
 from insdvl_replay.show.document import header_and_rows
 from insdvl_replay.show.screens import dive_screen, dives_screen
@@ -69,7 +76,9 @@ def load_config(
         A key or value is not valid, or a setting names code without ``allow_code``.
     """
     pairs = [*_pairs(settings)] if isinstance(settings, Mapping) else list(settings)
-    return _load_config(preset, [_path("files", file) for file in files], pairs, allow_code=allow_code)
+    return _load_config(
+        preset, [_path("files", file) for file in files], pairs, allow_code=allow_code
+    )
 
 
 def _pairs(settings: Mapping[str, object], within: str = "") -> Iterator[str]:
@@ -84,7 +93,9 @@ def _pairs(settings: Mapping[str, object], within: str = "") -> Iterator[str]:
 def _plain(key: str, value: object) -> object:
     """Convert NumPy values and paths to TOML values."""
     if value is None:
-        raise ConfigError(f"{key}: None is not a valid value", "leave the key out to use its default")
+        raise ConfigError(
+            f"{key}: None is not a valid value", "leave the key out to use its default"
+        )
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, list | tuple):
@@ -123,7 +134,9 @@ def _logs(given: Paths, name: str = "log") -> list[Path]:
         if (folder := result_named(path)) is not None and is_result(folder):
             raise ConfigError(f"{path}: is a result, not a log", result_hint(folder))
         if path.suffix == ".toml":
-            raise ConfigError(f"{path}: is a TOML file, not a log", "settings are the argument `config`")
+            raise ConfigError(
+                f"{path}: is a TOML file, not a log", "settings are the argument `config`"
+            )
     return paths
 
 
@@ -137,10 +150,12 @@ def _settings(given: Settings | None, name: str = "config") -> Config:
         return load_config(*_paths(given, name))
     if isinstance(given, Mapping):
         raise WrongArgumentError(
-            f"{name}: is not settings, but a {type(given).__name__}", f"{name}=load_config(settings=...)"
+            f"{name}: is not settings, but a {type(given).__name__}",
+            f"{name}=load_config(settings=...)",
         )
     raise WrongArgumentError(
-        f"{name}: is not settings, but a {type(given).__name__}", f"{name}=load_config('vehicle.toml')"
+        f"{name}: is not settings, but a {type(given).__name__}",
+        f"{name}=load_config('vehicle.toml')",
     )
 
 
@@ -184,7 +199,9 @@ def replay_log(
 
     paths, settings = _logs(log), _settings(config)
     run = partial(replayed, paths, allow_damaged=allow_damaged, name=name)
-    fitted = fit_noise_of_logs([paths], settings, allow_damaged=allow_damaged, must_be_described=auto)
+    fitted = fit_noise_of_logs(
+        [paths], settings, allow_damaged=allow_damaged, must_be_described=auto
+    )
     try:
         replay = run(fitted.config, require_fit=auto)
         replay = replace(replay, notes=(*fitted.notes, *replay.notes))
@@ -234,8 +251,13 @@ def read_results(folder: Text) -> "DiveResults":
     found, notes = read_reports(_path("folder", folder), Report)
     reports = [report for _, report in found]
     content = named_result(reports, [*(layout.name for layout in TABLES), *TOGETHER], ())
-    dives = {os.path.relpath(file.parent, folder): DiveResult(report, file.parent) for file, report in found}
-    return DiveResults(replace(content, document=overview_parts(reports), notes=notes), dives, Path(folder))
+    dives = {
+        os.path.relpath(file.parent, folder): DiveResult(report, file.parent)
+        for file, report in found
+    }
+    return DiveResults(
+        replace(content, document=overview_parts(reports), notes=notes), dives, Path(folder)
+    )
 
 
 def plan(folder: Text) -> "CommandResult":
@@ -291,23 +313,38 @@ def inspect(
     from insdvl_replay.inspection.survey import inspect_log
 
     paths = _logs(log)
-    inventory = inspect_log(paths, _settings(config).without_code(), deep=deep, allow_damaged=allow_damaged)
+    inventory = inspect_log(
+        paths, _settings(config).without_code(), deep=deep, allow_damaged=allow_damaged
+    )
     return CommandResult(inspection_result(inventory, " ".join(map(str, paths))))
 
 
-def propose(logs: Paths, config: Settings | None = None, *, allow_damaged: bool = False) -> "CommandResult":
+def propose(
+    logs: Paths, config: Settings | None = None, *, allow_damaged: bool = False
+) -> "CommandResult":
     """Propose settings for the dives of a vehicle, a log each; `CommandResult.settings` has them as TOML."""
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.inspection.automatic import settings_file
 
     dives = [[path] for path in _logs(logs, "logs")]
-    found = settings_file(dives, Given(_settings(config).without_code()), allow_damaged=allow_damaged)
-    sentences = [f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}" for note in found.notes]
-    sentences += [] if found.failure is None else [f"blocker: {found.failure.message}; hint: {found.failure.hint}"]
+    found = settings_file(
+        dives, Given(_settings(config).without_code()), allow_damaged=allow_damaged
+    )
+    sentences = [
+        f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}"
+        for note in found.notes
+    ]
+    sentences += (
+        []
+        if found.failure is None
+        else [f"blocker: {found.failure.message}; hint: {found.failure.hint}"]
+    )
     title = "Proposed settings"
     blocks = {"missing": Block(("key",), [(key,) for key in found.missing])}
     document: list[Part] = [Title(title), *map(Callout, sentences), Code(found.text, "toml")]
-    return CommandResult(Content("proposal", title, sentences, blocks, document=document, settings=found.text))
+    return CommandResult(
+        Content("proposal", title, sentences, blocks, document=document, settings=found.text)
+    )
 
 
 def calibrate(
@@ -338,16 +375,24 @@ def calibrate(
     """
     from insdvl_replay.calibration.dives import answer_of, calibrate_dives, require_groups
     from insdvl_replay.calibration.innovations import read_dive
-    from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
+    from insdvl_replay.calibration.output import (
+        calibration_figures,
+        calibration_result,
+        calibration_toml,
+    )
 
     groups = require_groups(only, reference=reference)
     settings = _settings(config)
-    dives = [read_dive([path], settings, allow_damaged=allow_damaged) for path in _logs(logs, "logs")]
+    dives = [
+        read_dive([path], settings, allow_damaged=allow_damaged) for path in _logs(logs, "logs")
+    ]
     found, resolved, _, asked = calibrate_dives(
         dives, settings, groups, hold_out=[*map(str, hold_out)], reference=reference,
         one_delay=one_delay, mounting_unknown=mounting_unknown,
     )  # fmt: skip
-    text = calibration_toml(answer_of(found).applied(found), [dive.prepared.alignment.start_ns for dive in asked])
+    text = calibration_toml(
+        answer_of(found).applied(found), [dive.prepared.alignment.start_ns for dive in asked]
+    )
     content = calibration_result(found, resolved, figures=calibration_figures(found, asked))
     return CommandResult(replace(content, settings=text))
 
@@ -386,7 +431,13 @@ def compare(
 
 
 def compare_settings(
-    logs: Paths, before: Settings, after: Settings, folder: Text, *, allow_damaged: bool = False, force: bool = False
+    logs: Paths,
+    before: Settings,
+    after: Settings,
+    folder: Text,
+    *,
+    allow_damaged: bool = False,
+    force: bool = False,
 ) -> "CommandResult":
     """Replay dives with two settings, a log each, into ``folder/before`` and ``folder/after``, and compare them.
 
@@ -411,7 +462,10 @@ def compare_settings(
     dives = [*map(FoundDive, _logs(logs, "logs"))]
     (old, old_jobs), (new, new_jobs) = plan_both_sides(dives, _path("folder", folder), options)
     old_jobs, new_jobs = with_same_noise(
-        old_jobs, new_jobs, lambda job, fitted: with_noise_of(job.options.config, fitted), force=force
+        old_jobs,
+        new_jobs,
+        lambda job, fitted: with_noise_of(job.options.config, fitted),
+        force=force,
     )
     jobs = [*old_jobs, *new_jobs]
     for outcome in replay_jobs(jobs, known_reports(jobs, force=force), None):
@@ -445,7 +499,11 @@ def check(
     from insdvl_replay.changes.gates import evaluate_gates
 
     found = load_gates(_path("gates", gates))
-    named, base = ([*map(str, _paths(dives, "dives"))], Path()) if dives else (found.content.dives, found.path.parent)
+    named, base = (
+        ([*map(str, _paths(dives, "dives"))], Path())
+        if dives
+        else (found.content.dives, found.path.parent)
+    )
     files = [base / found.content.config] if found.content.config and config is None else []
     settings = _load_config(found.content.preset, files) if config is None else _settings(config)
     options = ReplayOptions(settings, allow_damaged=found.content.allow_damaged, histories=False)
@@ -499,7 +557,9 @@ class Named(dict[str, "pd.DataFrame"]):
         self._kind = kind
 
     def __missing__(self, name: str) -> "pd.DataFrame":
-        raise UnknownNameError(f"{self._kind} '{name}' is not known", hint_for(name, self, most=len(self)))
+        raise UnknownNameError(
+            f"{self._kind} '{name}' is not known", hint_for(name, self, most=len(self))
+        )
 
 
 def _frame(table: Any) -> "pd.DataFrame":
@@ -591,7 +651,10 @@ class DiveResult(Result):
         """Each table as a data frame, by name, such as evidence or outage; missing values are NaN."""
         from insdvl_replay.core.tables import each_table
 
-        rows = {layout.name: Block.of(layout.row, rows) for layout, rows in each_table(self.report.tables)}
+        rows = {
+            layout.name: Block.of(layout.row, rows)
+            for layout, rows in each_table(self.report.tables)
+        }
         return Named("table", {name: _frame(block) for name, block in rows.items()})
 
     @property
@@ -616,7 +679,9 @@ class DiveResult(Result):
             return trajectory_of(self._replay)
         found = read_trajectory((self.folder or Path()) / TRAJECTORY_FILE)
         if found is None:
-            raise ResultError(f"{self.folder}: has no readable {TRAJECTORY_FILE}", "replay the log again")
+            raise ResultError(
+                f"{self.folder}: has no readable {TRAJECTORY_FILE}", "replay the log again"
+            )
         return found
 
     @property
@@ -627,7 +692,9 @@ class DiveResult(Result):
         if self._replay is not None:
             frames = {history.filter: history_frame(history) for history in self._replay.histories}
         else:
-            frames = read_histories(self.folder or Path(), [self.report.baseline, *self.report.filters])
+            frames = read_histories(
+                self.folder or Path(), [self.report.baseline, *self.report.filters]
+            )
         return Named("filter", frames)
 
     @property
@@ -669,7 +736,9 @@ class DiveResult(Result):
 
         target = _path("file", file)
         if (format_ := target.suffix.removeprefix(".")) not in MAPS:
-            raise ConfigError(f"{target}: does not end in .kml or .geojson", f"{target.with_suffix('.geojson')}")
+            raise ConfigError(
+                f"{target}: does not end in .kml or .geojson", f"{target.with_suffix('.geojson')}"
+            )
         with result_file(target, force=force) as path:
             path.write_bytes(map_of_tracks(format_, self.name, self.histories, self.reference))
         return target

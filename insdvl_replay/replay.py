@@ -16,14 +16,28 @@ from insdvl_replay.core.tables import CandidateVerdict, Tables
 from insdvl_replay.evaluation.drift import jump_table
 from insdvl_replay.evaluation.evaluate import Curves, curves_of, tables_of_filters
 from insdvl_replay.evaluation.evidence import ReferenceNoise
-from insdvl_replay.evaluation.notes import constants_notes, reference_notes, settings_hints, update_notes
+from insdvl_replay.evaluation.notes import (
+    constants_notes,
+    reference_notes,
+    settings_hints,
+    update_notes,
+)
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 from insdvl_replay.evaluation.sentences import start_of
 from insdvl_replay.evaluation.verdicts import evaluated_candidates, not_evaluated_notes
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.preparation.heading_draw import start_heading
-from insdvl_replay.preparation.prepared import outage_notes, read_checked_dive, with_reference_at_imu
-from insdvl_replay.preparation.run import plan_runs, prepare_with_heading, require_fit_of, run_candidates
+from insdvl_replay.preparation.prepared import (
+    outage_notes,
+    read_checked_dive,
+    with_reference_at_imu,
+)
+from insdvl_replay.preparation.run import (
+    plan_runs,
+    prepare_with_heading,
+    require_fit_of,
+    run_candidates,
+)
 from insdvl_replay.preparation.user_runs import with_user_candidates
 
 
@@ -36,14 +50,18 @@ class Replay:
     start_ns: int
     end_ns: int
     velocities: DvlVelocities  # of the DVL, inside the span
-    histories: tuple[History, ...]  # the first is the baseline; recorded solutions follow the filters that were run
+    histories: tuple[
+        History, ...
+    ]  # the first is the baseline; recorded solutions follow the filters that were run
     errors: dict[str, ReferenceErrors]  # by filter; empty without a reference
     tables: Tables
     verdicts: dict[str, CandidateVerdict]  # by candidate
     curves: Curves  # evidence that is drawn over time
     notes: tuple[Note, ...]  # what was dropped, assumed or found odd
     printed: Mapping[str, str] = field(default_factory=dict)  # by filters of the user's
-    cpu_s: Mapping[str, float] = field(default_factory=dict)  # processor seconds of one run over the dive, by filter
+    cpu_s: Mapping[str, float] = field(
+        default_factory=dict
+    )  # processor seconds of one run over the dive, by filter
 
 
 def replay_log(
@@ -77,7 +95,9 @@ def replay_log(
         require_fit_of(dives[0], config)
         return replay_dive(dives.pop(), config)
     # No name holds the dive, so that its readings can go before the filters are compared.
-    return replay_dive(read_checked_dive(path, config, allow_damaged=allow_damaged, name=name), config)
+    return replay_dive(
+        read_checked_dive(path, config, allow_damaged=allow_damaged, name=name), config
+    )
 
 
 def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay:
@@ -106,7 +126,9 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     dive = replace(dive, start_heading=found_start)
 
     # Run every candidate. The rest needs no readings.
-    runs = with_user_candidates(run_candidates(dive, prepared, plan, config), dive, prepared, plan, config)
+    runs = with_user_candidates(
+        run_candidates(dive, prepared, plan, config), dive, prepared, plan, config
+    )
     (baseline, *_), histories = runs.histories, runs.histories
     dive = replace(dive, imu=dive.imu.times_only(), solutions={})
     return_freed_memory()
@@ -114,7 +136,9 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     # Compare them with the reference and with each other.
     report_stage("judging the filters")
     span, settings = (prepared.alignment.start_ns, prepared.end_ns), config.reference
-    noise = ReferenceNoise(settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg)
+    noise = ReferenceNoise(
+        settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg
+    )
     errors, tables = tables_of_filters(
         dive, histories, runs.spread, runs.drawn, runs.outages, runs.user_outages, noise, prepared.sensor_sd,
         jump_table(dive.name, histories, runs.motions),
@@ -128,7 +152,9 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         *update_notes(histories),
         *contradiction_of_filter(dive.sensors, dive.reference, baseline),
         *runs.notes,
-        *reference_notes(dive, *span, baseline, plan.evaluated_ns, independent=settings.independent),
+        *reference_notes(
+            dive, *span, baseline, plan.evaluated_ns, independent=settings.independent
+        ),
     )
 
     # The verdict on each.
@@ -141,7 +167,11 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         not_repeatable=runs.not_repeatable,
         start=start_of([found_start]),
     )
-    notes += not_evaluated_notes(verdicts) + settings_hints(tables, baseline) + constants_notes(histories)
+    notes += (
+        not_evaluated_notes(verdicts)
+        + settings_hints(tables, baseline)
+        + constants_notes(histories)
+    )
     histories = histories if keep_cov else tuple(history.without_cov() for history in histories)
     curves = curves_of(runs.drawn, runs.outages)
     return Replay(

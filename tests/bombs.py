@@ -10,7 +10,17 @@ import zstandard
 
 MAGIC = b"\x89MCAP0\r\n"
 START_NS = 1_700_000_000_000_000_000
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, DATA_END, PRIVATE = 1, 2, 3, 4, 5, 6, 7, 15, 200
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, DATA_END, PRIVATE = (
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+    15,
+    200,
+)
 
 
 def record(kind: int, content: bytes) -> bytes:
@@ -47,7 +57,9 @@ def index(number: int, entries: Sequence[tuple[int, int]]) -> bytes:
     return record(INDEX, struct.pack("<HI", number, len(packed)) + packed)
 
 
-def chunk(packed: bytes, size: int, compression: str, span_ns: tuple[int, int] = (START_NS, START_NS)) -> bytes:
+def chunk(
+    packed: bytes, size: int, compression: str, span_ns: tuple[int, int] = (START_NS, START_NS)
+) -> bytes:
     """Make a chunk record without checksum."""
     head = struct.pack("<QQQI", *span_ns, size, 0) + text(compression)
     return record(CHUNK, head + struct.pack("<Q", len(packed)) + packed)
@@ -72,7 +84,9 @@ def lz4_zeros(size: int) -> bytes:
 
 def _zeros(compressor: Any, size: int) -> bytes:
     piece = bytes(1 << 22)
-    return b"".join(compressor.compress(piece) for _ in range(size // len(piece))) + compressor.flush()
+    return (
+        b"".join(compressor.compress(piece) for _ in range(size // len(piece))) + compressor.flush()
+    )
 
 
 def write(path: Path, data: bytes) -> Path:

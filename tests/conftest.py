@@ -25,7 +25,11 @@ _draws = {"all": False}
 def _plan_one(dive: Any, prepared: Any, config: Any) -> Any:
     """Replay from one start where nobody asks about starts: the usual 16 take four times as long."""
     plan = _plan(dive, prepared, config)
-    return replace(plan, starts=1) if plan.starts == Evaluation().starts and not _draws["all"] else plan
+    return (
+        replace(plan, starts=1)
+        if plan.starts == Evaluation().starts and not _draws["all"]
+        else plan
+    )
 
 
 replay.plan_runs = _plan_one
@@ -83,4 +87,6 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         for line in left_out(report.longrepr[2] for report in terminal.stats.get("skipped", [])):
             terminal.write_line(line, yellow=True)
         if config.option.markexpr == "not nightly":
-            terminal.write_line("tests marked nightly were left out: `make nightly` runs them", yellow=True)
+            terminal.write_line(
+                "tests marked nightly were left out: `make nightly` runs them", yellow=True
+            )

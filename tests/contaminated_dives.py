@@ -27,7 +27,9 @@ def competitors(aiding: str, starts: int, states: tuple[str, ...] = ()) -> Confi
         evaluation=Evaluation(starts=starts),
         filters={
             "baseline": Filter(aiding=(aiding,), states=states),
-            **{name: Filter(aiding=(aiding,), states=states, dvl_noise=name) for name in CANDIDATES},
+            **{
+                name: Filter(aiding=(aiding,), states=states, dvl_noise=name) for name in CANDIDATES
+            },
         },
     )
 
@@ -35,7 +37,9 @@ def competitors(aiding: str, starts: int, states: tuple[str, ...] = ()) -> Confi
 def clean_dive(seed: int, length_s: float) -> Dive:
     """Simulate a lawnmower whose sensors err as the filters are told."""
     imu_errors, dvl_errors = matched_errors(competitors("beams", 1))
-    return simulate_dive("lawnmower", seed=seed, duration_s=length_s, imu_errors=imu_errors, dvl_errors=dvl_errors)
+    return simulate_dive(
+        "lawnmower", seed=seed, duration_s=length_s, imu_errors=imu_errors, dvl_errors=dvl_errors
+    )
 
 
 def contaminated_dive(seed: int, length_s: float, off_by_mps: float) -> Dive:
@@ -47,7 +51,9 @@ def contaminated_dive(seed: int, length_s: float, off_by_mps: float) -> Dive:
 def noisier_dive(seed: int, length_s: float, times: float) -> Dive:
     """Simulate one whose beams are so many times as noisy from the middle on."""
     late = np.arange(round(length_s) + 1) > length_s / 2.0
-    return _with_errors(clean_dive(seed, length_s), late, BEAM_SD_MPS * float(np.sqrt(times**2 - 1.0)), seed)
+    return _with_errors(
+        clean_dive(seed, length_s), late, BEAM_SD_MPS * float(np.sqrt(times**2 - 1.0)), seed
+    )
 
 
 def _with_errors(dive: Dive, hit: NDArray[np.bool_], sd_mps: float, seed: int) -> Dive:
@@ -55,5 +61,7 @@ def _with_errors(dive: Dive, hit: NDArray[np.bool_], sd_mps: float, seed: int) -
     assert dive.dvl.beam_velocity_mps is not None
     beams = dive.dvl.beam_velocity_mps.copy()
     hit = hit[: len(beams)]
-    beams[hit] += np.random.default_rng((seed, 1)).normal(scale=sd_mps, size=(int(hit.sum()), beams.shape[1]))
+    beams[hit] += np.random.default_rng((seed, 1)).normal(
+        scale=sd_mps, size=(int(hit.sum()), beams.shape[1])
+    )
     return replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=beams))

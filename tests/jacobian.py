@@ -8,7 +8,11 @@ from insdvl_replay.core.dive_columns import Floats
 
 
 def assert_jacobian(
-    analytic: Floats, function: Callable[[Floats], Floats], x: Floats, atol: float, step: float | Floats = 1e-6
+    analytic: Floats,
+    function: Callable[[Floats], Floats],
+    x: Floats,
+    atol: float,
+    step: float | Floats = 1e-6,
 ) -> None:
     """Compare with central differences of ``function`` at ``x``."""
     steps = np.broadcast_to(step, x.shape)

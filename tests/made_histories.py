@@ -11,7 +11,10 @@ GATE = 25.9
 
 
 def history(
-    name: str, nis: Floats, used: Floats | NDArray[np.bool_] | None = None, measurement: str = "velocity"
+    name: str,
+    nis: Floats,
+    used: Floats | NDArray[np.bool_] | None = None,
+    measurement: str = "velocity",
 ) -> History:
     m = len(nis)
     nothing = np.zeros((m, 3))

@@ -32,11 +32,21 @@ NAN = float("nan")
 
 def tables() -> Tables:
     improvement = [
-        ("dive", "aided", state.id, state.unit, 1.0, 0.8, 20.0 if state in NINE[:3] else NAN, "improved")
+        (
+            "dive",
+            "aided",
+            state.id,
+            state.unit,
+            1.0,
+            0.8,
+            20.0 if state in NINE[:3] else NAN,
+            "improved",
+        )
         for state in STATES
     ]
     convergence = [
-        ("dive", "aided", state.id, state.unit, 0.1 + 0.2, 424.0, NAN, NAN, "never") for state in STATES[:-1]
+        ("dive", "aided", state.id, state.unit, 0.1 + 0.2, 424.0, NAN, NAN, "never")
+        for state in STATES[:-1]
     ] + [("dive", "aided", "bg_z", "deg/h", 9.0, 424.0, 106.0, 75.0, "reached")]
     reference = [
         ("dive", "aided", "position_h", "m", 1.25, 1.5, -20.0, 2.0, 2.5, 424, "compared"),
@@ -44,10 +54,66 @@ def tables() -> Tables:
         ("dive", "aided", "heading", "deg", NAN, NAN, NAN, NAN, NAN, 0, "not in reference"),
     ]
     consistency = [
-        ("dive", "baseline", "velocity", 3, 424, 0, 3.01, 2.77, 3.24, "consistent", -0.05, 0.095, "white"),
-        ("dive", "aided", "velocity", 3, 424, 0, 3.01, 2.77, 3.24, "consistent", 0.3, 0.095, "correlated"),
-        ("dive", "aided", "acceleration", 3, 420, 2, 5.0, 2.77, 3.24, "overconfident", NAN, NAN, "not finite"),
-        ("dive", "aided", "acceleration_x", 1, 420, 2, 12.0, 0.9, 1.1, "overconfident", 0.1, 0.095, "white"),
+        (
+            "dive",
+            "baseline",
+            "velocity",
+            3,
+            424,
+            0,
+            3.01,
+            2.77,
+            3.24,
+            "consistent",
+            -0.05,
+            0.095,
+            "white",
+        ),
+        (
+            "dive",
+            "aided",
+            "velocity",
+            3,
+            424,
+            0,
+            3.01,
+            2.77,
+            3.24,
+            "consistent",
+            0.3,
+            0.095,
+            "correlated",
+        ),
+        (
+            "dive",
+            "aided",
+            "acceleration",
+            3,
+            420,
+            2,
+            5.0,
+            2.77,
+            3.24,
+            "overconfident",
+            NAN,
+            NAN,
+            "not finite",
+        ),
+        (
+            "dive",
+            "aided",
+            "acceleration_x",
+            1,
+            420,
+            2,
+            12.0,
+            0.9,
+            1.1,
+            "overconfident",
+            0.1,
+            0.095,
+            "white",
+        ),
     ]
     credibility = [
         ("dive", "aided", "velocity_n", 1, 424, 1.1, 0.87, 1.14, 66.0, 99.5, "consistent", 400.1),
@@ -59,7 +125,21 @@ def tables() -> Tables:
         ("track", "position", "m", 1.25, 1.5, 1.2, 0.5, 0.4, 0.01, 424, 1, NAN, "primary"),
         ("accuracy", "drift_30s", "m", 1.0, 0.8, 0.8, 0.3, 0.31, 0.05, 74, 1, NAN, "shown"),
         ("accuracy", "level", "deg", 0.05, 0.04, 0.8, 0.02, 0.4, 0.0, 300, 1, 124.0, "secondary"),
-        ("convergence", "convergence_level", "s", NAN, NAN, NAN, NAN, NAN, NAN, 15, 15, NAN, "settling"),
+        (
+            "convergence",
+            "convergence_level",
+            "s",
+            NAN,
+            NAN,
+            NAN,
+            NAN,
+            NAN,
+            NAN,
+            15,
+            15,
+            NAN,
+            "settling",
+        ),
         ("consistency", "nis", "", 1.5, 1.0, 0.66, NAN, NAN, NAN, 0, 1, NAN, "shown"),
     ]
     outage = [
@@ -113,7 +193,9 @@ def report(name: str = "dive", used: Tables | None = None) -> Report:
         "not confirmed",
         primary="position",
     )
-    return build_report(dive, Config(), used, {"aided": aided}, notes, 1_000_000_000, 425_000_000_000)
+    return build_report(
+        dive, Config(), used, {"aided": aided}, notes, 1_000_000_000, 425_000_000_000
+    )
 
 
 def unreferenced(used: Tables) -> Tables:

@@ -42,12 +42,23 @@ def tables_of(dive: Dive) -> Tables:
     forces = {f"Acc {name} [m/s^2]": dive.imu.specific_force_b[:, i] for name, i in axes}
     rates = {f"Gyro {name} [rad/s]": dive.imu.angular_rate_b[:, i] for name, i in axes}
     latitude, longitude, height_m = reference.position.T
-    angles = dict(zip(("Roll [rad]", "Pitch [rad]", "Yaw [rad]"), rpy_from_mat(reference.mat_nb).T, strict=True))
-    velocities = {f"V {name}": reference.velocity_n[:, i] for i, name in enumerate(("north", "east", "down"))}
+    angles = dict(
+        zip(
+            ("Roll [rad]", "Pitch [rad]", "Yaw [rad]"),
+            rpy_from_mat(reference.mat_nb).T,
+            strict=True,
+        )
+    )
+    velocities = {
+        f"V {name}": reference.velocity_n[:, i] for i, name in enumerate(("north", "east", "down"))
+    }
     place = {"Latitude [rad]": latitude, "Longitude [rad]": longitude, "Height [m]": height_m}
     return {
         "imu": {"Time [ns]": dive.imu.time_ns, **forces, **rates},
-        "dvl": {"Time [ns]": dive.dvl.time_ns, **{f"Beam {i + 1}": column for i, column in enumerate(beams.T)}},
+        "dvl": {
+            "Time [ns]": dive.dvl.time_ns,
+            **{f"Beam {i + 1}": column for i, column in enumerate(beams.T)},
+        },
         "reference": {"Time [ns]": reference.time_ns, **place, **velocities, **angles},
     }
 
@@ -75,9 +86,17 @@ def write_tables(folder: Path, tables: Tables, ending: str) -> tuple[Path, dict[
     """Write tables in a format; return what to read, and the topic of each table."""
     folder.mkdir(exist_ok=True)
     single, topics = folder / f"dive.{ending}", {name: f"dive.{ending}/{name}" for name in tables}
-    plain = {name: {_plain(title): column for title, column in table.items()} for name, table in tables.items()}
+    plain = {
+        name: {_plain(title): column for title, column in table.items()}
+        for name, table in tables.items()
+    }
     if ending == "npz":
-        np.savez(single, **{f"{name}_{title}": column for name in plain for title, column in plain[name].items()})
+        np.savez(
+            single,
+            **{
+                f"{name}_{title}": column for name in plain for title, column in plain[name].items()
+            },
+        )
     elif ending == "mat":
         from scipy.io import savemat
 
@@ -118,7 +137,11 @@ def text_in_number(lines: Lines, rng: np.random.Generator) -> str:
     row = _some(lines, rng)
     cells = lines[row].split(",")
     column = int(rng.integers(len(cells)))
-    cells[column] = str(rng.choice(["err", "1.2.3", f"{cells[column][:3]}O{cells[column][3:]}", "--", "0x1f", "12 34"]))
+    cells[column] = str(
+        rng.choice(
+            ["err", "1.2.3", f"{cells[column][:3]}O{cells[column][3:]}", "--", "0x1f", "12 34"]
+        )
+    )
     lines[row] = ",".join(cells)
     return "\n".join(lines) + "\n"
 

@@ -27,13 +27,25 @@ def kind_of(quantity: str) -> str:
 
 
 def evidence_row(
-    quantity: str, ratio: float, *, acts: float = 0.5, noise: float = 0.0, role: str | None = None, log: str = "dive"
+    quantity: str,
+    ratio: float,
+    *,
+    acts: float = 0.5,
+    noise: float = 0.0,
+    role: str | None = None,
+    log: str = "dive",
 ) -> EvidenceRow:
     """Return a row of one dive on a baseline with an error of 2."""
     kind = kind_of(quantity)
     if role is None:
         is_secondary = any(quantity in names for names in SECONDARIES.values())
-        role = Role.PRIMARY if quantity in PRIMARIES else Role.SECONDARY if is_secondary else Role.SHOWN
+        role = (
+            Role.PRIMARY
+            if quantity in PRIMARIES
+            else Role.SECONDARY
+            if is_secondary
+            else Role.SHOWN
+        )
         role = Role.SETTLING if kind == "convergence" else role
     is_settling = kind == "convergence"
     return EvidenceRow(
@@ -66,8 +78,14 @@ def judged(
     """Judge a candidate of one dive whose states all improved alike, by these rows of evidence."""
     row = "dive", "aided"
     tables = Tables(
-        [ImprovementRow(*row, state.id, state.unit, 1.0, 1.0, predicted_pct, "improved") for state in STATES],
-        [ConvergenceRow(*row, state.id, state.unit, 1.0, 9.0, 9.0, 0.0, "reached") for state in STATES],
+        [
+            ImprovementRow(*row, state.id, state.unit, 1.0, 1.0, predicted_pct, "improved")
+            for state in STATES
+        ],
+        [
+            ConvergenceRow(*row, state.id, state.unit, 1.0, 9.0, 9.0, 0.0, "reached")
+            for state in STATES
+        ],
         [
             ReferenceErrorRow(*row, quantity, unit, 2.0, 1.6, 20.0, 0.0, 0.0, 9, "compared")
             for quantity, unit in REFERENCE_QUANTITIES.items()
@@ -94,7 +112,12 @@ def consistency(filter_: str, measurement: str, verdict: str) -> ConsistencyRow:
 def of_errors(filter_: str, attitude: str) -> list[CredibilityRow]:
     """Velocities that are consistent where the attitude could be judged, and all states together always."""
     velocity = attitude if attitude in {"no reference", "insufficient data"} else "consistent"
-    rows = ("heading", "insufficient data"), ("velocity", velocity), ("attitude", attitude), ("all", "consistent")
+    rows = (
+        ("heading", "insufficient data"),
+        ("velocity", velocity),
+        ("attitude", attitude),
+        ("all", "consistent"),
+    )
     return [credibility(filter_, *row) for row in rows]
 
 

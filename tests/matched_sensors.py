@@ -13,7 +13,9 @@ MATCHED = Config(
     dvl=Dvl(velocity_sd_mps=0.01),
     filters={
         "baseline": Filter(aiding=("velocity",)),
-        "published": Filter(aiding=("velocity", "acceleration"), acceleration=Acceleration(model="published")),
+        "published": Filter(
+            aiding=("velocity", "acceleration"), acceleration=Acceleration(model="published")
+        ),
     },
 )
 """A tactical IMU and a good DVL, of which the filters are told the truth."""

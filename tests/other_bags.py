@@ -25,7 +25,9 @@ class Told:
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """Go through topics, log times and payloads."""
-        for _, channel, message in make_reader(BytesIO(self.log)).iter_messages(log_time_order=False):
+        for _, channel, message in make_reader(BytesIO(self.log)).iter_messages(
+            log_time_order=False
+        ):
             yield channel.topic, message.log_time, message.data
 
     def messages_of_ros1(self) -> Iterator[tuple[str, int, bytes]]:
@@ -36,7 +38,9 @@ class Told:
 
 def told(log: bytes = b"") -> Told:
     """Find what a log in CDR says, or a short dive."""
-    found = Told(log or written(), {}, get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC))
+    found = Told(
+        log or written(), {}, get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
+    )
     summary = make_reader(BytesIO(found.log)).get_summary()
     assert summary
     for channel in summary.channels.values():
@@ -45,7 +49,9 @@ def told(log: bytes = b"") -> Told:
         for name, text in _sections(schema.name, schema.data.decode()):
             known = get_types_from_msg(text, name)
             for store in (found.ros1, found.ros2):
-                store.register({one: fields for one, fields in known.items() if one not in store.fielddefs})
+                store.register(
+                    {one: fields for one, fields in known.items() if one not in store.fielddefs}
+                )
     return found
 
 
@@ -81,18 +87,26 @@ def bag(path: Path, compression: str = "", log: bytes = b"") -> Path:
         writer.set_compression(rosbag1.Writer.CompressionFormat[compression.upper()])
     with writer:
         items = found.types.items()
-        connections = {topic: writer.add_connection(topic, name, typestore=found.ros1) for topic, name in items}
+        connections = {
+            topic: writer.add_connection(topic, name, typestore=found.ros1) for topic, name in items
+        }
         for topic, time_ns, data in found.messages_of_ros1():
             writer.write(connections[topic], time_ns, data)
     return path
 
 
-def ros2_bag(folder: Path, plugin: str = "sqlite3", log: bytes = b"", *, humble: bool = False) -> Path:
+def ros2_bag(
+    folder: Path, plugin: str = "sqlite3", log: bytes = b"", *, humble: bool = False
+) -> Path:
     """Write it as a bag folder with one part, `sqlite3` or `mcap`, of Iron with definitions, or of Humble without."""
     found = told(log)
-    with rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin[plugin.upper()]) as writer:
+    with rosbag2.Writer(
+        folder, version=9, storage_plugin=rosbag2.StoragePlugin[plugin.upper()]
+    ) as writer:
         items = found.types.items()
-        connections = {topic: writer.add_connection(topic, name, typestore=found.ros2) for topic, name in items}
+        connections = {
+            topic: writer.add_connection(topic, name, typestore=found.ros2) for topic, name in items
+        }
         for topic, time_ns, data in found.messages():
             writer.write(connections[topic], time_ns, data)
     if humble:

@@ -26,7 +26,9 @@ def motion_digest() -> str:
 
 
 if __name__ == "__main__":
-    assert not any(__cpu_features__[name] for name in sys.argv[1].split()), "numpy uses what it should not"
+    assert not any(__cpu_features__[name] for name in sys.argv[1].split()), (
+        "numpy uses what it should not"
+    )
     sys.stdout.write(motion_digest())
     for line in sys.stdin:
         assert run_command_line(shlex.split(line)) == 0, line

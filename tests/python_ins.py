@@ -28,7 +28,10 @@ from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.sim.dive import START_NS, simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, LostBeam, SensorErrors
 
-START_S, END_S = 93.0, 153.0  # level at the start, so that roll, pitch and heading are as sure as phi; two turns
+START_S, END_S = (
+    93.0,
+    153.0,
+)  # level at the start, so that roll, pitch and heading are as sure as phi; two turns
 BEAM_SD_MPS = 0.0042
 DENSITIES = {
     "accel_white_mps_rts": 0.01,
@@ -37,9 +40,15 @@ DENSITIES = {
     "gyro_bias_walk_radps_rts": 8e-8,
 }
 NOISE = Noise(**DENSITIES)
-INITIAL = Initial(uncertainty="settings", velocity_sd_mps=0.1, accel_bias_sd_mg=3.0, gyro_bias_sd_degph=10.0)
-IMU_ERRORS = ImuErrors(accel_bias_sd_mps2=3.0 * MG, gyro_bias_sd_radps=10.0 * DEG_PER_HOUR, **DENSITIES)
-DVL_ERRORS = DvlErrors(beam_sd_mps=BEAM_SD_MPS, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0)
+INITIAL = Initial(
+    uncertainty="settings", velocity_sd_mps=0.1, accel_bias_sd_mg=3.0, gyro_bias_sd_degph=10.0
+)
+IMU_ERRORS = ImuErrors(
+    accel_bias_sd_mps2=3.0 * MG, gyro_bias_sd_radps=10.0 * DEG_PER_HOUR, **DENSITIES
+)
+DVL_ERRORS = DvlErrors(
+    beam_sd_mps=BEAM_SD_MPS, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0
+)
 
 
 @dataclass(frozen=True)
@@ -74,7 +83,11 @@ class Case:
 
     def config(self, **changes: Any) -> Config:
         settings = {
-            "dvl": Dvl(lever_arm_m=self.lever_arm_m, mounting_rpy_deg=self.mounting_rpy_deg, beam_sd_mps=BEAM_SD_MPS),
+            "dvl": Dvl(
+                lever_arm_m=self.lever_arm_m,
+                mounting_rpy_deg=self.mounting_rpy_deg,
+                beam_sd_mps=BEAM_SD_MPS,
+            ),
             "initial": INITIAL,
             "noise": NOISE,
             "span": Span(start_s=START_S),
@@ -91,7 +104,10 @@ class Case:
         velocity_b = dive.dvl.beam_velocity_mps[:, self.beams] @ np.linalg.pinv(vectors_b).T
         velocity_b -= np.cross(turn_rate_b(dive), self.lever_arm_m)
         measurement = BodyVelocity(
-            pd.DataFrame(velocity_b, index=seconds(dive.dvl.time_ns, START_NS), columns=["VX", "VY", "VZ"]), sd=1.0
+            pd.DataFrame(
+                velocity_b, index=seconds(dive.dvl.time_ns, START_NS), columns=["VX", "VY", "VZ"]
+            ),
+            sd=1.0,
         )
         measurement.R = BEAM_SD_MPS**2 * np.linalg.inv(vectors_b.T @ vectors_b)
         return measurement
@@ -102,8 +118,12 @@ def turn_rate_b(dive: Dive) -> Floats:
     assert dive.reference is not None
     rows = np.searchsorted(dive.imu.time_ns, dive.dvl.time_ns)
     latitude = dive.reference.position[rows, 0]
-    earth_rate_n = EARTH_RATE * np.stack([np.cos(latitude), np.zeros_like(latitude), -np.sin(latitude)], axis=-1)
-    rate_b: Floats = dive.imu.angular_rate_b[rows] - np.einsum("kji,kj->ki", dive.reference.mat_nb[rows], earth_rate_n)
+    earth_rate_n = EARTH_RATE * np.stack(
+        [np.cos(latitude), np.zeros_like(latitude), -np.sin(latitude)], axis=-1
+    )
+    rate_b: Floats = dive.imu.angular_rate_b[rows] - np.einsum(
+        "kji,kj->ki", dive.reference.mat_nb[rows], earth_rate_n
+    )
     return rate_b
 
 
@@ -140,7 +160,9 @@ class Depth(Measurement):  # type: ignore[misc]
         self.fixes = Position(pd.DataFrame({"lat": 0.0, "lon": 0.0, "alt": -depth_m}), sd_m)
         super().__init__(self.fixes.data)
 
-    def compute_matrices(self, time: float, pva: Any, error_model: Any) -> tuple[Floats, Floats, Floats] | None:
+    def compute_matrices(
+        self, time: float, pva: Any, error_model: Any
+    ) -> tuple[Floats, Floats, Floats] | None:
         if (found := self.fixes.compute_matrices(time, pva, error_model)) is None:
             return None
         z, H, R = found
@@ -175,7 +197,9 @@ def their_belief(dive: Dive, *measurements: Measurement, position_sd_m: float = 
         azimuth_sd=INITIAL.misalignment_sd_deg[2],
         increments=compute_increments_from_imu(imu.loc[START_S:], "rate"),
         gyro_model=EstimationModel(
-            INITIAL.gyro_bias_sd_degph * DEG_PER_HOUR, NOISE.gyro_white_rad_rts, NOISE.gyro_bias_walk_radps_rts
+            INITIAL.gyro_bias_sd_degph * DEG_PER_HOUR,
+            NOISE.gyro_white_rad_rts,
+            NOISE.gyro_bias_walk_radps_rts,
         ),
         accel_model=EstimationModel(
             INITIAL.accel_bias_sd_mg * MG, NOISE.accel_white_mps_rts, NOISE.accel_bias_walk_mps2_rts
@@ -199,5 +223,7 @@ def start(reference: ReferenceColumns) -> "pd.Series[float]":
     row = int(np.searchsorted(reference.time_ns, START_NS + int(START_S * 1e9)))
     latitude, longitude, height_m = reference.position[row]
     position = [latitude / DEG, longitude / DEG, height_m]
-    values = np.concatenate([position, reference.velocity_n[row], mat_to_rph(reference.mat_nb[row])])
+    values = np.concatenate(
+        [position, reference.velocity_n[row], mat_to_rph(reference.mat_nb[row])]
+    )
     return pd.Series(values, index=TRAJECTORY_COLS, name=START_S)

@@ -21,9 +21,13 @@ def write_part(path: Path, chosen: Choice, remark: bytes = b"", log: bytes = b""
         assert schema
         if chosen(channel.topic, (message.log_time - START_NS) * 1e-9):
             if channel.topic not in ids:
-                schema_id = writer.register_schema(schema.name, schema.encoding, remark + schema.data)
+                schema_id = writer.register_schema(
+                    schema.name, schema.encoding, remark + schema.data
+                )
                 ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schema_id)
-            writer.add_message(ids[channel.topic], message.log_time, message.data, message.publish_time)
+            writer.add_message(
+                ids[channel.topic], message.log_time, message.data, message.publish_time
+            )
     writer.finish()
     path.write_bytes(stream.getvalue())
     return path

@@ -56,14 +56,18 @@ def _made(store: Typestore, type_name: str, values: dict[str, Any]) -> Any:
     fields = store.get_msgdef(type_name).fields
     unknown = values.keys() - {name for name, _ in fields}
     assert not unknown, f"{type_name} has no {unknown}"
-    return store.types[type_name](**{name: _value(store, kind, values.get(name)) for name, kind in fields})
+    return store.types[type_name](
+        **{name: _value(store, kind, values.get(name)) for name, kind in fields}
+    )
 
 
 def _value(store: Typestore, kind: tuple[int, Any], value: Any) -> Any:
     node, argument = kind
     if int(node) == 1:  # a primitive
         name = argument[0]
-        return ("" if name == "string" else np.dtype(name).type(0).item()) if value is None else value
+        return (
+            ("" if name == "string" else np.dtype(name).type(0).item()) if value is None else value
+        )
     if int(node) == 2:  # a structure
         return _made(store, argument, value or {})
     inner, length = argument
@@ -86,7 +90,10 @@ def xyz(vector: Any) -> dict[str, float]:
 
 
 def write_log(
-    path: Path, messages: Iterable[Message], schema_name: str | None = None, texts: Mapping[str, str] | None = None
+    path: Path,
+    messages: Iterable[Message],
+    schema_name: str | None = None,
+    texts: Mapping[str, str] | None = None,
 ) -> Path:
     """Write messages as rosbags serialises them.
 

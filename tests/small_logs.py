@@ -52,8 +52,14 @@ def written() -> bytes:
     """Write 5 s of a dive, with an IMU at 100 Hz and a DVL with velocities at 5 Hz."""
     rng = np.random.default_rng(8)
     time_ns = START_NS + 10_000_000 * np.arange(IMU_MESSAGES)
-    imu = ImuColumns(time_ns, rng.normal([0.0, 0.0, -9.8], 0.05, (IMU_MESSAGES, 3)), rng.normal(0, 0.01, (500, 3)))
-    dvl = DvlColumns(time_ns[::20] + 1000, velocity_d=rng.normal([1.0, 0.0, 0.0], 0.1, (DVL_MESSAGES, 3)))
+    imu = ImuColumns(
+        time_ns,
+        rng.normal([0.0, 0.0, -9.8], 0.05, (IMU_MESSAGES, 3)),
+        rng.normal(0, 0.01, (500, 3)),
+    )
+    dvl = DvlColumns(
+        time_ns[::20] + 1000, velocity_d=rng.normal([1.0, 0.0, 0.0], 0.1, (DVL_MESSAGES, 3))
+    )
     with TemporaryDirectory() as folder:
         path = Path(folder) / "dive.mcap"
         write_dive(path, Dive("dive", imu, dvl))
@@ -107,7 +113,9 @@ def messages(log: Recording) -> list[Message]:
 def true_messages() -> frozenset[Message]:
     """Give the messages as the official reader finds them."""
     found = make_reader(BytesIO(written())).iter_messages()
-    return frozenset((channel.topic, message.log_time, message.data) for _, channel, message in found)
+    return frozenset(
+        (channel.topic, message.log_time, message.data) for _, channel, message in found
+    )
 
 
 def records(data: bytes, kind: int) -> list[tuple[int, int]]:

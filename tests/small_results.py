@@ -62,9 +62,14 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
 
 def nudged(report: dict[str, Any], share: float) -> dict[str, Any]:
     """The same report with every number of its tables larger by a share; counts are left alone."""
-    rows = [*report["filters"].values(), *(row for table in report["tables"].values() for row in table)]
+    rows = [
+        *report["filters"].values(),
+        *(row for table in report["tables"].values() for row in table),
+    ]
     for row in rows:
-        row |= {key: value * (1.0 + share) for key, value in row.items() if isinstance(value, float)}
+        row |= {
+            key: value * (1.0 + share) for key, value in row.items() if isinstance(value, float)
+        }
     return report
 
 

@@ -14,7 +14,11 @@ def small_table(stamps_s: Sequence[float], log_times_s: Sequence[float] | None =
     """A topic of the IMU whose messages bear these times; the recorder's clock shows the same if it shows no others."""
     source = Source("imu", "/imu", "sensor_msgs/msg/Imu", (), {}, "publish_time", 0.0)
     times = {"publish_time": stamps_s, "log_time": stamps_s if log_times_s is None else log_times_s}
-    return Table(("dive.mcap", "/imu"), source, {name: nanoseconds(values)[:, None] for name, values in times.items()})
+    return Table(
+        ("dive.mcap", "/imu"),
+        source,
+        {name: nanoseconds(values)[:, None] for name, values in times.items()},
+    )
 
 
 def small_cleaner(stamps_s: Sequence[float], log_times_s: Sequence[float] | None = None) -> Cleaner:

@@ -32,13 +32,21 @@ class Document(HTMLParser):
             self.texts[tag][-1] += data
 
     def count(self, tag: str, style: str = "") -> int:
-        classes = (attributes.get("class", "").split(" ") for name, attributes in self.elements if name == tag)
+        classes = (
+            attributes.get("class", "").split(" ")
+            for name, attributes in self.elements
+            if name == tag
+        )
         return sum(style in names or not style for names in classes)
 
 
 def forest_rows(document: Document) -> list[tuple[str, list[str]]]:
     """The rows of all forest plots: their texts, and their classes."""
-    classes = [attributes.get("class", "").split() for tag, attributes in document.elements if tag == "g"]
+    classes = [
+        attributes.get("class", "").split() for tag, attributes in document.elements if tag == "g"
+    ]
     rows = [row for row in zip(document.texts["g"], classes, strict=True) if "row" in row[1]]
     titles = document.texts["title"][1:]
-    return [(text.removeprefix(title), names) for (text, names), title in zip(rows, titles, strict=True)]
+    return [
+        (text.removeprefix(title), names) for (text, names), title in zip(rows, titles, strict=True)
+    ]

@@ -8,7 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pb2 import (
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from mcap.reader import make_reader
@@ -37,18 +41,30 @@ Ping = tuple[int, int, np.ndarray]
 
 def plain_dive(scenario: str, imu_rate_hz: float = 100.0) -> Dive:
     """Simulate a dive whose DVL gives velocities, with times in whole milliseconds, and without a reference."""
-    dive = simulate_dive(scenario, seed=3, duration_s=150.0, imu_rate_hz=imu_rate_hz, grade="tactical")
+    dive = simulate_dive(
+        scenario, seed=3, duration_s=150.0, imu_rate_hz=imu_rate_hz, grade="tactical"
+    )
     beams, vectors = dive.dvl.beam_velocity_mps, dive.dvl.beam_vectors_d
     assert beams is not None
     assert vectors is not None
     velocity_d = beams @ np.linalg.pinv(vectors).T
     pings = replace(dive.dvl, time_ns=dive.dvl.time_ns // MS * MS, velocity_d=velocity_d)
-    return Dive("plain", dive.imu, replace(pings, beam_velocity_mps=None, beam_vectors_d=None), dive.reference)
+    return Dive(
+        "plain",
+        dive.imu,
+        replace(pings, beam_velocity_mps=None, beam_vectors_d=None),
+        dive.reference,
+    )
 
 
 def samples(dive: Dive) -> Iterator[Sample]:
     late_ns = np.random.default_rng(4).integers(1, 20, len(dive.imu.time_ns)) * MS
-    columns = (dive.imu.time_ns, dive.imu.time_ns + late_ns, dive.imu.specific_force_b, dive.imu.angular_rate_b)
+    columns = (
+        dive.imu.time_ns,
+        dive.imu.time_ns + late_ns,
+        dive.imu.specific_force_b,
+        dive.imu.angular_rate_b,
+    )
     return ((int(at), int(by), force, rate) for at, by, force, rate in zip(*columns, strict=True))
 
 
@@ -76,11 +92,21 @@ def nested_cdr(path: Path, dive: Dive) -> None:
         inertial = writer.register_msgdef("acme_msgs/msg/Box", box)
         ground = writer.register_msgdef("acme_msgs/msg/Track", track)
         for at, by, force, rate in samples(dive):
-            raw = dict(zip(("acc_x", "acc_y", "acc_z", "p", "q", "r"), (*force, *rate), strict=True))
-            message = {"header": {"stamp": stamp(at), "frame_id": "box"}, "raw": raw, "celsius": 11.0}
+            raw = dict(
+                zip(("acc_x", "acc_y", "acc_z", "p", "q", "r"), (*force, *rate), strict=True)
+            )
+            message = {
+                "header": {"stamp": stamp(at), "frame_id": "box"},
+                "raw": raw,
+                "celsius": 11.0,
+            }
             writer.write_message("/box", inertial, message, log_time=by, publish_time=by)
         for at, by, velocity in pings(dive):
-            message = {"measured_at": stamp(at), **dict(zip("uvw", velocity, strict=True)), "lock": 1}
+            message = {
+                "measured_at": stamp(at),
+                **dict(zip("uvw", velocity, strict=True)),
+                "lock": 1,
+            }
             writer.write_message("/dvl/track", ground, message, log_time=by, publish_time=by)
         writer.finish()
 
@@ -90,14 +116,25 @@ def bare_json(path: Path, dive: Dive) -> None:
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
-        inertial, ground = (writer.register_channel(topic, "json", 0) for topic in ("motion", "doppler"))
+        inertial, ground = (
+            writer.register_channel(topic, "json", 0) for topic in ("motion", "doppler")
+        )
 
         def write(channel: int, by: int, message: dict[str, Any]) -> None:
             writer.add_message(channel, by, json.dumps(message).encode(), by)
 
         for at, by, force, rate in samples(dive):
             gyro = dict(zip("xyz", FLU * rate / DEG, strict=True))
-            write(inertial, by, {"t_ms": at // MS, "accel": (FLU * force / G_MPS2).tolist(), "gyro": gyro, "id": "a"})
+            write(
+                inertial,
+                by,
+                {
+                    "t_ms": at // MS,
+                    "accel": (FLU * force / G_MPS2).tolist(),
+                    "gyro": gyro,
+                    "id": "a",
+                },
+            )
         for at, by, velocity in pings(dive):
             write(ground, by, {"t_ms": at // MS, "vel": velocity.tolist(), "state": "bottom"})
         writer.finish()
@@ -124,11 +161,16 @@ def numbered_beams(path: Path, dive: Dive) -> None:
     own, known = path.with_suffix(".own"), path.with_suffix(".known")
     azimuth = np.deg2rad([45.0, 135.0, 225.0, 315.0])
     tilt = np.deg2rad(25.0)
-    vectors = np.stack([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.full(4, np.cos(tilt))], 1)
+    vectors = np.stack(
+        [np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.full(4, np.cos(tilt))],
+        1,
+    )
     with own.open("wb") as stream:
         writer = RosWriter(stream)
         names = [f"vel_beam_{beam}" for beam in (1, 2, 3, 4)]
-        schema = writer.register_msgdef("acme_msgs/msg/Beams", "".join(f"float64 {name}\n" for name in names))
+        schema = writer.register_msgdef(
+            "acme_msgs/msg/Beams", "".join(f"float64 {name}\n" for name in names)
+        )
         for at, _, velocity in pings(dive):
             message = dict(zip(names, vectors @ velocity, strict=True))
             writer.write_message("/beams", schema, message, log_time=at, publish_time=at)
@@ -144,9 +186,13 @@ def protobuf(path: Path, dive: Dive) -> None:
     def message(name: str, fields: dict[str, str]) -> None:
         described = file.message_type.add(name=name)
         for number, (field, kind) in enumerate(fields.items(), 1):
-            scalar = getattr(FieldDescriptorProto, f"TYPE_{kind}", FieldDescriptorProto.TYPE_MESSAGE)
+            scalar = getattr(
+                FieldDescriptorProto, f"TYPE_{kind}", FieldDescriptorProto.TYPE_MESSAGE
+            )
             type_name = None if scalar != FieldDescriptorProto.TYPE_MESSAGE else f".acme.{kind}"
-            described.field.add(name=field, number=number, label=1, type=scalar, type_name=type_name)
+            described.field.add(
+                name=field, number=number, label=1, type=scalar, type_name=type_name
+            )
 
     message("Triple", {"x": "DOUBLE", "y": "DOUBLE", "z": "DOUBLE"})
     message("Sensors", {"accelerations": "Triple", "rates": "Triple", "magnetic": "Triple"})
@@ -164,16 +210,26 @@ def protobuf(path: Path, dive: Dive) -> None:
         writer = Writer(stream)
         writer.start()
         described = FileDescriptorSet(file=[file]).SerializeToString()
-        schemas = (writer.register_schema(f"acme.{name}", "protobuf", described) for name in ("Motion", "Ground"))
+        schemas = (
+            writer.register_schema(f"acme.{name}", "protobuf", described)
+            for name in ("Motion", "Ground")
+        )
         channels = [
-            writer.register_channel(topic, "protobuf", schema) for topic, schema in zip("mg", schemas, strict=True)
+            writer.register_channel(topic, "protobuf", schema)
+            for topic, schema in zip("mg", schemas, strict=True)
         ]
         for at, by, force, rate in samples(dive):
-            sensors = {"accelerations": triple(force), "rates": triple(rate), "magnetic": triple(force * 4.0)}
+            sensors = {
+                "accelerations": triple(force),
+                "rates": triple(rate),
+                "magnetic": triple(force * 4.0),
+            }
             data = motion(sensor_time_us=at // 1000, sensors=sensors).SerializeToString()
             writer.add_message(channels[0], by, data, by)
         for at, by, velocity in pings(dive):
-            data = ground(sensor_time_us=at // 1000, speed=triple(velocity), quality=9).SerializeToString()
+            data = ground(
+                sensor_time_us=at // 1000, speed=triple(velocity), quality=9
+            ).SerializeToString()
             writer.add_message(channels[1], by, data, by)
         writer.finish()
 
@@ -188,12 +244,17 @@ def turned(path: Path, dive: Dive, turn: Callable[[np.ndarray], np.ndarray]) -> 
         inertial = writer.register_msgdef("acme_msgs/msg/Unit", box)
         ground = writer.register_msgdef("acme_msgs/msg/Ground", track)
         for at, by, force, rate in samples(dive):
-            readings = {"acceleration": turn(force / G_MPS2).tolist(), "angular_rate": turn(rate / DEG).tolist()}
+            readings = {
+                "acceleration": turn(force / G_MPS2).tolist(),
+                "angular_rate": turn(rate / DEG).tolist(),
+            }
             message = {"header": {"stamp": stamp(at), "frame_id": ""}, **readings}
             writer.write_message("/unit", inertial, message, log_time=by, publish_time=by)
         for at, by, velocity in pings(dive):
             speeds = dict(zip(("vx", "vy", "vz"), FLU * velocity * 1000.0, strict=True))
-            writer.write_message("/dvl", ground, {"stamp_ms": at // MS, **speeds}, log_time=by, publish_time=by)
+            writer.write_message(
+                "/dvl", ground, {"stamp_ms": at // MS, **speeds}, log_time=by, publish_time=by
+            )
         writer.finish()
     write_dive(known, dive)
     _copy({own: ("/unit", "/dvl"), known: ("/reference",)}, path)
@@ -210,9 +271,18 @@ def _copy(topics: dict[Path, tuple[str, ...]], path: Path) -> None:
                 for schema, channel, message in make_reader(source).iter_messages(topics=wanted):
                     assert schema is not None
                     if channel.topic not in channels:
-                        schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                        channels[channel.topic] = writer.register_channel(channel.topic, "cdr", schema_id)
-                    writer.add_message(channels[channel.topic], message.log_time, message.data, message.publish_time)
+                        schema_id = writer.register_schema(
+                            schema.name, schema.encoding, schema.data
+                        )
+                        channels[channel.topic] = writer.register_channel(
+                            channel.topic, "cdr", schema_id
+                        )
+                    writer.add_message(
+                        channels[channel.topic],
+                        message.log_time,
+                        message.data,
+                        message.publish_time,
+                    )
         writer.finish()
 
 

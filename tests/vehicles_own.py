@@ -46,22 +46,36 @@ def truth_of(dive: Dive, every: int = 1) -> Told:
     assert reference is not None
     rows = slice(None, None, every)
     position = reference.position[rows]
-    moved_n = north_east_down_m(position, np.broadcast_to(position[0], position.shape)) + np.array([7.0, -3.0, 2.0])
+    moved_n = north_east_down_m(position, np.broadcast_to(position[0], position.shape)) + np.array(
+        [7.0, -3.0, 2.0]
+    )
     return Told(
-        reference.time_ns[rows], moved_n, reference.velocity_n[rows], Rotation.from_matrix(reference.mat_nb[rows])
+        reference.time_ns[rows],
+        moved_n,
+        reference.velocity_n[rows],
+        Rotation.from_matrix(reference.mat_nb[rows]),
     )
 
 
 def off(
-    told: Told, *, moved_n: Floats | float = 0.0, velocity_n: Floats | float = 0.0, turn_n: Floats | None = None
+    told: Told,
+    *,
+    moved_n: Floats | float = 0.0,
+    velocity_n: Floats | float = 0.0,
+    turn_n: Floats | None = None,
 ) -> Told:
     """Add errors, estimated minus true: metres, m/s, and a rotation vector in n."""
     turn = Rotation.identity() if turn_n is None else Rotation.from_rotvec(turn_n)
-    return Told(told.time_ns, told.moved_n + moved_n, told.velocity_n + velocity_n, turn * told.attitude)
+    return Told(
+        told.time_ns, told.moved_n + moved_n, told.velocity_n + velocity_n, turn * told.attitude
+    )
 
 
 def write_odometry(
-    path: Path, told: Told, covariances: Mapping[str, Floats] | None = None, topic: str = "/odometry"
+    path: Path,
+    told: Told,
+    covariances: Mapping[str, Floats] | None = None,
+    topic: str = "/odometry",
 ) -> Path:
     """Write a log of nav_msgs/Odometry: the pose in its own frame, the twist in the body's."""
     attitude = ENU_OF_NED * told.attitude * FLU_OF_FRD
@@ -81,7 +95,9 @@ def write_odometry(
 def write_nav_solution(path: Path, motion: ReferenceColumns, topic: str = "/vehicle") -> Path:
     """Write a log of the project's own insdvl_msgs/NavSolution."""
     columns = solution(motion.position, motion.velocity_n, rpy_from_mat(motion.mat_nb))
-    write_log(path, [stamped(topic, "insdvl_msgs/msg/NavSolution", motion.time_ns, NED, columns)], {})
+    write_log(
+        path, [stamped(topic, "insdvl_msgs/msg/NavSolution", motion.time_ns, NED, columns)], {}
+    )
     return path
 
 
@@ -93,7 +109,8 @@ def write_tum(path: Path, told: Told, east_north_up: bool = True) -> Path:
     rows = np.hstack([ways, attitude.as_quat()])
     stamps = (f"{time // 10**9}.{time % 10**9:09d}" for time in told.time_ns.tolist())
     lines = (
-        f"{stamp} {' '.join(f'{number:.12g}' for number in row)}\n" for stamp, row in zip(stamps, rows, strict=True)
+        f"{stamp} {' '.join(f'{number:.12g}' for number in row)}\n"
+        for stamp, row in zip(stamps, rows, strict=True)
     )
     path.write_text("# time x y z qx qy qz qw\n" + "".join(lines))
     return path

@@ -49,14 +49,45 @@ from insdvl_replay.show.plot import style_sheet
 
 PAGE = PROJECT / "docs" / "benchmark.md"
 PICTURE = PAGE.with_suffix(".svg")
-QUOTING = (PROJECT / "README.md", PROJECT / "docs" / "reproduction.md")  # what is found of the paper's method
+QUOTING = (
+    PROJECT / "README.md",
+    PROJECT / "docs" / "reproduction.md",
+)  # what is found of the paper's method
 COMMAND = "make benchmark"
 EXAMPLES = PROJECT / "examples" / "candidates"
 ALL = "all dives"  # of all data sets
-METHODS = {"published": "published", "windowed_fitted": "windowed with fitted noise"}  # of the paper, in words
+METHODS = {
+    "published": "published",
+    "windowed_fitted": "windowed with fitted noise",
+}  # of the paper, in words
 WORDS = tomllib.loads((PROJECT / "benchmarks" / "public" / "words.toml").read_text("utf-8"))
-NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
-HEADER = ("filter", "evidence", "ratio", "interval", "acts", "n", "verdict", "reason", "digest", "command")
+NUMBERS = [
+    "no",
+    "one",
+    "two",
+    "three",
+    "four",
+    "five",
+    "six",
+    "seven",
+    "eight",
+    "nine",
+    "ten",
+    "eleven",
+    "twelve",
+]
+HEADER = (
+    "filter",
+    "evidence",
+    "ratio",
+    "interval",
+    "acts",
+    "n",
+    "verdict",
+    "reason",
+    "digest",
+    "command",
+)
 BEST_FIRST = [*Verdict]
 TOO_FEW = (Undecided.ONE_DIVE, Undecided.FEW_DIVES)
 WIDTH, ABOVE = 860, 30  # of the picture and above each plot, in pixels
@@ -88,7 +119,9 @@ class Place:
         files = [path for path in sorted(self.data.rglob("*")) if path.suffix in LOG_SUFFIXES]
         local = {hashlib.sha256(log.read_bytes()).hexdigest(): log for log in files}
         dives = manifest_dives(self.public / "dives.toml")
-        found = fetch_dives([FoundDive(local[dive.sha256]) if dive.sha256 in local else dive for dive in dives])
+        found = fetch_dives(
+            [FoundDive(local[dive.sha256]) if dive.sha256 in local else dive for dive in dives]
+        )
         nowhere = LogError("its log is not published in this form")
         logs = [dive.error or (dive.path if dive.path.exists() else nowhere) for dive in found]
         return dict(zip((dive["tags"][1] for dive in self.dives), logs, strict=True))
@@ -114,14 +147,22 @@ class Cell:
     @cached_property
     def answer(self) -> CandidateAnswer | None:
         """The verdict; None without evidence."""
-        found = [found for found in answers.answers_of([*self.reports.values()]) if found.filter == self.candidate]
+        found = [
+            found
+            for found in answers.answers_of([*self.reports.values()])
+            if found.filter == self.candidate
+        ]
         known = [one for one in found if one.known or one.verdict == Verdict.NOT_EVALUATED]
         return known[0] if known else None
 
     @property
     def rows(self) -> list[PooledRow]:
         """The row that decides, and those that speak against it."""
-        if self.answer is None or self.answer.verdict == Verdict.NOT_EVALUATED or self.answer.decisive is None:
+        if (
+            self.answer is None
+            or self.answer.verdict == Verdict.NOT_EVALUATED
+            or self.answer.decisive is None
+        ):
             return []
         return [self.answer.decisive, *self.answer.warnings]
 
@@ -142,28 +183,39 @@ class Cell:
     def digest(self) -> str:
         """Of the logs and the resolved settings."""
         settings = partial(msgspec.json.encode, order="deterministic")
-        sides = [[report.log.sha256, settings(report.config).decode()] for report in self.reports.values()]
+        sides = [
+            [report.log.sha256, settings(report.config).decode()]
+            for report in self.reports.values()
+        ]
         text = settings(sorted(sides)).decode().replace(str(PROJECT), "")
         return hashlib.sha256(text.encode()).hexdigest()[:12] if sides else ""
 
     @property
     def command(self) -> str:
         """What repeats it, in the public folder."""
-        tag, allowed = "" if self.data_set == ALL else f"#{self.data_set}", " --allow-code" if self.code else ""
+        tag, allowed = (
+            "" if self.data_set == ALL else f"#{self.data_set}",
+            " --allow-code" if self.code else "",
+        )
         return f"{self.variables}insdvl-replay run dives.toml{tag} -c {self.file}{allowed}"
 
     @property
     def reason(self) -> str:
         """Why it has no verdict, or no decision; then on how many dives it is not evaluated, and why."""
         dives: dict[str, list[str]] = {}
-        words = {dive: answers.answer_on_dive(report, self.candidate).reason for dive, report in self.reports.items()}
+        words = {
+            dive: answers.answer_on_dive(report, self.candidate).reason
+            for dive, report in self.reports.items()
+        }
         for dive, why in (words | self.reasons).items():
             dives.setdefault(plain_reason(why, dive), []).append(dive)
         pieces = [self.answer.undecided if self.answer else NO_EVIDENCE if self.reports else ""]
         for why, names in dives.items():
             part = f" on {len(names)} of {counted(len(words | self.reasons), 'dive')}"
             named = "" if self.data_set == ALL else f" ({', '.join(names)})"
-            pieces += [f"not evaluated{part}{named}: {why}" if len(dives) > 1 else why] if why else []
+            pieces += (
+                [f"not evaluated{part}{named}: {why}" if len(dives) > 1 else why] if why else []
+            )
         return "; ".join(filter(None, pieces))
 
 
@@ -178,7 +230,9 @@ def prepare(place: Place) -> None:
     is_new = program.is_file() and program.stat().st_mtime >= source.stat().st_mtime
     if not is_new and (compiler := shutil.which("c++")) is not None:
         place.build.mkdir(parents=True, exist_ok=True)
-        subprocess.run([compiler, "-O2", "-std=c++17", "-ffp-contract=off", "-o", program, source], check=True)
+        subprocess.run(
+            [compiler, "-O2", "-std=c++17", "-ffp-contract=off", "-o", program, source], check=True
+        )
 
 
 def build(place: Place) -> list[Cell]:
@@ -191,15 +245,25 @@ def build(place: Place) -> list[Cell]:
         raise ConfigError(f"benchmarks/public/candidates/{place.candidates}.toml: does not exist")
     # A candidate in the folder of a data set is for this data set alone.
     general = dict.fromkeys(cell.candidate for cell in cells if cell.file.count("/") == 1)
-    return [*(over_all([cell for cell in cells if cell.candidate == name]) for name in general), *cells]
+    return [
+        *(over_all([cell for cell in cells if cell.candidate == name]) for name in general),
+        *cells,
+    ]
 
 
 def replayed(data_set: str, dives: Sequence[Mapping[str, Any]], place: Place) -> list[Cell]:
     """Replay the dives of a data set through each candidate."""
     folder = place.public / "candidates"
-    found = [file for part in (folder, folder / data_set) for file in sorted(part.glob(f"{place.candidates}.toml"))]
+    found = [
+        file
+        for part in (folder, folder / data_set)
+        for file in sorted(part.glob(f"{place.candidates}.toml"))
+    ]
     files = {file.stem: file for file in found}
-    cells = {name: Cell(name, data_set, file.relative_to(place.public).as_posix()) for name, file in files.items()}
+    cells = {
+        name: Cell(name, data_set, file.relative_to(place.public).as_posix())
+        for name, file in files.items()
+    }
     arm_m = load_config(file=place.public / dives[0]["settings"]).dvl.lever_arm_m
     os.environ["BEAMSNET_ARM_M"] = ",".join(f"{length:.3f}" for length in arm_m)
     jobs, owners = list[ReplayJob](), list[tuple[Cell, str]]()
@@ -211,7 +275,9 @@ def replayed(data_set: str, dives: Sequence[Mapping[str, Any]], place: Place) ->
                     raise log
                 config = load_config(file=[settings, files[candidate]], allow_code=True)
                 if candidate not in config.filters:
-                    raise ConfigError(f"{cell.file} has no filter {candidate}; file and filter must have the same name")
+                    raise ConfigError(
+                        f"{cell.file} has no filter {candidate}; file and filter must have the same name"
+                    )
             except UserError as error:
                 cell.reasons[name] = error.what
                 continue
@@ -221,10 +287,18 @@ def replayed(data_set: str, dives: Sequence[Mapping[str, Any]], place: Place) ->
             if "beamsnet:BeamsNet" in config.code:
                 cell.variables += f"BEAMSNET_WEIGHTS=data/BeamsNetV2.pkl BEAMSNET_ARM_M={os.environ['BEAMSNET_ARM_M']} "
             target = place.build / candidate / data_set / name
-            jobs.append(ReplayJob((log,), log, target, ReplayOptions(config, histories=False), replaces=True))
+            jobs.append(
+                ReplayJob(
+                    (log,), log, target, ReplayOptions(config, histories=False), replaces=True
+                )
+            )
             owners.append((cell, name))
     known = known_reports(jobs, force=True)
-    pool = local_pool(JOBS, runs_code=any(cell.code for cell in cells.values())) if len(known) < len(jobs) else None
+    pool = (
+        local_pool(JOBS, runs_code=any(cell.code for cell in cells.values()))
+        if len(known) < len(jobs)
+        else None
+    )
     for (cell, name), outcome in zip(owners, replay_jobs(jobs, known, pool), strict=True):
         if isinstance(outcome.result, Report):
             cell.reports[name] = outcome.result
@@ -260,11 +334,15 @@ def over_all(cells: Sequence[Cell]) -> Cell:
 def written(page: str, cells: Sequence[Cell], dives: Sequence[Mapping[str, Any]]) -> str:
     """docs/benchmark.md as it should be."""
     candidates = by_data_set(cell for cell in cells if cell.candidate not in WORDS["planted"])
-    tables = {name: markdown_table(HEADER, map(row_of, of_set)) for name, of_set in candidates.items()}
+    tables = {
+        name: markdown_table(HEADER, map(row_of, of_set)) for name, of_set in candidates.items()
+    }
     parts: dict[str, Callable[[], str]] = {
         "finding": lambda: finding(candidates),
         "all": lambda: tables[ALL],
-        "sets": lambda: "\n\n".join(f"### {name}\n\n{tables[name]}" for name in tables if name != ALL),
+        "sets": lambda: "\n\n".join(
+            f"### {name}\n\n{tables[name]}" for name in tables if name != ALL
+        ),
         "checks": lambda: checks(by_data_set(cells)),
         "dives": lambda: dives_table(dives),
     }
@@ -289,7 +367,15 @@ def row_of(cell: Cell) -> tuple[str, ...]:
     )
     evidence = ("<br>".join(map(column, cell.rows)) for column in columns)
     digest, command = (f"`{text}`" if text else "" for text in (cell.digest, cell.command))
-    return f"`{cell.candidate}`", *evidence, counted(cell.dives, "dive"), cell.verdict, cell.reason, digest, command
+    return (
+        f"`{cell.candidate}`",
+        *evidence,
+        counted(cell.dives, "dive"),
+        cell.verdict,
+        cell.reason,
+        digest,
+        command,
+    )
 
 
 def checks(cells: Mapping[str, Sequence[Cell]]) -> str:
@@ -300,11 +386,21 @@ def checks(cells: Mapping[str, Sequence[Cell]]) -> str:
         for cell in (cell for cell in ranked if cell.candidate in WORDS["planted"]):
             is_first, is_last = cell.candidate in known[:1], cell.candidate in known[-1:]
             place = (
-                ", first" if is_first and cell.verdict in GOOD else ", last" if is_last and cell.verdict in BAD else ""
+                ", first"
+                if is_first and cell.verdict in GOOD
+                else ", last"
+                if is_last and cell.verdict in BAD
+                else ""
             )
             word = f"{cell.verdict}{place}"
             is_known = cell.answer is not None and cell.answer.undecided not in TOO_FEW
-            must = "-" if not is_known else "yes" if re.match(WORDS["planted"][cell.candidate], word) else "no"
+            must = (
+                "-"
+                if not is_known
+                else "yes"
+                if re.match(WORDS["planted"][cell.candidate], word)
+                else "no"
+            )
             rows.append((*row_of(cell)[:6], word, must, *row_of(cell)[7:]))
         title = f"**{name}**, {counted(len(known), 'filter')} with evidence"
         parts += [title, markdown_table((*HEADER[:7], "as it must", *HEADER[7:]), rows)]
@@ -314,7 +410,10 @@ def checks(cells: Mapping[str, Sequence[Cell]]) -> str:
 def dives_table(dives: Sequence[Mapping[str, Any]]) -> str:
     """List the dives, with a link where there is one."""
     logs = [f"[log]({dive['url']})" if "url" in dive else "no link" for dive in dives]
-    rows = [(*dive["tags"], log, dive["licence"], dive["faults"]) for dive, log in zip(dives, logs, strict=True)]
+    rows = [
+        (*dive["tags"], log, dive["licence"], dive["faults"])
+        for dive, log in zip(dives, logs, strict=True)
+    ]
     return markdown_table(("data set", "dive", "log", "licence", "known faults"), rows)
 
 
@@ -361,8 +460,13 @@ def picture(cells: Mapping[str, Sequence[Cell]]) -> bytes:
     for name, ranked in cells.items():
         rows = []
         for cell in (cell for cell in ranked if cell.rows):
-            row, text = cell.rows[0], f"{ratio_text(cell.rows[0].ratio)} {cell.verdict}, {label(cell.rows[0].quantity)}"
-            rows.append(ForestRow(cell.candidate, row.ratio, interval_ends(row), cell.verdict, text))
+            row, text = (
+                cell.rows[0],
+                f"{ratio_text(cell.rows[0].ratio)} {cell.verdict}, {label(cell.rows[0].quantity)}",
+            )
+            rows.append(
+                ForestRow(cell.candidate, row.ratio, interval_ends(row), cell.verdict, text)
+            )
         plot = re.search(r'<svg( width="100%" height="(\d+)">.*</svg>)', forest("", rows))
         if rows and plot is not None:
             drawn.append(f'<text x="8" y="{top + 18}">{name}</text><svg y="{top + ABOVE}"{plot[1]}')
@@ -382,17 +486,29 @@ def main(candidates: str = "*") -> None:
         cells = build(place)
     except UserError as error:
         sys.exit(f"error: {error}")
-    missing = [name for name, log in place.logs.items() if isinstance(log, UserError) and f"| {name} |" in page]
+    missing = [
+        name
+        for name, log in place.logs.items()
+        if isinstance(log, UserError) and f"| {name} |" in page
+    ]
     if candidates != "*" or missing:
         new = [cell for cell in cells if candidates != "*" or f"| `{cell.candidate}` |" not in page]
-        why = f", since {counted(len(missing), 'dive')} of it cannot be had: {listed(missing)}" if missing else ""
-        sys.stdout.write(f"{markdown_table(HEADER, map(row_of, new or cells))}\nThe page stays as it is{why}.\n")
+        why = (
+            f", since {counted(len(missing), 'dive')} of it cannot be had: {listed(missing)}"
+            if missing
+            else ""
+        )
+        sys.stdout.write(
+            f"{markdown_table(HEADER, map(row_of, new or cells))}\nThe page stays as it is{why}.\n"
+        )
         return
     PAGE.write_text(written(page, cells, place.dives), "utf-8")
     shown = by_data_set(cell for cell in cells if cell.candidate not in WORDS["planted"])
     PICTURE.write_bytes(picture(shown))
     for file in QUOTING:
-        file.write_text(renewed(file.read_text("utf-8"), {"benchmark": partial(quote, shown)}, COMMAND), "utf-8")
+        file.write_text(
+            renewed(file.read_text("utf-8"), {"benchmark": partial(quote, shown)}, COMMAND), "utf-8"
+        )
 
 
 if __name__ == "__main__":

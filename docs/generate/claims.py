@@ -86,9 +86,16 @@ def straight_claims(replay: Replay) -> Iterator[Claim]:
     tilt = INDEX["phi_n"]
     rows = np.flatnonzero(aided.updated)
     near = rows[
-        np.argmin(np.abs(seconds(aided.time_ns[rows], aided.time_ns[0]) - reached.loc["phi_n", "nearest_approach_s"]))
+        np.argmin(
+            np.abs(
+                seconds(aided.time_ns[rows], aided.time_ns[0])
+                - reached.loc["phi_n", "nearest_approach_s"]
+            )
+        )
     ]
-    below_pct = 100.0 * (1.0 - aided.sd[near, tilt] / FACTOR["phi_n"] / reached.loc["phi_n", "target_sd"])
+    below_pct = 100.0 * (
+        1.0 - aided.sd[near, tilt] / FACTOR["phi_n"] / reached.loc["phi_n", "target_sd"]
+    )
     highest = aided.sd[near, tilt] >= 0.9999 * aided.sd[rows, tilt].max()
     yield judged(
         place,
@@ -101,21 +108,24 @@ def straight_claims(replay: Replay) -> Iterator[Claim]:
     yield judged(
         place,
         "z accelerometer bias and x and y gyro biases are observable",
-        "left of their prior sigma: " + ", ".join(f"{name} {share:.1%}" for name, share in left.items()),
+        "left of their prior sigma: "
+        + ", ".join(f"{name} {share:.1%}" for name, share in left.items()),
         max(left.values()) < 0.25,
     )
     hidden = {state: left_share(aided, state) for state in ("phi_d", "bg_z")}
     yield judged(
         place,
         "heading and z gyro bias are not, with accelerations either",
-        "left with accelerations: " + ", ".join(f"{name} {share:.0%}" for name, share in hidden.items()),
+        "left with accelerations: "
+        + ", ".join(f"{name} {share:.0%}" for name, share in hidden.items()),
         min(hidden.values()) > 0.95,
     )
     pairs = levelling_pairs(aided)
     yield judged(
         place,
         "levelling and horizontal accelerometer biases hang together",
-        "correlation at the end: " + ", ".join(f"{name} {value:+.3f}" for name, value in pairs.items()),
+        "correlation at the end: "
+        + ", ".join(f"{name} {value:+.3f}" for name, value in pairs.items()),
         min(map(abs, pairs.values())) > 0.9,
     )
 
@@ -154,7 +164,12 @@ def eight_claims(eight: Replay, straight: Replay) -> Iterator[Claim]:
         bool((level - 51.0).abs().max() <= 2.0),
     )
     left = left_share(aided, "bg_z")
-    yield judged(place, "the z gyro bias stays unobservable", f"left of its prior sigma: {left:.1%}", left > 0.95)
+    yield judged(
+        place,
+        "the z gyro bias stays unobservable",
+        f"left of its prior sigma: {left:.1%}",
+        left > 0.95,
+    )
 
 
 def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: Result) -> Iterator[Claim]:
@@ -197,8 +212,10 @@ def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: Result) -> Iterator
     yield judged(
         place,
         "accelerometer biases converge fully, x and y gyro biases well, the z gyro bias more slowly",
-        "left of the prior sigma: " + ", ".join(f"{name} {share:.1%}" for name, share in shares.items()),
-        max(shares[name] for name in ("ba_x", "ba_y", "ba_z")) < 0.1 and shares["bg_z"] > shares["bg_x"],
+        "left of the prior sigma: "
+        + ", ".join(f"{name} {share:.1%}" for name, share in shares.items()),
+        max(shares[name] for name in ("ba_x", "ba_y", "ba_z")) < 0.1
+        and shares["bg_z"] > shares["bg_x"],
     )
     table = study.tables["montecarlo"]
     rows = table[table["filter"] == "aided"]
@@ -230,7 +247,10 @@ def window_claims(study: Result) -> Iterator[Claim]:
     windows, best = study.tables["window"], study.tables["best"]
     rows = windows[(windows["log"] == "*") & (windows["lever_arm"] == "compensated")]
     optimum = best[(best["log"] == "*") & (best["lever_arm"] == "compensated")].set_index("at")
-    for at, where in (("middle", "at the middle of the window"), ("end", "at its end, where it is used")):
+    for at, where in (
+        ("middle", "at the middle of the window"),
+        ("end", "at its end, where it is used"),
+    ):
         rmse = rows[rows["at"] == at].set_index("n")["rmse_mps2"]
         n = int(optimum.loc[at, "n"])
         falls_and_rises = rmse.index[0] < n < rmse.index[-1]
@@ -262,7 +282,9 @@ def observability_claims(study: Result) -> Iterator[Claim]:
     )
 
 
-def conclusion_claims(straight: pd.DataFrame, eight: pd.DataFrame, grades: Mapping[str, Result]) -> Iterator[Claim]:
+def conclusion_claims(
+    straight: pd.DataFrame, eight: pd.DataFrame, grades: Mapping[str, Result]
+) -> Iterator[Claim]:
     """Check what the conclusion says of all states, and of sensors of a lower grade.
 
     Parameters
@@ -340,7 +362,10 @@ def position_errors(dives: list[Replay]) -> pd.DataFrame:
     for replay in dives:
         table = frame(replay.tables.reference_error)
         table = table[table["quantity"] == "position_h"].set_index("filter")
-        rows[replay.dive.name] = {"baseline": table["baseline_rmse"].iloc[0], **table["rmse"].to_dict()}
+        rows[replay.dive.name] = {
+            "baseline": table["baseline_rmse"].iloc[0],
+            **table["rmse"].to_dict(),
+        }
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
@@ -393,8 +418,13 @@ def levelling_pairs(history: History) -> dict[str, float]:
     to_body[3:6, 3:6] = history.mat_nb[row].T
     cov = to_body @ history.cov[-1] @ to_body.T
     sd = np.sqrt(np.diag(cov))
-    pairs = {"ba_x with the tilt about y": (INDEX["ba_x"], 4), "ba_y with that about x": (INDEX["ba_y"], 3)}
-    return {name: float(cov[bias, tilt] / (sd[bias] * sd[tilt])) for name, (bias, tilt) in pairs.items()}
+    pairs = {
+        "ba_x with the tilt about y": (INDEX["ba_x"], 4),
+        "ba_y with that about x": (INDEX["ba_y"], 3),
+    }
+    return {
+        name: float(cov[bias, tilt] / (sd[bias] * sd[tilt])) for name, (bias, tilt) in pairs.items()
+    }
 
 
 def ensemble_sd(ensemble: Ensemble, state: str, time_s: float) -> float:

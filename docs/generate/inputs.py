@@ -20,12 +20,20 @@ def _stamp(entry: KnownType) -> str:
 
 def _rows(known: Types) -> Iterable[tuple[str, str, str, str]]:
     for entry in {id(entry): entry for entry in known.values()}.values():
-        yield "<br>".join(f"`{name}`" for name in entry.names), _gives(entry), _stamp(entry), entry.about
+        yield (
+            "<br>".join(f"`{name}`" for name in entry.names),
+            _gives(entry),
+            _stamp(entry),
+            entry.about,
+        )
 
 
 def _gives(entry: KnownType) -> str:
     fields = entry.fields.keys()
-    if fields & {"beam_velocity", "beam_velocity_vectors"} and entry.conventions.get("kind") != "velocity":
+    if (
+        fields & {"beam_velocity", "beam_velocity_vectors"}
+        and entry.conventions.get("kind") != "velocity"
+    ):
         return "beams"
     if "velocity" in fields:
         return "velocity"
@@ -43,7 +51,8 @@ def _gives(entry: KnownType) -> str:
 
 def _types(*groups: str) -> str:
     return markdown_table(
-        ("type", "gives", "stamp", "remarks"), [row for group in groups for row in _rows(TYPES[group])]
+        ("type", "gives", "stamp", "remarks"),
+        [row for group in groups for row in _rows(TYPES[group])],
     )
 
 
@@ -72,11 +81,17 @@ PARTS = {
     ),
     "imu": lambda: _types("imu", "imu_of_drivers"),
     "dvl": lambda: _types("dvl_beams", "dvl_velocity", "dvl_if_named"),
-    "reference": lambda: _types("nav_solution", "odometry", "fix", "extended_fix", "poses", "truth"),
+    "reference": lambda: _types(
+        "nav_solution", "odometry", "fix", "extended_fix", "poses", "truth"
+    ),
     "sensors": _sensors,
     "others": lambda: markdown_table(
         ("file", "endings", "what to do"),
-        [(known.name, _other(known.endings), known.step) for known in OTHER_FORMATS if known.endings],
+        [
+            (known.name, _other(known.endings), known.step)
+            for known in OTHER_FORMATS
+            if known.endings
+        ],
     ),
 }
 

@@ -25,7 +25,10 @@ Wheels = dict[str, set[str]]
 
 def platforms() -> list[str]:
     """Give the arguments by which pip knows the machine."""
-    names = (f"manylinux{glibc}_x86_64" if glibc == "2014" else f"manylinux_{glibc}_x86_64" for glibc in GLIBC)
+    names = (
+        f"manylinux{glibc}_x86_64" if glibc == "2014" else f"manylinux_{glibc}_x86_64"
+        for glibc in GLIBC
+    )
     return [word for name in names for word in ("--platform", name)]
 
 
@@ -33,7 +36,15 @@ def would_install(python: str, needed: list[str]) -> list[dict[str, Any]]:
     """Ask pip what it would install for a Python."""
     with TemporaryDirectory() as name:
         folder = Path(name)
-        command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--dry-run"]
+        command = [
+            sys.executable,
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--dry-run",
+        ]
         command += [
             "--ignore-installed",
             "--only-binary",
@@ -43,7 +54,13 @@ def would_install(python: str, needed: list[str]) -> list[dict[str, Any]]:
             "--python-version",
             python,
         ]
-        command += [*platforms(), "--target", str(folder / "target"), "--constraint", str(ROOT / "constraints.txt")]
+        command += [
+            *platforms(),
+            "--target",
+            str(folder / "target"),
+            "--constraint",
+            str(ROOT / "constraints.txt"),
+        ]
         subprocess.run([*command, "--report", str(folder / "report.json"), *needed], check=True)
         return list(json.loads((folder / "report.json").read_text("utf-8"))["install"])
 

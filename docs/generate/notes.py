@@ -19,7 +19,10 @@ def written() -> str:
         + markdown_table(
             ("code", "what happened", "effect on the results", "what to do"),
             [
-                (f"`{code}`", *(text.replace("|", r"\|") for text in (entry.what, entry.effect, entry.cure)))
+                (
+                    f"`{code}`",
+                    *(text.replace("|", r"\|") for text in (entry.what, entry.effect, entry.cure)),
+                )
                 for code, entry in entries.items()
             ],
         )

@@ -93,7 +93,9 @@ def sigmas(found: Compared) -> str:
         "here",
         "",
     )
-    rows = [_sigma_row(row, found.improvement.loc[str(state)]) for state, row in course.rows.iterrows()]
+    rows = [
+        _sigma_row(row, found.improvement.loc[str(state)]) for state, row in course.rows.iterrows()
+    ]
     there, here = course.mean_improvement_pct, found.mean_improvement_pct
     rows.append(("**mean**", *[""] * 7, percent(there), percent(here), agrees(there, here)))
     return markdown_table(header, rows)
@@ -125,7 +127,9 @@ def times(found: Compared) -> str:
     header = (
         "state", "paper [s]", "nearest approach [s]", "agrees", "sooner: paper", "here", "crossing [s]", "sooner"
     )  # fmt: skip
-    rows = [_time_row(row, found.convergence.loc[str(state)]) for state, row in course.rows.iterrows()]
+    rows = [
+        _time_row(row, found.convergence.loc[str(state)]) for state, row in course.rows.iterrows()
+    ]
     there, here = course.mean_convergence_pct, found.mean_nearest_pct
     means = percent(there), percent(here), "", percent(found.mean_crossing_pct)
     rows.append(("**mean**", "", "", agrees(there, here), *means))
@@ -162,12 +166,17 @@ def headline(straight: Compared, eight: Compared) -> str:
     settings = "settings that were fitted to table {} of the straight line"
     rests_on = (
         (straight, "errors", settings.format("I") + " itself"),
-        (straight, "times", settings.format("I") + ", and a definition of the time that was chosen by table II"),
+        (
+            straight,
+            "times",
+            settings.format("I") + ", and a definition of the time that was chosen by table II",
+        ),
         (eight, "errors", settings.format("I") + ", and a course that was chosen by this number"),
         (
             eight,
             "times",
-            settings.format("I") + ", a definition chosen by table II, and a course chosen by this number",
+            settings.format("I")
+            + ", a definition chosen by table II, and a course chosen by this number",
         ),
     )
     rows = []
@@ -201,7 +210,9 @@ def tally(straight: Compared, eight: Compared) -> str:
                 f"improvement {improved} of {n}",
             )
         )
-        sooner = sum(time_agrees(course.rows.loc[state], found.convergence.loc[state]) for state in states)
+        sooner = sum(
+            time_agrees(course.rows.loc[state], found.convergence.loc[state]) for state in states
+        )
         fitted = "definition chosen" if is_fitted == "fitted" else "not fitted"
         rows.append((course.times_table, fitted, f"time {sooner} of {n}"))
     return markdown_table(("table", "rows are", "rows that agree"), rows)
@@ -213,12 +224,16 @@ def _is_near(here: float, there: float) -> bool:
 
 def _improvement_agrees(published: pd.Series, ours: pd.Series) -> bool:
     there = published["improvement_pct"]
-    return bool(abs(ours["improvement_pct"] - (0.0 if np.isnan(there) else there)) <= IMPROVEMENT_WITHIN_PCT)
+    return bool(
+        abs(ours["improvement_pct"] - (0.0 if np.isnan(there) else there)) <= IMPROVEMENT_WITHIN_PCT
+    )
 
 
 def contradictions(straight: Compared, eight: Compared) -> str:
     """Write where the paper's text and its tables, or two of them, say different things, and what is found here."""
-    return markdown_table(("the paper says", "it also says", "here"), list(_contradictions(straight, eight)))
+    return markdown_table(
+        ("the paper says", "it also says", "here"), list(_contradictions(straight, eight))
+    )
 
 
 def _contradictions(straight: Compared, eight: Compared) -> Iterator[tuple[str, str, str]]:
@@ -228,7 +243,8 @@ def _contradictions(straight: Compared, eight: Compared) -> Iterator[tuple[str, 
     low, high = text["accel_bias_pct"]
     yield (
         f"figure-eight: {low:.0f} to {high:.0f} % smaller sigma of the accelerometer biases on all axes",
-        "table III: " + ", ".join(f"{eights.loc[state, 'improvement_pct']:.2f} % {state}" for state in accel),
+        "table III: "
+        + ", ".join(f"{eights.loc[state, 'improvement_pct']:.2f} % {state}" for state in accel),
         ", ".join(percent(eight.improvement.loc[state, "improvement_pct"]) for state in accel),
     )
     yield (
@@ -236,7 +252,10 @@ def _contradictions(straight: Compared, eight: Compared) -> Iterator[tuple[str, 
         f"section on it: about {text['section_pct']:.0f} %; table I: {straight.course.mean_improvement_pct} %, and "
         "none for phi_d and bg_z",
         f"{percent(straight.mean_improvement_pct)}; phi_d and bg_z "
-        + " and ".join(percent(straight.improvement.loc[state, "improvement_pct"]) for state in ("phi_d", "bg_z")),
+        + " and ".join(
+            percent(straight.improvement.loc[state, "improvement_pct"])
+            for state in ("phi_d", "bg_z")
+        ),
     )
     yield (
         f"table I: bg_z of both filters is {lines.loc['bg_z', 'aided_sd']:.2f} deg/h, so there is no improvement",
@@ -252,7 +271,9 @@ def _contradictions(straight: Compared, eight: Compared) -> Iterator[tuple[str, 
         f"{percent(eight.improvement.loc['bg_z', 'improvement_pct'])} smaller at the end",
     )
     slowest_s = eights["reached_s"].max()
-    ours_s = eight.convergence.loc[eights.index[eights["reached_s"].notna()], "nearest_approach_s"].max()
+    ours_s = eight.convergence.loc[
+        eights.index[eights["reached_s"].notna()], "nearest_approach_s"
+    ].max()
     yield (
         f"figure-eight: the overall performance of {eight.course.duration_s:.0f} s in {text['overall_s']:.0f} s",
         f"table IV: {slowest_s:.0f} s is the slowest of the eight states with a time; the "

@@ -30,17 +30,24 @@ def printed(folder: Path, *arguments: str) -> str:
     """Run the program in a folder, and return what it prints into a pipe."""
     command = [sys.executable, "-m", "insdvl_replay", *arguments]
     environment = {**os.environ, "PYTHONPATH": str(PROJECT)}
-    done = subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True, text=True)
+    done = subprocess.run(
+        command, cwd=folder, env=environment, check=True, capture_output=True, text=True
+    )
     return done.stdout.strip()
 
 
 def archive() -> str:
     """What is printed for the dives of the example archive."""
     with TemporaryDirectory() as folder:
-        shutil.copytree(PROJECT / "examples" / "archive" / "dives", Path(folder) / "examples" / "archive" / "dives")
+        shutil.copytree(
+            PROJECT / "examples" / "archive" / "dives",
+            Path(folder) / "examples" / "archive" / "dives",
+        )
         command = "run", "examples/archive/dives"
         first = printed(Path(folder), *command).splitlines()[:HEAD]
-        return "\n".join(["```console", f"$ insdvl-replay {' '.join(command)} | head -n {HEAD}", *first, "```"])
+        return "\n".join(
+            ["```console", f"$ insdvl-replay {' '.join(command)} | head -n {HEAD}", *first, "```"]
+        )
 
 
 def foreign() -> str:
@@ -64,9 +71,13 @@ def unknown_vehicle() -> str:
     environment = {**os.environ, "PYTHONPATH": str(PROJECT)}
     with TemporaryDirectory() as folder:
         shutil.copy(BLUEYE, folder)
-        done = subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True, text=True)
+        done = subprocess.run(
+            command, cwd=folder, env=environment, check=True, capture_output=True, text=True
+        )
     findings = [
-        line for line in done.stderr.splitlines() if line.startswith(("assumed: ", "found: ", "to repeat it: "))
+        line
+        for line in done.stderr.splitlines()
+        if line.startswith(("assumed: ", "found: ", "to repeat it: "))
     ]
     return "\n".join(["```text", *findings, "```"])
 
@@ -77,9 +88,21 @@ def paper() -> str:
     for name in SAMPLES:
         course = paper_tables.read_course(name)
         with TemporaryDirectory() as output:
-            printed(PROJECT, "run", f"sample_logs/{name}.mcap", "--preset", "levy-klein", "--output", output)
-            ours = json.loads((Path(output) / name / "report.json").read_bytes())["filters"]["aided"]
-        nearest_pct, crossing_pct = (ours[f"mean_{how}_improvement_pct"] for how in ("nearest_approach", "convergence"))
+            printed(
+                PROJECT,
+                "run",
+                f"sample_logs/{name}.mcap",
+                "--preset",
+                "levy-klein",
+                "--output",
+                output,
+            )
+            ours = json.loads((Path(output) / name / "report.json").read_bytes())["filters"][
+                "aided"
+            ]
+        nearest_pct, crossing_pct = (
+            ours[f"mean_{how}_improvement_pct"] for how in ("nearest_approach", "convergence")
+        )
         rows.append(
             (
                 f"`sample_logs/{name}.mcap`",
@@ -89,7 +112,13 @@ def paper() -> str:
             )
         )
     return markdown_table(
-        ("", "mean improvement: paper, here", "mean convergence, nearest approach: paper, here", "crossing"), rows
+        (
+            "",
+            "mean improvement: paper, here",
+            "mean convergence, nearest approach: paper, here",
+            "crossing",
+        ),
+        rows,
     )
 
 

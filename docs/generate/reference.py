@@ -45,7 +45,9 @@ def command_line() -> str:
 
 def _command(name: str, command: Any) -> Iterator[str]:
     below: Mapping[str, Any] = getattr(command, "commands", {})
-    text, _, example = inspect.cleandoc(command.help or "").replace("\b", "").partition("Example:\n")
+    text, _, example = (
+        inspect.cleandoc(command.help or "").replace("\b", "").partition("Example:\n")
+    )
     context = command.make_context(name, [], resilient_parsing=True)
     records = [parameter.get_help_record(context) for parameter in command.get_params(context)]
     yield f"\n## {name}\n"
@@ -88,7 +90,14 @@ def _section(name: str, section: Mapping[str, Any], known: Mapping[str, Any]) ->
         if "properties" in known.get(inner or named, {}):
             below.append((path if inner else f"{path}.{NAME}", known[inner or named]))
         else:
-            rows.append((f"`{key}`", _unit(key), _default(key, found, section), _cell(_meaning(found, known))))
+            rows.append(
+                (
+                    f"`{key}`",
+                    _unit(key),
+                    _default(key, found, section),
+                    _cell(_meaning(found, known)),
+                )
+            )
     if rows:
         yield f"\n## `[{name}]`\n"
         yield f"\n{_sentence(section.get('description', ''))}\n"
@@ -161,7 +170,9 @@ def python() -> str:
     """Write the public names, with their signatures."""
     head = "# Python\n\nThese names are public. All others may change.\n\n```python\nimport insdvl_replay\n```\n"
     names = sorted(name for name in insdvl_replay.__all__ if not name.startswith("_"))
-    return head + "".join(part for name in names for part in _public(name, getattr(insdvl_replay, name)))
+    return head + "".join(
+        part for name in names for part in _public(name, getattr(insdvl_replay, name))
+    )
 
 
 def _public(name: str, found: Any) -> Iterator[str]:
@@ -170,13 +181,20 @@ def _public(name: str, found: Any) -> Iterator[str]:
         yield f"\n```python\n{_signature(name, found)}\n```\n"
         return
     comments = _comments(found)
-    rows = [(f"`{field}`", _cell(_type(kind)), comments.get(field, "")) for field, kind in _annotations(found)]
+    rows = [
+        (f"`{field}`", _cell(_type(kind)), comments.get(field, ""))
+        for field, kind in _annotations(found)
+    ]
     for member, kind in sorted(vars(found).items()):
         if member.startswith("_") or not callable(getattr(kind, "fget", kind)):
             continue
         shown = member if isinstance(kind, property) else _signature(member, kind)
         rows.append(
-            (f"`{shown}`".replace("|", r"\|"), "property" if isinstance(kind, property) else "method", _first(kind))
+            (
+                f"`{shown}`".replace("|", r"\|"),
+                "property" if isinstance(kind, property) else "method",
+                _first(kind),
+            )
         )
     if rows:
         yield f"\n{markdown_table(('member', 'type', 'meaning'), rows)}\n"
@@ -186,12 +204,18 @@ def _comments(found: type) -> dict[str, str]:
     """Return the comment behind each field, by its name."""
     return {
         name: _cell(comment)
-        for name, comment in re.findall(r"^    (\w+): .*?  # (.+)$", inspect.getsource(found), re.MULTILINE)
+        for name, comment in re.findall(
+            r"^    (\w+): .*?  # (.+)$", inspect.getsource(found), re.MULTILINE
+        )
     }
 
 
 def _annotations(found: type) -> Iterator[tuple[str, Any]]:
-    yield from ((name, kind) for name, kind in inspect.get_annotations(found).items() if not name.startswith("_"))
+    yield from (
+        (name, kind)
+        for name, kind in inspect.get_annotations(found).items()
+        if not name.startswith("_")
+    )
 
 
 def _type(kind: Any) -> str:
@@ -202,7 +226,9 @@ def _type(kind: Any) -> str:
 def _signature(name: str, function: Callable[..., Any]) -> str:
     found = inspect.signature(function)
     kept = [parameter for key, parameter in found.parameters.items() if key != "self"]
-    plain = re.sub(r"\b(?:\w+\.)+(\w+)", r"\1", str(found.replace(parameters=kept))).replace("'", "")
+    plain = re.sub(r"\b(?:\w+\.)+(\w+)", r"\1", str(found.replace(parameters=kept))).replace(
+        "'", ""
+    )
     return name + re.sub(r"ndarray\[tuple\[[^]]*\], dtype\[\w+\]\]", "ndarray", plain)
 
 

@@ -134,7 +134,9 @@ def fog_study(scenario: str, preset: str) -> Result:
 
 def sample(name: str, config: Config) -> Replay:
     """Replay a sample log, and keep all of P."""
-    return replay_dive(read_checked_dive(PROJECT / "sample_logs" / f"{name}.mcap", config), config, keep_cov=True)
+    return replay_dive(
+        read_checked_dive(PROJECT / "sample_logs" / f"{name}.mcap", config), config, keep_cov=True
+    )
 
 
 def written(found: Findings) -> str:
@@ -263,10 +265,14 @@ def together(sea: AtSea) -> str:
     """What the eight dives say together, from their own starts and while the DVL is withheld."""
     rows = []
     for name in ("windowed", "published"):
-        evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in sea.dives]
+        evidence = [
+            [row for row in replay.tables.evidence if row.filter == name] for replay in sea.dives
+        ]
         pooled = {row.quantity: row for row in pooled_evidence(name, evidence)}
         rows += [_of_eight(name, pooled[quantity]) for quantity in TOGETHER]
-    return markdown_table(("filter", "quantity", "candidate over baseline, 95 %", "smaller on", "p", "verdict"), rows)
+    return markdown_table(
+        ("filter", "quantity", "candidate over baseline, 95 %", "smaller on", "p", "verdict"), rows
+    )
 
 
 def noise(sea: AtSea) -> str:
@@ -274,21 +280,40 @@ def noise(sea: AtSea) -> str:
     rows = []
     for noise, dives in (("the paper's", sea.dives), ("fitted", sea.fitted)):
         for name in ("windowed", "published"):
-            evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in dives]
+            evidence = [
+                [row for row in replay.tables.evidence if row.filter == name] for replay in dives
+            ]
             pooled = {row.quantity: row for row in pooled_evidence(name, evidence)}
-            outages = (_of_eight(name, pooled[quantity])[2] for quantity in ("outage_30s", "outage_60s"))
+            outages = (
+                _of_eight(name, pooled[quantity])[2] for quantity in ("outage_30s", "outage_60s")
+            )
             median_m = claims.position_errors(dives).median()
             rms = f"{median_m['baseline']:.2f}", f"{median_m[name]:.2f}"
             nis = f"{claims.mean_nis(dives).median() / 3.0:.2g}"
             rows.append((noise, nis, name, *rms, *outages, _larger(dives, name)))
-    titles = "noise", "NIS / dof of the baseline", "filter", "position rms [m]: baseline", "with accelerations"
-    return markdown_table((*titles, "drift without DVL, 30 s: over the baseline's", "60 s", "larger on"), rows)
+    titles = (
+        "noise",
+        "NIS / dof of the baseline",
+        "filter",
+        "position rms [m]: baseline",
+        "with accelerations",
+    )
+    return markdown_table(
+        (*titles, "drift without DVL, 30 s: over the baseline's", "60 s", "larger on"), rows
+    )
 
 
 def _of_eight(name: str, row: PooledRow) -> tuple[str, ...]:
     numbers = row.ratio, row.low, row.high
     ratio = "{:.3g} [{:.3g}, {:.3g}]".format(*(finite(number) for number in numbers))
-    return name, label(row.quantity), ratio, f"{row.dives_won} of {row.dives}", f"{finite(row.p):.2g}", row.verdict
+    return (
+        name,
+        label(row.quantity),
+        ratio,
+        f"{row.dives_won} of {row.dives}",
+        f"{finite(row.p):.2g}",
+        row.verdict,
+    )
 
 
 def tuning(found: Findings) -> str:
@@ -296,9 +321,23 @@ def tuning(found: Findings) -> str:
     studies = {("lawnmower", "levy-klein", "as the filter expects"): found.montecarlo}
     studies |= {(*key, "fibre-optic"): study for key, study in found.fog.items()}
     return markdown_table(
-        ("scenario", "sensors", "settings", "predicted", "true", "NEES: baseline", "with accelerations"),
+        (
+            "scenario",
+            "sensors",
+            "settings",
+            "predicted",
+            "true",
+            "NEES: baseline",
+            "with accelerations",
+        ),
         [
-            (scenario, sensors, preset, *_improvements(study.tables["montecarlo"]), *_nees(study.tables["verdicts"]))
+            (
+                scenario,
+                sensors,
+                preset,
+                *_improvements(study.tables["montecarlo"]),
+                *_nees(study.tables["verdicts"]),
+            )
             for (scenario, preset, sensors), study in studies.items()
         ],
     )
@@ -317,7 +356,8 @@ def positions(sea: AtSea) -> str:
     """The eight dives together."""
     errors = claims.position_errors(sea.dives).median()
     return markdown_table(
-        ("median of the eight dives", *errors.index), [("position rms [m]", *(f"{error:.2f}" for error in errors))]
+        ("median of the eight dives", *errors.index),
+        [("position rms [m]", *(f"{error:.2f}" for error in errors))],
     )
 
 
@@ -347,7 +387,9 @@ def geometry(sea: AtSea) -> str:
 def _larger(dives: list[Replay], name: str) -> str:
     """Write on how many dives the drift in 60 s without the DVL is larger."""
     rows = [row for replay in dives for row in replay.tables.evidence]
-    ratios = [finite(row.ratio) for row in rows if (row.filter, row.quantity) == (name, "outage_60s")]
+    ratios = [
+        finite(row.ratio) for row in rows if (row.filter, row.quantity) == (name, "outage_60s")
+    ]
     return f"{sum(ratio > 1.0 for ratio in ratios)} of {len(ratios)}"
 
 
@@ -362,6 +404,8 @@ if __name__ == "__main__":
     given = Path(sys.argv[1]) if len(sys.argv) > 1 else DIVES
     all_found = find(given)
     if all_found.sea is None:
-        sys.stderr.write(f"{given}: has not the eight dives, so the parts that need them stay as they are\n")
+        sys.stderr.write(
+            f"{given}: has not the eight dives, so the parts that need them stay as they are\n"
+        )
     PAGE.write_text(written(all_found), "utf-8")
     pictures.write(drawn(all_found))

@@ -19,18 +19,26 @@ PAGES = tuple(
     for name in ("first_run", "vehicle", "calibration", "verdict", "comparing", "own_filter")
 )
 SCREEN = re.compile(
-    r"(?<=<!-- screen: written by make readme -->\n)```console\n(.*?)```\n(?=<!-- end of screen -->)", re.DOTALL
+    r"(?<=<!-- screen: written by make readme -->\n)```console\n(.*?)```\n(?=<!-- end of screen -->)",
+    re.DOTALL,
 )
 
 
 def screen(block: str, folder: Path) -> str:
     """Run the commands of a block, and return the block with what they print on stdout."""
     commands = re.findall(r"^\$ (.*?[^\\])$", block, re.MULTILINE | re.DOTALL)
-    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    environment = os.environ | {
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    }
     parts = []
     for command in commands:
         done = subprocess.run(
-            ["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, check=False
+            ["bash", "-c", command],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         if done.returncode not in {0, 1}:
             raise ValueError(f"{command}: exit code {done.returncode}: {done.stderr}")

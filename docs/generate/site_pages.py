@@ -14,8 +14,14 @@ from written import PROJECT
 
 SOURCES = {
     **{path: path.name for path in sorted((PROJECT / "docs").glob("*.md"))},
-    **{path: f"equations/{path.name}" for path in sorted((PROJECT / "docs" / "equations").glob("*.md"))},
-    **{path: f"reference/{path.name}" for path in sorted((PROJECT / "docs" / "reference").glob("*.md"))},
+    **{
+        path: f"equations/{path.name}"
+        for path in sorted((PROJECT / "docs" / "equations").glob("*.md"))
+    },
+    **{
+        path: f"reference/{path.name}"
+        for path in sorted((PROJECT / "docs" / "reference").glob("*.md"))
+    },
     PROJECT / "CHANGELOG.md": "changes.md",
 }
 """Place in the site by file."""

@@ -56,7 +56,10 @@ def _row(middle: float, name: str, ratios: Sequence[float]) -> list[str]:
     colour = COLOURS[word]
     low, high = max(interval.low, LOWEST), min(interval.high, HIGHEST)
     said = f"{word.upper()}  {ratio_text(interval.ratio)} ({ratio_text(interval.low)} .. {ratio_text(interval.high)})"
-    dots = [f'<circle cx="{across(ratio):.1f}" cy="{middle + 8}" r="2" fill="#9ca3af"/>' for ratio in ratios]
+    dots = [
+        f'<circle cx="{across(ratio):.1f}" cy="{middle + 8}" r="2" fill="#9ca3af"/>'
+        for ratio in ratios
+    ]
     return [
         f'<text x="{LEFT - 12}" y="{middle + 4}" text-anchor="end">{escape(name)}</text>',
         *dots,

@@ -13,17 +13,23 @@ import numpy as np
 from insdvl_replay import UserMeasurement, UserReadings
 
 SD_MPS = 0.03
-ARM_X, ARM_Y, ARM_Z = map(float, os.environ.get("BEAMSNET_ARM_M", "0,0,0").split(","))  # IMU to DVL, of your vehicle
+ARM_X, ARM_Y, ARM_Z = map(
+    float, os.environ.get("BEAMSNET_ARM_M", "0,0,0").split(",")
+)  # IMU to DVL, of your vehicle
 SHAPES = ((6, 3, 2), (6,), (16, 18), (16,), (2, 16), (2,), (3, 6), (3,))
 YAW, TILT = np.deg2rad([45.0, 135.0, 225.0, 315.0]), np.deg2rad(20.0)
-BEAMS = np.column_stack([np.cos(YAW) * np.sin(TILT), np.sin(YAW) * np.sin(TILT), np.full(4, np.cos(TILT))])
+BEAMS = np.column_stack(
+    [np.cos(YAW) * np.sin(TILT), np.sin(YAW) * np.sin(TILT), np.full(4, np.cos(TILT))]
+)
 
 
 def load_weights(path):
     """Return the weights of all layers, from torch's file."""
     with zipfile.ZipFile(path) as file:
         data = [np.frombuffer(file.read(f"archive/data/{i}"), "<f4") for i in range(len(SHAPES))]
-    return [numbers.reshape(shape).astype(float) for numbers, shape in zip(data, SHAPES, strict=True)]
+    return [
+        numbers.reshape(shape).astype(float) for numbers, shape in zip(data, SHAPES, strict=True)
+    ]
 
 
 def velocity(weights, beams):
@@ -31,7 +37,9 @@ def velocity(weights, beams):
     kernel, kernel_bias, first, first_bias, second, second_bias, last, last_bias = weights
     past = np.stack([beams[i : len(beams) - 3 + i] for i in range(3)], axis=1)
     pairs = np.stack([past[:, :, :3], past[:, :, 1:]], axis=-1)  # neighbouring beams
-    features = np.tanh(np.einsum("kcbi,oci->kob", pairs, kernel) + kernel_bias[:, None]).reshape(len(past), 18)
+    features = np.tanh(np.einsum("kcbi,oci->kob", pairs, kernel) + kernel_bias[:, None]).reshape(
+        len(past), 18
+    )
     features = np.maximum(features @ first.T + first_bias, 0.0)
     features = np.maximum(features @ second.T + second_bias, 0.0)
     return np.column_stack([beams[3:], features]) @ last.T + last_bias

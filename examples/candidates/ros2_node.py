@@ -19,7 +19,16 @@ from pathlib import Path
 
 NODE = ["ros2", "run", "robot_localization", "ekf_node", "--ros-args", "--params-file", "ekf.yaml"]
 # The IMU of the dive has forward-starboard-down axes, ROS has forward-left-up.
-TRANSFORM = ["ros2", "run", "tf2_ros", "static_transform_publisher", "--roll", "3.14159265", "--child-frame-id", "imu"]
+TRANSFORM = [
+    "ros2",
+    "run",
+    "tf2_ros",
+    "static_transform_publisher",
+    "--roll",
+    "3.14159265",
+    "--child-frame-id",
+    "imu",
+]
 TOPIC = "/odometry/filtered"
 SETTLE_S, SPEED = 3.0, 10.0
 
@@ -49,7 +58,18 @@ def main(dive, start, solution):
         running = [subprocess.Popen(command, env=environment) for command in commands]
         try:
             time.sleep(SETTLE_S)
-            play = ["ros2", "bag", "play", "--storage", "mcap", "--clock", "200", "--rate", str(SPEED), dive]
+            play = [
+                "ros2",
+                "bag",
+                "play",
+                "--storage",
+                "mcap",
+                "--clock",
+                "200",
+                "--rate",
+                str(SPEED),
+                dive,
+            ]
             subprocess.run(play, env=environment, check=True)
         finally:
             for process in reversed(running):

@@ -31,7 +31,9 @@ def _dvl(**changes: Callable[[Dvl], Any]) -> Control:
 
     def control(dive: Dive, config: Config) -> tuple[Dive, Config]:
         values = {key: change(config.dvl) for key, change in changes.items()}
-        return dive, msgspec.structs.replace(config, dvl=msgspec.structs.replace(config.dvl, **values))
+        return dive, msgspec.structs.replace(
+            config, dvl=msgspec.structs.replace(config.dvl, **values)
+        )
 
     return control
 
@@ -105,7 +107,9 @@ def assay_of(dive: Dive, config: Config) -> list[AssayRow]:
     rows = []
     for name, control in CONTROLS.items():
         report_stage(f"assay: {name}")
-        after = _errors(replay_dive(*control(dive, config)).tables, independent=config.reference.independent)
+        after = _errors(
+            replay_dive(*control(dive, config)).tables, independent=config.reference.independent
+        )
         for quantity, (unit, value, role) in before.items():
             if quantity in after:
                 new = after[quantity][1]
@@ -133,7 +137,11 @@ def _errors(tables: Tables, *, independent: bool) -> dict[str, tuple[str, float,
 
 def _measured(tables: Tables) -> Iterator[_Measured]:
     """Yield what is measured of each quantity."""
-    errors = {row.quantity: row for row in tables.reference_error if row.status == ReferenceStatus.COMPARED}
+    errors = {
+        row.quantity: row
+        for row in tables.reference_error
+        if row.status == ReferenceStatus.COMPARED
+    }
     if "position_h" in errors:
         yield _Measured("position", "m", finite(errors["position_h"].rmse))
     for row in tables.outage:

@@ -25,7 +25,9 @@ BAG_METADATA: Final = "metadata.yaml"
 _LONGEST_LINE: Final = 4096  # letters of a path
 _NUMBER: Final = re.compile(r"[+-]?\d+\.?\d*([eE][+-]?\d+)?")
 # What a line looks like that names a log or a folder: a URL, a path with a slash, or one word.
-_PATHS: Final = tuple(map(re.compile, (r"[a-z0-9+]+://.*", r"[^,;{}$]*/[^,;{}$]*", r"[^\W\d][\w.+*?-]*")))
+_PATHS: Final = tuple(
+    map(re.compile, (r"[a-z0-9+]+://.*", r"[^,;{}$]*/[^,;{}$]*", r"[^\W\d][\w.+*?-]*"))
+)
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,9 @@ def usable_paths(dives: Sequence[FoundDive]) -> list[Path]:
     return [dive.path for dive in dives]
 
 
-def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = False) -> list[FoundDive]:
+def find_dives(
+    names: Sequence[str], base: Path = Path(), *, results: bool = False
+) -> list[FoundDive]:
     """Find the dives that are meant, in the order of the names, by name below a folder, and each once.
 
     Nothing is fetched or digested here; `fetch_dives` does that.
@@ -94,9 +98,15 @@ def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = Fal
                 if (first.settings, first.sha256) != (dive.settings, dive.sha256):
                     text = f"{dive.url or dive.path}: is listed twice, with different settings or digests"
                     raise ConfigError(text, "leave one of them out")
-        except (OSError, ValueError, RuntimeError) as error:  # too long, NUL in it, links in a circle
+        except (
+            OSError,
+            ValueError,
+            RuntimeError,
+        ) as error:  # too long, NUL in it, links in a circle
             reason = getattr(error, "strerror", None) or error
-            raise ConfigError(f"{name}: is not a usable path: {reason}", "check the path") from error
+            raise ConfigError(
+                f"{name}: is not a usable path: {reason}", "check the path"
+            ) from error
     return list(found.values())
 
 
@@ -134,12 +144,26 @@ def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[
         from insdvl_replay.batch.manifest import manifest_dives
 
         return manifest_dives(manifest, tag)
-    if lists and path.suffix == LIST_SUFFIX and path.is_file() and (lines := _listed(path)) is not None:
-        found = [dive for line in lines for dive in _meant(line, path.parent, results=results, lists=False)]
+    if (
+        lists
+        and path.suffix == LIST_SUFFIX
+        and path.is_file()
+        and (lines := _listed(path)) is not None
+    ):
+        found = [
+            dive
+            for line in lines
+            for dive in _meant(line, path.parent, results=results, lists=False)
+        ]
     else:
         found = [FoundDive(dive) for dive in _local(path, results=results)]
     result = result_named(path)
-    if result is not None and not results and found in ([], [FoundDive(path)]) and is_result(result):
+    if (
+        result is not None
+        and not results
+        and found in ([], [FoundDive(path)])
+        and is_result(result)
+    ):
         raise ConfigError(f"{path}: is a result, not a log", result_hint(result))
     if not found:
         kinds = "logs, bags or results" if results else "logs, bags or tables"
@@ -154,7 +178,9 @@ def _listed(path: Path) -> list[str] | None:
     except UnicodeDecodeError:
         return None
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read as a list of dives: {error}", "one path a line, UTF-8") from error
+        raise ConfigError(
+            f"{path}: cannot be read as a list of dives: {error}", "one path a line, UTF-8"
+        ) from error
     names = [line for line in lines if line and not line.startswith("#")]
     return names if not names or any(_can_be_path(name, path.parent) for name in names) else None
 
@@ -207,7 +233,11 @@ def _once_each(paths: Sequence[Path]) -> list[Path]:
     """Leave out the logs that are there converted, too."""
     there = set(paths)
     better = {suffix: LOG_SUFFIXES[:place] for place, suffix in enumerate(LOG_SUFFIXES)}
-    return [path for path in paths if there.isdisjoint(map(path.with_suffix, better.get(path.suffix, ())))]
+    return [
+        path
+        for path in paths
+        if there.isdisjoint(map(path.with_suffix, better.get(path.suffix, ())))
+    ]
 
 
 def _has_dives(folder: Path) -> bool:
@@ -215,7 +245,11 @@ def _has_dives(folder: Path) -> bool:
     if is_result(folder):
         return True
     for path in folder.rglob("*"):
-        if path.suffix in LOG_SUFFIXES or path.name == BAG_METADATA or (path.is_dir() and is_result(path)):
+        if (
+            path.suffix in LOG_SUFFIXES
+            or path.name == BAG_METADATA
+            or (path.is_dir() and is_result(path))
+        ):
             return True
     return False
 
@@ -232,8 +266,14 @@ def _in_folder(folder: Path, seen: set[str], *, results: bool) -> Iterator[Path]
         if (folder / BAG_METADATA).is_file():
             yield folder
             return
-        logs = [path for suffix in LOG_SUFFIXES for path in folder.glob(f"*{suffix}") if path.is_file()]
-        folders = [Path(entry) for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith(".")]
+        logs = [
+            path for suffix in LOG_SUFFIXES for path in folder.glob(f"*{suffix}") if path.is_file()
+        ]
+        folders = [
+            Path(entry)
+            for entry in os.scandir(folder)
+            if entry.is_dir() and not entry.name.startswith(".")
+        ]
         tables = [path for path in folder.iterdir() if path.suffix.lower() in TABLE_SUFFIXES]
         # In an archive a table lies beside the dives.
         if tables and not logs and not any(map(_has_dives, folders)):

@@ -25,7 +25,9 @@ def with_fitted_noise(
     *,
     force: bool,
     rerun: bool = False,
-    while_fitting: Callable[[], AbstractContextManager[object]] = nullcontext,  # shows that it takes time
+    while_fitting: Callable[
+        [], AbstractContextManager[object]
+    ] = nullcontext,  # shows that it takes time
 ) -> list[ReplayJob]:
     """Return jobs whose settings have a noise. A noise that was given stays.
 
@@ -55,7 +57,9 @@ def with_own_noise(job: ReplayJob) -> ReplayJob:
 def with_same_noise(
     before: Sequence[ReplayJob],
     after: Sequence[ReplayJob],
-    changed: Callable[[ReplayJob, Config], Config],  # settings of a job after the change, by those with a noise before
+    changed: Callable[
+        [ReplayJob, Config], Config
+    ],  # settings of a job after the change, by those with a noise before
     *,
     force: bool,
     rerun: bool = False,
@@ -93,7 +97,9 @@ def _is_alike(other: ReplayJob, job: ReplayJob) -> bool:
 
 def _with_new_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:
     """Fit the noise to dives with the same settings."""
-    from insdvl_replay.calibration.fitted_noise import fit_noise_of_logs  # heavy, and often not needed
+    from insdvl_replay.calibration.fitted_noise import (
+        fit_noise_of_logs,
+    )  # heavy, and often not needed
 
     options = jobs[0].options
     found = fit_noise_of_logs(
@@ -106,7 +112,10 @@ def _with_new_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:
         return list(jobs)
     notes = (*options.found, *found.notes)
     return [
-        replace(job, options=replace(job.options, config=found.config, found=notes, vehicle=found.text)) for job in jobs
+        replace(
+            job, options=replace(job.options, config=found.config, found=notes, vehicle=found.text)
+        )
+        for job in jobs
     ]
 
 

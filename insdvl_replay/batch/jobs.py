@@ -67,7 +67,9 @@ class ReplayOptions:
     history_format: str = ""  # of each filter's history next to it; empty for none
     require_fit: bool = False  # refuse a dive that shows that the settings are wrong
     blocked_by: str = ""  # the option without which settings that fit would be searched for
-    given: frozenset[str] = frozenset()  # keys of the settings that a search for others leaves as they are
+    given: frozenset[str] = (
+        frozenset()
+    )  # keys of the settings that a search for others leaves as they are
     found: tuple[Note, ...] = ()  # how the settings were found, if nobody made them
     vehicle: str = ""  # these settings as vehicle.toml
     version: str = __version__  # of the tool, which workers elsewhere must have, too
@@ -82,9 +84,15 @@ class ReplayJob:
     name: Path  # the one of them after which the dive is named
     target: Path  # its result folder, which bears the dive's name
     options: ReplayOptions
-    replaces: bool = False  # a result was there when the replay was asked for; what comes meanwhile stays
-    may_replace: bool = False  # this result, which has these settings with a noise that was fitted to other dives
-    sha256: str | None = None  # of the logs, where a worker may see other files; empty if they cannot be read here
+    replaces: bool = (
+        False  # a result was there when the replay was asked for; what comes meanwhile stays
+    )
+    may_replace: bool = (
+        False  # this result, which has these settings with a noise that was fitted to other dives
+    )
+    sha256: str | None = (
+        None  # of the logs, where a worker may see other files; empty if they cannot be read here
+    )
     error: UserError | None = None  # why the dive cannot be had
     vehicle: str = ""  # that its manifest names
 
@@ -107,7 +115,9 @@ def plan_jobs(
     dives: Sequence[FoundDive],
     output: Path,
     options: ReplayOptions,
-    configs: Mapping[Path | None, Config] = MappingProxyType({}),  # by the file of settings of a dive's own
+    configs: Mapping[Path | None, Config] = MappingProxyType(
+        {}
+    ),  # by the file of settings of a dive's own
     *,
     one_dive: bool = False,
 ) -> list[ReplayJob]:
@@ -120,7 +130,10 @@ def plan_jobs(
         from insdvl_replay.logs import name_giver  # heavy
 
         firsts, givers = [name_giver(logs[0])], [name_giver(givers)]
-        files, errors = [shared_settings(dives, "--one-dive")], [next((error for error in errors if error), None)]
+        files, errors = (
+            [shared_settings(dives, "--one-dive")],
+            [next((error for error in errors if error), None)],
+        )
         vehicles = [next(filter(None, vehicles), "")]
     own: dict[Path | None, ReplayOptions] = {
         file: replace(options, config=config, require_fit=False, blocked_by="")
@@ -155,7 +168,11 @@ def plan_both_sides(
 
 
 def known_reports(
-    jobs: Sequence[ReplayJob], *, force: bool, rerun: bool = False, report_note: Callable[[Note], None] = lambda _: None
+    jobs: Sequence[ReplayJob],
+    *,
+    force: bool,
+    rerun: bool = False,
+    report_note: Callable[[Note], None] = lambda _: None,
 ) -> dict[Path, Report]:
     """Return the reports of dives whose result is there and whole, made from the same log, settings and versions.
 
@@ -171,7 +188,9 @@ def known_reports(
         if isinstance(report, Report):
             # No digest is kept of all that code reads; its version stands for it.
             filters = job.options.config.filters.values()
-            if not rerun and not any(filter_.code and filter_.version is None for filter_ in filters):
+            if not rerun and not any(
+                filter_.code and filter_.version is None for filter_ in filters
+            ):
                 known[job.target] = report
             continue
         if isinstance(report, Note):
@@ -198,8 +217,15 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
         wanted = {*map(trajectory_file, names)} if "tum" in options.tracks else set()
         wanted |= {file for format_, file in MAPS.items() if format_ in options.tracks}
         wanted |= {REPLAY_LOG} if options.histories else set()
-        wanted |= {history_file(name, options.history_format) for name in names} if options.history_format else set()
-        config, codes = _settings_before_the_fit(report.config, report.notes), {note.code for note in report.notes}
+        wanted |= (
+            {history_file(name, options.history_format) for name in names}
+            if options.history_format
+            else set()
+        )
+        config, codes = (
+            _settings_before_the_fit(report.config, report.notes),
+            {note.code for note in report.notes},
+        )
         same = (
             (report.tool.version, report.tool.sources) == (options.version, options.sources)
             and report.versions == package_versions()
@@ -212,7 +238,11 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
             and log_digest(job) == report.log.sha256
         )
         damaged = damaged_files(job.target) if same else []
-    except (OSError, *NOT_JSON, UserError):  # a log that is no longer whole is reported by its replay
+    except (
+        OSError,
+        *NOT_JSON,
+        UserError,
+    ):  # a log that is no longer whole is reported by its replay
         return None
     if damaged:
         text = f"{job.target}: not as its replay wrote it: {listed(damaged)}"
@@ -224,7 +254,9 @@ def _settings_before_the_fit(config: dict[str, Any], notes: Sequence[Note]) -> d
     """Return the settings of a result without the tuned baseline, which is known by its note, since it was fitted."""
     if not any(note.code == CONTROL_NOTE for note in notes):
         return config
-    return config | {"filters": {name: config["filters"][name] for name in [*config["filters"]][:-1]}}
+    return config | {
+        "filters": {name: config["filters"][name] for name in [*config["filters"]][:-1]}
+    }
 
 
 def _made_otherwise(job: ReplayJob) -> str:
@@ -234,10 +266,15 @@ def _made_otherwise(job: ReplayJob) -> str:
     options = job.options
     try:
         stored = msgspec.json.decode(read_file(job.target / COMPLETE), type=StoredReport)
-        configs = _settings_before_the_fit(stored.config, stored.notes), msgspec.to_builtins(job.config)
+        configs = (
+            _settings_before_the_fit(stored.config, stored.notes),
+            msgspec.to_builtins(job.config),
+        )
         was_fitted = any(note.code == CONTROL_NOTE for note in stored.notes)
         # The keys of a filter that only one side has say nothing more than its name.
-        one_sided = tuple(f"filters.{name}." for name in {*configs[0]["filters"]} ^ {*configs[1]["filters"]})
+        one_sided = tuple(
+            f"filters.{name}." for name in {*configs[0]["filters"]} ^ {*configs[1]["filters"]}
+        )
         old, new = (
             {"filters": ", ".join(config["filters"]), "--control": is_fitted}
             | {key: value for key, value in flattened(config) if not key.startswith(one_sided)}
@@ -248,7 +285,9 @@ def _made_otherwise(job: ReplayJob) -> str:
         return ""
     settings = changed_settings(old, new)
     asked = {"version": options.version, "sources": options.sources}
-    is_other_version = stored.versions != package_versions() or not asked.items() <= stored.tool.items()
+    is_other_version = (
+        stored.versions != package_versions() or not asked.items() <= stored.tool.items()
+    )
     # What a fit would set says something only where nothing else differs.
     fitted = ("noise.fit", *(key for word in options.config.noise.fit for key in FREE[word]))
     others = [change for change in settings if not change.startswith(fitted)]
@@ -299,7 +338,9 @@ def replay_jobs(
 
 def _lost(job: ReplayJob, error: WorkerLostError) -> WorkerLostError:
     """Say which dive ended its process, and whose code ran in it: programs and classes of candidates have their own."""
-    filters = {name: filter_.code for name, filter_ in job.options.config.computed.items() if filter_.code}
+    filters = {
+        name: filter_.code for name, filter_ in job.options.config.computed.items() if filter_.code
+    }
     if not filters:
         return WorkerLostError(f"{job.name}: {error.message}", error.hint)
     code = listed([f"filters.{name} ({', '.join(words)})" for name, words in filters.items()])
@@ -321,10 +362,16 @@ def checked_dives(
     from insdvl_replay.changes.gate_file import Checked, require_known_filters
     from insdvl_replay.changes.gates import checked_results
 
-    logs = [dive for dive in dives if dive.path.suffix != ".json" and not (dive.path / COMPLETE).is_file()]
+    logs = [
+        dive
+        for dive in dives
+        if dive.path.suffix != ".json" and not (dive.path / COMPLETE).is_file()
+    ]
     jobs = plan_jobs(logs, output, options, configs)
     if len(logs) == len(dives):  # stored results may have other filters
-        require_known_filters(gates, list(dict.fromkeys(name for job in jobs for name in job.options.config.filters)))
+        require_known_filters(
+            gates, list(dict.fromkeys(name for job in jobs for name in job.options.config.filters))
+        )
     checked = list[Checked]()
     with closing(replay(jobs)) as replays:
         for dive in dives:
@@ -346,7 +393,9 @@ def _for_elsewhere(job: ReplayJob) -> ReplayJob:
     except (OSError, LogError):  # its replay reports it
         digest = ""
     logs = tuple(log.absolute() for log in job.logs)
-    return replace(job, logs=logs, name=job.name.absolute(), target=job.target.absolute(), sha256=digest)
+    return replace(
+        job, logs=logs, name=job.name.absolute(), target=job.target.absolute(), sha256=digest
+    )
 
 
 def _with_assay(job: ReplayJob, replay: "Replay") -> "Replay":
@@ -355,8 +404,12 @@ def _with_assay(job: ReplayJob, replay: "Replay") -> "Replay":
     from insdvl_replay.preparation.prepared import read_checked_dive
 
     allow_damaged = job.options.allow_damaged
-    dive = read_checked_dive(job.logs, job.config, allow_damaged=allow_damaged, name=job.target.name)
-    return replace(replay, tables=msgspec.structs.replace(replay.tables, assay=assay_of(dive, job.config)))
+    dive = read_checked_dive(
+        job.logs, job.config, allow_damaged=allow_damaged, name=job.target.name
+    )
+    return replace(
+        replay, tables=msgspec.structs.replace(replay.tables, assay=assay_of(dive, job.config))
+    )
 
 
 def replay_into(job: ReplayJob) -> bytes:
@@ -382,7 +435,9 @@ def replay_into(job: ReplayJob) -> bytes:
     from insdvl_replay.replay import Replay, replay_log
     from insdvl_replay.results.result_files import save_histories, save_replay
 
-    run: Callable[..., Replay] = partial(replay_log, require_fit=True) if options.require_fit else replay_log
+    run: Callable[..., Replay] = (
+        partial(replay_log, require_fit=True) if options.require_fit else replay_log
+    )
     if options.control:
         from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
 
@@ -415,7 +470,9 @@ def replay_into(job: ReplayJob) -> bytes:
         report = decode_report((folder / COMPLETE).read_bytes())
         elapsed_s = round(time.perf_counter() - start_s, 3)
         cpu_s = {name: round(seconds, 3) for name, seconds in replay.cpu_s.items()}
-        tool = msgspec.structs.replace(report.tool, started_at=started_at, elapsed_s=elapsed_s, cpu_s=cpu_s)
+        tool = msgspec.structs.replace(
+            report.tool, started_at=started_at, elapsed_s=elapsed_s, cpu_s=cpu_s
+        )
         (folder / COMPLETE).write_bytes(encode_report(msgspec.structs.replace(report, tool=tool)))
     return (job.target / COMPLETE).read_bytes()
 
@@ -428,7 +485,10 @@ def _has_settings(file: Path, config: Config) -> bool:
         found = load_config(file=file) if file.is_file() else None
     except UserError:
         return False
-    return found is not None and changed(found, span=config.span, evaluation=config.evaluation) == config
+    return (
+        found is not None
+        and changed(found, span=config.span, evaluation=config.evaluation) == config
+    )
 
 
 def log_digest(job: ReplayJob) -> str:
@@ -436,7 +496,9 @@ def log_digest(job: ReplayJob) -> str:
     if job.logs == (job.name,) and not job.name.is_dir():
         with job.name.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    from insdvl_replay.logs.formats.recording import open_recording  # which knows the order of the parts
+    from insdvl_replay.logs.formats.recording import (
+        open_recording,
+    )  # which knows the order of the parts
 
     log = open_recording(job.logs, allow_damaged=job.options.allow_damaged)
     with log.watched():

@@ -29,7 +29,9 @@ class ManifestDive(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     path: str = ""  # of a log, a bag or a folder of tables, relative to the manifest
     url: str = ""  # of a log
-    sha256: Annotated[str, Meta(pattern="^([0-9a-fA-F]{64})?$")] = ""  # of the log, as a report has it
+    sha256: Annotated[str, Meta(pattern="^([0-9a-fA-F]{64})?$")] = (
+        ""  # of the log, as a report has it
+    )
     settings: str = ""  # a file for -c, relative to the manifest
     vehicle: str = ""  # that made it, instead of `vehicle.name` of the settings
     licence: str = ""  # for people
@@ -58,11 +60,16 @@ def manifest_dives(file: Path, tag: str = "") -> list[FoundDive]:
         raise ConfigError(f"{file}: lists no dives", _EXAMPLE)
     for number, dive in enumerate(manifest.dive, 1):
         if bool(dive.path) == bool(dive.url) or (dive.url and not dive.sha256):
-            raise ConfigError(f"{file}: dive {number}: needs a path, or a url with its sha256", _EXAMPLE)
+            raise ConfigError(
+                f"{file}: dive {number}: needs a path, or a url with its sha256", _EXAMPLE
+            )
     chosen = [dive for dive in manifest.dive if not tag or tag in dive.tags]
     if not chosen:
         tags = sorted({tag for dive in manifest.dive for tag in dive.tags})
-        raise ConfigError(f"{file}: no dive has the tag '{tag}'", f"its tags are {listed(tags)}" if tags else _EXAMPLE)
+        raise ConfigError(
+            f"{file}: no dive has the tag '{tag}'",
+            f"its tags are {listed(tags)}" if tags else _EXAMPLE,
+        )
     return [_found(dive, file) for dive in chosen]
 
 
@@ -89,7 +96,9 @@ def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[Fo
             if dive.url and host in stalled:
                 raise LogError("its server stalled before", "try again later", dive.url)
             if dive.url:
-                return replace(dive, path=fetched(dive.url, dive.sha256, stopped.is_set, offline=offline))
+                return replace(
+                    dive, path=fetched(dive.url, dive.sha256, stopped.is_set, offline=offline)
+                )
             if dive.sha256 and dive.path.exists() and (digest := _digest(dive.path)) != dive.sha256:
                 text = f"its SHA-256 is {digest}; the manifest says {dive.sha256}"
                 raise LogError(text, "restore the log", dive.path)
@@ -99,7 +108,12 @@ def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[Fo
             return replace(dive, error=error)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
-            return replace(dive, error=LogError(f"cannot be read: {reason}", "check the path", dive.url or dive.path))
+            return replace(
+                dive,
+                error=LogError(
+                    f"cannot be read: {reason}", "check the path", dive.url or dive.path
+                ),
+            )
         return dive
 
     if not any(dive.sha256 or dive.url for dive in dives):

@@ -18,7 +18,13 @@ from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.consistency import log_likelihood
-from insdvl_replay.evaluation.notes import CLASSES, NOISE_FAR_OFF, beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.evaluation.notes import (
+    CLASSES,
+    NOISE_FAR_OFF,
+    beyond_the_sensor,
+    readings_scatter,
+    sensor_class,
+)
 from insdvl_replay.preparation.filters import resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import prepare_with_heading, prepared_timeline, run_one
@@ -45,7 +51,11 @@ processor to processor, and the search would go where they point."""
 
 
 def replay_with_tuned_baseline(
-    path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False, name: str | None = None
+    path: Path | Sequence[Path],
+    config: Config,
+    *,
+    allow_damaged: bool = False,
+    name: str | None = None,
 ) -> Replay:
     """Replay the dive in a log, with the tuned baseline beside the configured filters."""
     dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
@@ -59,7 +69,10 @@ def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note,
     """Return the settings with the tuned baseline among the filters, and notes on its noise."""
     baseline = config.filters[config.baseline]
     if NAME in config.filters:
-        raise ConfigError(f"filter '{NAME}' is configured already", f"rename [filters.{NAME}], or leave --control out")
+        raise ConfigError(
+            f"filter '{NAME}' is configured already",
+            f"rename [filters.{NAME}], or leave --control out",
+        )
     if baseline.aiding != ("velocity",):
         raise ConfigError(
             f"--control tunes a baseline aided by velocity alone, found {list(baseline.aiding)}",
@@ -68,7 +81,9 @@ def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note,
     dive = with_reference_at_imu(dive, config)
     start = prepare_with_heading(dive, config)
     end_ns = min(start.end_ns, int(start.velocities.time_ns[0]) + int(FIT_S * 1e9))
-    start = replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)
+    start = replace(
+        start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns
+    )
     # What is fitted, by key, as the baseline has it. The DVL's noise is in one of two keys.
     resolved = start.filters[0]
     before = {key: getattr(resolved.inertial_noise, key) for key in INERTIAL}
@@ -76,13 +91,17 @@ def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note,
     tuned = _fitted(dive, start, config, baseline, before)
     values = {key: getattr(tuned, key) for key in before}
     edges = [
-        key for key, value in values.items() if not 1.01 * LOWEST * before[key] < value < HIGHEST / 1.01 * before[key]
+        key
+        for key, value in values.items()
+        if not 1.01 * LOWEST * before[key] < value < HIGHEST / 1.01 * before[key]
     ]
 
     # Notes: what was fitted, and what stands for something else than the noise of a sensor
     pasted = ", ".join(f"{key} = {value:.4g}" for key, value in values.items())
     text = f"noise of the control, fitted to the baseline's innovations: [filters.{NAME}] {pasted}"
-    classes = {CLASSES[key].name: sensor_class(key, values[key]) for key in INERTIAL if key not in edges}
+    classes = {
+        CLASSES[key].name: sensor_class(key, values[key]) for key in INERTIAL if key not in edges
+    }
     if named := [f"{sensors} of class {best}" for sensors, best in classes.items() if best]:
         text += f" ({', '.join(named)})"
     if edges:
@@ -91,22 +110,35 @@ def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note,
     imu = dive.imu.within(start.alignment.start_ns, start.end_ns)
     readings = zip(INERTIAL, (imu.specific_force_b, imu.angular_rate_b), strict=True)
     scatter = {key: readings_scatter(values_b, imu.usual_step_s) for key, values_b in readings}
-    reasons = {key: beyond_the_sensor(key, value, scatter.get(key, 0.0)) for key, value in values.items()}
-    if found := [f"{key} = {values[key]:.4g} is {reason}" for key, reason in reasons.items() if reason]:
+    reasons = {
+        key: beyond_the_sensor(key, value, scatter.get(key, 0.0)) for key, value in values.items()
+    }
+    if found := [
+        f"{key} = {values[key]:.4g} is {reason}" for key, reason in reasons.items() if reason
+    ]:
         text = f"the control has fitted noise that cannot be the sensors': {'; '.join(found)}"
-        notes.append(Note("control_out_of_class", text, len(found), Severity.WARNING, GEOMETRY_FIRST))
+        notes.append(
+            Note("control_out_of_class", text, len(found), Severity.WARNING, GEOMETRY_FIRST)
+        )
     return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), tuple(notes)
 
 
-def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, before: Mapping[str, float]) -> Filter:
+def _fitted(
+    dive: Dive, start: Prepared, config: Config, baseline: Filter, before: Mapping[str, float]
+) -> Filter:
     """Return the baseline with the likeliest noise."""
 
     def filter_with(logarithms: Floats) -> Filter:
         factors = np.exp(np.clip(logarithms, np.log(LOWEST), np.log(HIGHEST)))
-        values = {key: float(value * factor) for (key, value), factor in zip(before.items(), factors, strict=True)}
+        values = {
+            key: float(value * factor)
+            for (key, value), factor in zip(before.items(), factors, strict=True)
+        }
         return msgspec.structs.replace(baseline, **values)
 
-    from scipy.optimize import minimize  # a third of a second, which a replay without it must not wait
+    from scipy.optimize import (
+        minimize,
+    )  # a third of a second, which a replay without it must not wait
 
     report_stage("running the filters")
     timeline = prepared_timeline(dive, start)

@@ -15,7 +15,14 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from types import FrameType
@@ -73,7 +80,11 @@ def do_each(
                 # A worker of a cluster may die after its work, before its result arrives. Then no worker is busy, and
                 # no result will arrive.
                 first = partial(wait, running, return_when=FIRST_COMPLETED)
-                if not first(_ANSWERED_WITHIN_S).done and is_idle() and not first(_ANSWERED_WITHIN_S).done:
+                if (
+                    not first(_ANSWERED_WITHIN_S).done
+                    and is_idle()
+                    and not first(_ANSWERED_WITHIN_S).done
+                ):
                     for future in running:
                         future.cancel()
                 for future in [future for future in running if future.cancelled()] or first().done:
@@ -92,7 +103,10 @@ def _outcome(result: Callable[[], Result]) -> Result | Exception:
     except Exception as error:
         if was_interrupted():  # a library made another error of the interrupt
             raise KeyboardInterrupt from error
-        if isinstance(error, BrokenExecutor | CancelledError) or type(error).__name__ == "KilledWorker":
+        if (
+            isinstance(error, BrokenExecutor | CancelledError)
+            or type(error).__name__ == "KilledWorker"
+        ):
             return WorkerLostError(
                 f"its worker died, and died again with nothing else to do: {error}",
                 "a machine that runs out of memory kills, and code in the settings may: "
@@ -185,7 +199,9 @@ def _begin(safe_path: str | None) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, _end)
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # a worker ends with a parent that is killed
+        ctypes.CDLL(None).prctl(
+            _PR_SET_PDEATHSIG, signal.SIGKILL
+        )  # a worker ends with a parent that is killed
         parent = multiprocessing.parent_process()
         if parent is None or not parent.is_alive():
             os._exit(1)
@@ -204,7 +220,9 @@ def _do(work: Callable[[Item], Result], item: Item) -> Result:
     except SystemExit:
         os._exit(1)
     except Exception as error:
-        if is_out_of_memory(error) and not isinstance(error, MemoryError):  # the limit is known here
+        if is_out_of_memory(error) and not isinstance(
+            error, MemoryError
+        ):  # the limit is known here
             raise MemoryError(str(error)) from error
         raise
 
@@ -224,7 +242,9 @@ def cluster_pool(address: str) -> Pool:
 
 
 @contextmanager
-def _cluster(distributed: Any, address: str, alone: bool) -> Iterator[tuple[Submit, int, Callable[[], bool]]]:
+def _cluster(
+    distributed: Any, address: str, alone: bool
+) -> Iterator[tuple[Submit, int, Callable[[], bool]]]:
     try:
         client = distributed.Client(address, timeout=_REACHED_WITHIN_S, set_as_default=False)
         client.wait_for_workers(1, timeout=_WORKERS_WITHIN_S)

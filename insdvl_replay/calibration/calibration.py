@@ -83,11 +83,15 @@ MANY_TIMES: Final = 3.0  # Birge ratio from which dives contradict each other
 WEAK: Final = 10.0
 CORRELATED: Final = 0.3
 INSEPARABLE: Final = 0.9
-TOO_LARGE: Final = 2.0  # innovations that scatter by more, in their own sds, have another cause than the geometry
+TOO_LARGE: Final = (
+    2.0  # innovations that scatter by more, in their own sds, have another cause than the geometry
+)
 OUTAGES_S: Final = ("60",)
 AXES: Final = ("forward", "starboard", "down")
 
-Refusals = Iterator[tuple[int, tuple[Estimated, str]]]  # indices of parameters that are left unchanged, and why
+Refusals = Iterator[
+    tuple[int, tuple[Estimated, str]]
+]  # indices of parameters that are left unchanged, and why
 
 
 @dataclass(frozen=True)
@@ -148,7 +152,11 @@ class Calibration:
 
 
 def calibrate(
-    dives: Sequence[DiveInnovations], config: Config, groups: Collection[str] = ALL_GROUPS, *, one_delay: bool = False
+    dives: Sequence[DiveInnovations],
+    config: Config,
+    groups: Collection[str] = ALL_GROUPS,
+    *,
+    one_delay: bool = False,
 ) -> Calibration:
     """Estimate the parameters that the dives determine, and leave the others unchanged."""
     asked = np.array([parameter.group in groups for parameter in PARAMETERS])
@@ -178,7 +186,9 @@ def calibrate(
     is_hidden = asked.any() and not free.any()
     if NOISE in groups and not is_hidden:
         own = config.filters[config.baseline]
-        noise, noise_rows = determined_noise(noise, dives, [change] * len(dives), nis_by_errors(found, effects), own)
+        noise, noise_rows = determined_noise(
+            noise, dives, [change] * len(dives), nis_by_errors(found, effects), own
+        )
     else:
         status = Estimated.HELD if NOISE in groups else Estimated.NOT_ASKED
         why = NO_GEOMETRY if is_hidden else ""
@@ -188,13 +198,23 @@ def calibrate(
     dive_rows = []
     for i, (dive, near) in enumerate(zip(map(noise.applied, dives), found.dives, strict=True)):
         delay = (float(delays_s[i]), float(sds_s[i])) if free[DELAY] else (None, None)
-        scatters = [scatter_of(dive.residuals(free * tried)) for tried in (NO_CHANGE, found.change(i))]
+        scatters = [
+            scatter_of(dive.residuals(free * tried)) for tried in (NO_CHANGE, found.change(i))
+        ]
         axes = np.concatenate([*scatters, autocorrelation(near)]).tolist()
         dive_rows.append(DiveRow(dive.name, dive.count, dive.left_out, *delay, *axes))
     warnings = tuple(_warnings(found, certainty, free, dive_rows, noise_rows))
     before = Geometry.of(config.dvl)
     return Calibration(
-        before, before.changed(change), change, rows, tuple(dive_rows), warnings, found, noise, noise_rows
+        before,
+        before.changed(change),
+        change,
+        rows,
+        tuple(dive_rows),
+        warnings,
+        found,
+        noise,
+        noise_rows,
     )
 
 
@@ -215,9 +235,21 @@ def _refused(certainty: Certainty, change: Floats, asked: Mask, noise_shares: Fl
         if noise_shares[row] > MOSTLY:
             yield row, (Estimated.HELD, f"{NOISE_ALONE}: needs {parameter.shown_by}")
         elif seen < LEAST_SEEN.get(parameter.group, SEEN):
-            yield row, (Estimated.HELD, SMOOTHED if row == SCALE and seen >= SEEN else f"needs {parameter.shown_by}")
+            yield (
+                row,
+                (
+                    Estimated.HELD,
+                    SMOOTHED if row == SCALE and seen >= SEEN else f"needs {parameter.shown_by}",
+                ),
+            )
         elif row == DELAY and abs(change[row]) > LATEST_S - DELAY_STEP_S:
-            yield row, (Estimated.IMPLAUSIBLE, "at the edge of the search range. Check the clocks and stamps")
+            yield (
+                row,
+                (
+                    Estimated.IMPLAUSIBLE,
+                    "at the edge of the search range. Check the clocks and stamps",
+                ),
+            )
         elif row == SCALE and _is_wild(change[row]):
             reason = "larger than any error of the speed of sound. The DVL may smooth, or the stamps may jitter"
             yield row, (Estimated.IMPLAUSIBLE, reason)
@@ -234,7 +266,12 @@ def parameter_rows(
     refused: Mapping[int, tuple[Estimated, str]],
 ) -> Iterator[ParameterRow]:
     """Yield the rows of the parameters: the proposed or rejected change, with its standard deviations."""
-    sds = np.array([getattr(certainty, name) for name in ("formal", "correlated", "between", "beams", "imu", "sd")])
+    sds = np.array(
+        [
+            getattr(certainty, name)
+            for name in ("formal", "correlated", "between", "beams", "imu", "sd")
+        ]
+    )
     for row, parameter in enumerate(parameters):
         if not asked[row]:
             yield ParameterRow(parameter.name, parameter.unit, status=Estimated.NOT_ASKED)
@@ -242,7 +279,9 @@ def parameter_rows(
         status, why = refused.get(row, (Estimated.ESTIMATED, parameter.shown_by))
         change = {Estimated.HELD: 0.0, Estimated.IMPLAUSIBLE: found[row]}.get(status, proposed[row])
         in_units = parameter.shown_as * np.array([change, *sds[:, row]])
-        numbers = map(finite_or_none, [*in_units, certainty.signal_to_noise[row], certainty.birge[row]])
+        numbers = map(
+            finite_or_none, [*in_units, certainty.signal_to_noise[row], certainty.birge[row]]
+        )
         shown, formal, correlated, between, beams, imu, sd, signal, birge = numbers
         measured = (shown, formal, correlated, between, beams, imu, sd, signal, birge)
         yield ParameterRow(parameter.name, parameter.unit, *measured, status, why)
@@ -254,7 +293,11 @@ def finite_or_none(value: float) -> Number:
 
 
 def _warnings(
-    found: Fit, certainty: Certainty, free: Mask, dives: Sequence[DiveRow], noise: Sequence[NoiseRow]
+    found: Fit,
+    certainty: Certainty,
+    free: Mask,
+    dives: Sequence[DiveRow],
+    noise: Sequence[NoiseRow],
 ) -> Iterator[str]:
     """Yield the warnings about the estimate."""
     for row in np.flatnonzero(free & (np.nan_to_num(certainty.birge) > MANY_TIMES)):
@@ -262,7 +305,9 @@ def _warnings(
             f"{NAMES[row]} differs between the dives by {certainty.birge[row]:.1f} times the expected scatter. "
             "The DVL may have been moved"
         )
-    weak = ", ".join(NAMES[row] for row in np.flatnonzero(free) if certainty.signal_to_noise[row] < WEAK)
+    weak = ", ".join(
+        NAMES[row] for row in np.flatnonzero(free) if certainty.signal_to_noise[row] < WEAK
+    )
     if weak:
         yield f"weakly observable, signal to noise below {WEAK:g}: {weak}. Test the result on other dives (--hold-out)"
     for index in np.flatnonzero(free).tolist():
@@ -274,7 +319,9 @@ def _warnings(
         yield f"{first} and {second} are strongly correlated ({correlation:+.2f})"
     for dive in dives:
         correlated = []
-        for axis, scatter, correlation in zip(AXES, dive.axes("after"), dive.axes("autocorrelation"), strict=True):
+        for axis, scatter, correlation in zip(
+            AXES, dive.axes("after"), dive.axes("autocorrelation"), strict=True
+        ):
             if scatter > TOO_LARGE:
                 yield (
                     f"{dive.dive}: innovations {axis} have {scatter:.1f} times their expected standard deviation. "
@@ -297,7 +344,10 @@ def _warnings(
 
 
 def held_out_row(
-    read: ReadDive, change: Floats, noise: FittedNoise | None = None, windows_s: Sequence[str] = OUTAGES_S
+    read: ReadDive,
+    change: Floats,
+    noise: FittedNoise | None = None,
+    windows_s: Sequence[str] = OUTAGES_S,
 ) -> HeldOutRow:
     """Return the row of a held-out dive: NIS and drift before and after a change, (8,), and NIS with a new noise."""
     asked, alone = read.innovations(), read.alone
@@ -306,11 +356,17 @@ def held_out_row(
     outages = []
     for tried in (NO_CHANGE, change):
         nis.append(float(np.mean(asked.runner(tried)(asked.filter).nis)) / 3.0)
-        pings = moved_pings(prepared.velocities, tried).within(prepared.alignment.start_ns, prepared.end_ns)
-        moved = replace(prepared, velocities=pings, mounting=moved_mounting(prepared.mounting, tried))
+        pings = moved_pings(prepared.velocities, tried).within(
+            prepared.alignment.start_ns, prepared.end_ns
+        )
+        moved = replace(
+            prepared, velocities=pings, mounting=moved_mounting(prepared.mounting, tried)
+        )
         runs = run_candidates(read.dive, moved, plan_runs(read.dive, moved, alone, starts=0), alone)
         rows = outage_test_table(read.dive.name, runs.outages)
-        outages.append(next((row for window_s in windows_s for row in rows if row.window_s == window_s), None))
+        outages.append(
+            next((row for window_s in windows_s for row in rows if row.window_s == window_s), None)
+        )
     windows = outages[0].windows if outages[0] else 0
     noisy = None if noise is None else nis_per_dof(noise.applied(asked), change)
     before_m, after_m = (None if row is None else row.drift_median_m for row in outages)

@@ -40,7 +40,9 @@ class Certainty:
     @property
     def sd(self) -> Floats:
         """The largest of the three, plus the errors of beams and IMU; at most the prior's."""
-        return np.asarray(np.minimum(np.sqrt(self._largest**2 + self.beams**2 + self.imu**2), self.prior_sd))
+        return np.asarray(
+            np.minimum(np.sqrt(self._largest**2 + self.beams**2 + self.imu**2), self.prior_sd)
+        )
 
     @property
     def _largest(self) -> Floats:
@@ -57,7 +59,9 @@ class Certainty:
         return np.sqrt((self.prior_sd / np.minimum(self._largest, self.prior_sd)) ** 2 - 1.0)
 
 
-def certainty_of(fit: Fit, with_imu_errors: Fit | None = None, pulled_by: Floats | None = None) -> Certainty:
+def certainty_of(
+    fit: Fit, with_imu_errors: Fit | None = None, pulled_by: Floats | None = None
+) -> Certainty:
     """Return the standard deviations of a fit, with the fit of `with_estimated_imu_errors` and the result of `pulled`.
 
     Without these two, the sensors are taken as perfect.
@@ -71,7 +75,9 @@ def certainty_of(fit: Fit, with_imu_errors: Fit | None = None, pulled_by: Floats
     beams = imu = np.zeros(OWN)
     if pulled_by is not None:
         parts = mean_of @ np.column_stack([pulled_by, inner.step])
-        beams, imu = (np.linalg.norm(part, axis=1) for part in np.split(parts, [BEAM_ERRORS], axis=1))
+        beams, imu = (
+            np.linalg.norm(part, axis=1) for part in np.split(parts, [BEAM_ERRORS], axis=1)
+        )
     # The mean of the dives' delays has one prior for each dive.
     prior_sd = np.sqrt(mean_of**2 @ fit.prior_sd**2)
     between = birge = np.full(OWN, np.nan)
@@ -116,7 +122,9 @@ def correlations(fit: Fit, at_least: float) -> list[tuple[str, str, float]]:
     """Return the pairs of parameters with a strong correlation."""
     correlation = correlation_matrix(fit)
     rows, columns = np.nonzero(np.triu(np.abs(correlation) >= at_least, 1))
-    return [(NAMES[i], NAMES[j], float(correlation[i, j])) for i, j in zip(rows, columns, strict=True)]
+    return [
+        (NAMES[i], NAMES[j], float(correlation[i, j])) for i, j in zip(rows, columns, strict=True)
+    ]
 
 
 def correlation_matrix(fit: Fit) -> Floats:
@@ -209,9 +217,15 @@ def noise_share(found: Fit, dives: Sequence[DiveInnovations]) -> Floats:
         accel_mps2 = times * noise.accel_white_mps_rts / root_s
         gyro_radps = min(times * noise.gyro_white_rad_rts, shown) / root_s
         force_b = imu.specific_force_b + accel_mps2 * rng.standard_normal(shape)
-        noisier = _with_imu(dive, force_b, imu.angular_rate_b + gyro_radps * rng.standard_normal(shape))
-        added = noisier.jacobian(found.change(i), found.free) / near.scatter[:, None] - near.jacobian
-        own, whole = (np.einsum("ka,kai->i", near.weights, part**2) for part in (added, near.jacobian))
+        noisier = _with_imu(
+            dive, force_b, imu.angular_rate_b + gyro_radps * rng.standard_normal(shape)
+        )
+        added = (
+            noisier.jacobian(found.change(i), found.free) / near.scatter[:, None] - near.jacobian
+        )
+        own, whole = (
+            np.einsum("ka,kai->i", near.weights, part**2) for part in (added, near.jacobian)
+        )
         shares[i] = own / np.maximum(whole, np.finfo(float).tiny)
     return shares
 
@@ -221,7 +235,10 @@ def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations], noise_shares
     near_by_motion = []
     for i, (dive, near) in enumerate(zip(dives, smallest.dives, strict=True)):
         imu, noisy = dive.dive.imu, noise_shares[i] > LITTLE
-        slow = (averaged(readings, imu.usual_step_s) for readings in (imu.specific_force_b, imu.angular_rate_b))
+        slow = (
+            averaged(readings, imu.usual_step_s)
+            for readings in (imu.specific_force_b, imu.angular_rate_b)
+        )
         jacobian = _with_imu(dive, *slow).jacobian(smallest.change(i), smallest.free & noisy)
         by_motion = np.where(noisy, jacobian / near.scatter[:, None], near.jacobian)
         near_by_motion.append(replace(near, by_motion=by_motion * (noise_shares[i] <= MOSTLY)))
@@ -229,12 +246,17 @@ def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations], noise_shares
     values = here.values + here.step
     values[OWN - 1 :] = np.clip(values[OWN - 1 :], -LATEST_S, LATEST_S)
     moved = (dive.residuals(values[rows]) for rows, dive in zip(smallest.rows, dives, strict=True))
-    there = (replace(near, residuals=residuals) for near, residuals in zip(here.dives, moved, strict=True))
+    there = (
+        replace(near, residuals=residuals)
+        for near, residuals in zip(here.dives, moved, strict=True)
+    )
     return replace(here, values=values, dives=tuple(there))
 
 
 def _with_imu(dive: DiveInnovations, force_b: Floats, rate_b: Floats) -> DiveInnovations:
-    return replace(dive, dive=replace(dive.dive, imu=ImuColumns(dive.dive.imu.time_ns, force_b, rate_b)))
+    return replace(
+        dive, dive=replace(dive.dive, imu=ImuColumns(dive.dive.imu.time_ns, force_b, rate_b))
+    )
 
 
 def averaged(readings: Floats, step_s: float) -> Floats:
@@ -252,11 +274,15 @@ def averaged(readings: Floats, step_s: float) -> Floats:
 # effect is found as if its errors were estimated together with the geometry. Source: Schmidt, "Application of
 # state-space methods to navigation problems", 1966 ("consider" parameters).
 
-OFFSET_SD_MPS: Final = 0.001  # of a beam's constant offset. Makers of DVLs give 1 mm/s and 0.2 % or more.
+OFFSET_SD_MPS: Final = (
+    0.001  # of a beam's constant offset. Makers of DVLs give 1 mm/s and 0.2 % or more.
+)
 STRETCH_SD: Final = 0.002  # of a beam's scale
 # Tactical sensors have 300 to 500 ppm by their data sheets (Sensonor STIM300), smaller ones 0.1 to 0.5 %.
 IMU_SCALE_SD: Final = 1.5e-3
-IMU_MISALIGNMENT_SD: Final = 1e-3  # rad, of each axis of a triad towards each other one, by the same data sheet
+IMU_MISALIGNMENT_SD: Final = (
+    1e-3  # rad, of each axis of a triad towards each other one, by the same data sheet
+)
 STEP: Final = 3.0  # of differences, in these standard deviations
 BEAM_ERRORS: Final = 2 * len(beam_vectors())
 
@@ -268,7 +294,9 @@ def effects_of_errors(fit: Fit, dives: Sequence[DiveInnovations]) -> list[Floats
     """
     found = []
     for i, (dive, near) in enumerate(zip(dives, fit.dives, strict=True)):
-        shaken = parallel_map(partial(DiveInnovations.residuals, change=fit.change(i)), _with_errors(dive))
+        shaken = parallel_map(
+            partial(DiveInnovations.residuals, change=fit.change(i)), _with_errors(dive)
+        )
         effects = [(residuals - near.residuals) / (STEP * near.scatter) for residuals in shaken]
         found.append(np.stack(effects, axis=-1))
     return found
@@ -276,13 +304,22 @@ def effects_of_errors(fit: Fit, dives: Sequence[DiveInnovations]) -> list[Floats
 
 def _with_errors(dive: DiveInnovations) -> Iterator[DiveInnovations]:
     """Return the dive with one error after the other, each of `STEP` standard deviations."""
-    mat_bd, beams, velocities = dive.prepared.mounting.mat_bd, beam_vectors(), dive.prepared.velocities
+    mat_bd, beams, velocities = (
+        dive.prepared.mounting.mat_bd,
+        beam_vectors(),
+        dive.prepared.velocities,
+    )
     seen_mps = velocities.velocity_b @ mat_bd @ beams.T
     per_beam_b = mat_bd @ np.linalg.pinv(beams)
     for errors_mps in (np.full_like(seen_mps, OFFSET_SD_MPS), STRETCH_SD * seen_mps):
         for beam in range(len(beams)):
-            moved_b = velocities.velocity_b + STEP * np.outer(errors_mps[:, beam], per_beam_b[:, beam])
-            yield replace(dive, prepared=replace(dive.prepared, velocities=replace(velocities, velocity_b=moved_b)))
+            moved_b = velocities.velocity_b + STEP * np.outer(
+                errors_mps[:, beam], per_beam_b[:, beam]
+            )
+            yield replace(
+                dive,
+                prepared=replace(dive.prepared, velocities=replace(velocities, velocity_b=moved_b)),
+            )
     # Each axis of the accelerometers reads a part of each axis, then each of the gyros.
     imu = dive.dive.imu
     for name in ("specific_force_b", "angular_rate_b"):

@@ -50,7 +50,9 @@ def require_groups(names: Sequence[str] | None, *, reference: bool) -> tuple[str
     for name in groups:
         require_known("--only", name, known)
     if not groups:
-        raise ConfigError("--only names nothing", f"choose from {', '.join(known)}, separated by commas")
+        raise ConfigError(
+            "--only names nothing", f"choose from {', '.join(known)}, separated by commas"
+        )
     return groups
 
 
@@ -63,7 +65,9 @@ def calibrate_dives(
     reference: bool = False,  # compare with the references, and calibrate these, too
     one_delay: bool = False,  # for all dives
     mounting_unknown: bool = False,  # try 24 mountings first
-    windows_s: Sequence[str] = OUTAGES_S,  # of the drift without DVL; the first that the held-out dives have
+    windows_s: Sequence[
+        str
+    ] = OUTAGES_S,  # of the drift without DVL; the first that the held-out dives have
 ) -> CalibratedDives:
     """Calibrate dives, and test the result on those that are held out."""
     kept, held = _divided(dives, hold_out)
@@ -81,7 +85,9 @@ def calibrate_dives(
     return CalibratedDives(replace(found, held_out=tuple(others)), config, kept, asked)
 
 
-def _divided(dives: Sequence[ReadDive], hold_out: Sequence[str]) -> tuple[list[ReadDive], list[ReadDive]]:
+def _divided(
+    dives: Sequence[ReadDive], hold_out: Sequence[str]
+) -> tuple[list[ReadDive], list[ReadDive]]:
     """Return the dives to fit and the held-out dives: a share of all, evenly spread, or those that are named."""
     names = [read.dive.name for read in dives]
     aside: set[int] = set()
@@ -93,7 +99,9 @@ def _divided(dives: Sequence[ReadDive], hold_out: Sequence[str]) -> tuple[list[R
             aside.update(row for row, name in enumerate(names) if name == wanted)
             continue
         if not 0.0 < share < 1.0:
-            raise ConfigError(f"--hold-out {wanted}: a share is between 0 and 1", "for example --hold-out 0.3")
+            raise ConfigError(
+                f"--hold-out {wanted}: a share is between 0 and 1", "for example --hold-out 0.3"
+            )
         count = max(1, round(share * len(names)))
         aside.update(len(names) - 1 - round(i * len(names) / count) for i in range(count))
     if len(aside) == len(names):
@@ -124,7 +132,13 @@ class Answer:
                 else row
                 for row in found.rows
             )
-            found = replace(found, rows=rows, after=found.before, change=np.zeros_like(found.change), reference=None)
+            found = replace(
+                found,
+                rows=rows,
+                after=found.before,
+                change=np.zeros_like(found.change),
+                reference=None,
+            )
         if self.keeps_noise:
             noise = tuple(
                 msgspec.structs.replace(row, status=Estimated.HELD, why=WORSE_NIS, after=row.before)
@@ -148,15 +162,25 @@ def answer_of(found: Calibration) -> Answer:
         geometry = f"{what}: on {dives} drift in 60 s without DVL {_change(before_m, after_m)} m."
     else:
         more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-        untested = "The held-out dives have no window to test them" if found.held_out else "Test them: --hold-out 0.3"
+        untested = (
+            "The held-out dives have no window to test them"
+            if found.held_out
+            else "Test them: --hold-out 0.3"
+        )
         geometry = f"New settings: {', '.join(names[:_SHOWN])}{more}. {untested}."
     is_asked = any(row.status != Estimated.NOT_ASKED for row in found.all_rows)
-    lines = [Callout(geometry, "good" if names and not keeps_geometry else "bad")] if is_asked else []
+    lines = (
+        [Callout(geometry, "good" if names and not keeps_geometry else "bad")] if is_asked else []
+    )
 
     keeps_noise = False
     if found.proposes_noise:
         dives, before, after = _means(found.held_out, "nis_per_dof_before", "nis_per_dof_noise")
-        changes = (f"{row.parameter} {_change(row.before, row.after)}" for row in found.noise_rows if row.is_proposed)
+        changes = (
+            f"{row.parameter} {_change(row.before, row.after)}"
+            for row in found.noise_rows
+            if row.is_proposed
+        )
         noise = f"Change the noise: {', '.join(changes)}."
         if dives:
             keeps_noise = abs(math.log(after)) > abs(math.log(before))

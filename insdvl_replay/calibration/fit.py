@@ -44,7 +44,9 @@ from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.preparation.run import FIT
 
 SOFT: Final = 2.0  # residuals, over the scatter of the axis, above which they count less and less
-SD_OF_DEVIATION: Final = 1.4826  # standard deviation of normal values over the median of their absolute values
+SD_OF_DEVIATION: Final = (
+    1.4826  # standard deviation of normal values over the median of their absolute values
+)
 DELAY_STEP_S: Final = 0.05
 MOST_ROUNDS: Final = 12
 SETTLED: Final = 0.05  # a step below this number of standard deviations is the last
@@ -83,7 +85,9 @@ class Linearised:
 class Fit:
     """A solution, and the dives linearised there."""
 
-    rows: tuple[NDArray[np.int64], ...]  # for each dive: indices of its p parameters among the unknowns, (p,)
+    rows: tuple[
+        NDArray[np.int64], ...
+    ]  # for each dive: indices of its p parameters among the unknowns, (p,)
     prior_sd: Floats  # (count,): prior sd of each unknown
     is_free: Mask  # (count,): whether each is estimated
     values: Floats  # (count,): changes
@@ -101,7 +105,9 @@ class Fit:
     def alone(self, dive: int) -> "Fit":
         """Return the fit of one dive alone."""
         rows, own = self.rows[dive], np.arange(len(self.rows[dive]))
-        return Fit((own,), self.prior_sd[rows], self.is_free[rows], self.values[rows], (self.dives[dive],))
+        return Fit(
+            (own,), self.prior_sd[rows], self.is_free[rows], self.values[rows], (self.dives[dive],)
+        )
 
     def total(self, matrices: Iterable[Floats]) -> Floats:
         """Add a matrix (p, p) of each dive to the information of the prior, (count, count)."""
@@ -118,7 +124,9 @@ class Fit:
         outlier counts less and less.
         """
         return self.total(
-            np.einsum("ka,kai,kaj->ij", near.weights**power, near.by_motion, getattr(near, derivative))
+            np.einsum(
+                "ka,kai,kaj->ij", near.weights**power, near.by_motion, getattr(near, derivative)
+            )
             for near in self.dives
         )
 
@@ -185,7 +193,10 @@ def fit(
 
     The unknowns are seven for the vehicle, then the delays of the dives, or one for all.
     """
-    rows = tuple(np.insert(np.arange(OWN - 1), DELAY, OWN - 1 + (0 if one_delay else i)) for i in range(len(dives)))
+    rows = tuple(
+        np.insert(np.arange(OWN - 1), DELAY, OWN - 1 + (0 if one_delay else i))
+        for i in range(len(dives))
+    )
     parameters = np.append(SHARED_ROWS, np.full(1 if one_delay else len(dives), DELAY))
     prior_sd, is_free, delays = PRIOR_SD[parameters], free[parameters], slice(OWN - 1, None)
     # Begin at the best delay of a coarse grid, to avoid a local minimum.
@@ -193,9 +204,14 @@ def fit(
     if start is None and free[DELAY]:
         grid = np.arange(-LATEST_S, LATEST_S + DELAY_STEP_S / 2.0, DELAY_STEP_S)
         costs = np.array(
-            [delay_profile(dive, NO_CHANGE, grid) for dive in track_progress("searching the delay", dives)]
+            [
+                delay_profile(dive, NO_CHANGE, grid)
+                for dive in track_progress("searching the delay", dives)
+            ]
         )
-        values[delays] = grid[np.argmin(costs.sum(axis=0, keepdims=True) if one_delay else costs, axis=1)]
+        values[delays] = grid[
+            np.argmin(costs.sum(axis=0, keepdims=True) if one_delay else costs, axis=1)
+        ]
 
     def residuals_at(values: Floats) -> list[Floats]:
         return [dive.residuals(values[places]) for dive, places in zip(dives, rows, strict=True)]
@@ -206,7 +222,13 @@ def fit(
             dive.jacobian(values[places], free) / scatter[:, None]
             for dive, places, scatter in zip(dives, rows, scatters, strict=True)
         ]
-        return Fit(rows, prior_sd, is_free, values, tuple(map(Linearised, residuals, scatters, jacobians, jacobians)))
+        return Fit(
+            rows,
+            prior_sd,
+            is_free,
+            values,
+            tuple(map(Linearised, residuals, scatters, jacobians, jacobians)),
+        )
 
     def cost(values: Floats, scaled: Iterable[Floats]) -> float:
         return float(sum(map(robust_cost, scaled)) + np.sum((values / prior_sd) ** 2))
@@ -222,7 +244,9 @@ def fit(
             values[delays] = np.clip(values[delays], -LATEST_S, LATEST_S)
             residuals = residuals_at(values)
             # Divide by the scatter before the step; with the new one a worse solution could look better.
-            scaled = (left / near.scatter for left, near in zip(residuals, found.dives, strict=True))
+            scaled = (
+                left / near.scatter for left, near in zip(residuals, found.dives, strict=True)
+            )
             if cost(values, scaled) <= before:
                 break
             damping *= STEEPER
@@ -234,7 +258,9 @@ def fit(
             # So close, the derivatives are the same.
             scatters = [scatter_of(left) for left in residuals]
             pairs = zip(found.dives, scatters, strict=True)
-            jacobians = [near.jacobian * (near.scatter / scatter)[:, None] for near, scatter in pairs]
+            jacobians = [
+                near.jacobian * (near.scatter / scatter)[:, None] for near, scatter in pairs
+            ]
             near_here = map(Linearised, residuals, scatters, jacobians, jacobians)
             return replace(found, values=values, dives=tuple(near_here))
         found = linearised(values, residuals)
@@ -263,7 +289,9 @@ AXES: Final[tuple[Floats, ...]] = tuple(
     if np.linalg.det(turn) > 0.0
 )
 CLEARLY: Final = 0.8  # ratio of costs below which the second mounting is clearly worse
-NOT_FAR_OFF: Final = 4.0  # ratio to the least cost above which no arm or delay makes a mounting the best
+NOT_FAR_OFF: Final = (
+    4.0  # ratio to the least cost above which no arm or delay makes a mounting the best
+)
 MOST_FITTED: Final = 6
 MOST_FREE: Final = 3  # dives that are fitted freely
 _ARM_AND_DELAY: Final = np.array([parameter.group in ("arm", "delay") for parameter in PARAMETERS])
@@ -286,7 +314,9 @@ def possible_axes(dvl: DvlColumns) -> tuple[Floats, ...]:
 
 def with_mounting(config: Config, rpy_deg: tuple[float, float, float]) -> Config:
     """Set the mounting in a configuration."""
-    return msgspec.structs.replace(config, dvl=msgspec.structs.replace(config.dvl, mounting_rpy_deg=rpy_deg))
+    return msgspec.structs.replace(
+        config, dvl=msgspec.structs.replace(config.dvl, mounting_rpy_deg=rpy_deg)
+    )
 
 
 def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
@@ -299,7 +329,9 @@ def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
     configured = config.dvl.mounting_rpy_deg
     if config.initial.heading_deg == FIT:
         # Innovations of velocities hardly depend on the heading, and a wrong mounting fits no heading.
-        config = msgspec.structs.replace(config, initial=msgspec.structs.replace(config.initial, heading_deg=0.0))
+        config = msgspec.structs.replace(
+            config, initial=msgspec.structs.replace(config.initial, heading_deg=0.0)
+        )
 
     def tried(rpy_deg: tuple[float, float, float], *, fitted: bool) -> TriedMounting:
         asked = [dive.with_config(with_mounting(config, rpy_deg)).innovations() for dive in dives]
@@ -316,8 +348,12 @@ def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
         roll, pitch, heading = (np.round(rpy_from_mat(turn) / DEG, 2) + 0.0).tolist()  # no -0.0
         first.append(tried((roll, pitch, heading), fitted=False))
     first.sort(key=lambda mounting: mounting.cost)
-    near = [mounting for mounting in first if mounting.cost < NOT_FAR_OFF * first[0].cost][:MOST_FITTED]
-    near += [mounting for mounting in first if mounting.rpy_deg == configured and mounting not in near]
+    near = [mounting for mounting in first if mounting.cost < NOT_FAR_OFF * first[0].cost][
+        :MOST_FITTED
+    ]
+    near += [
+        mounting for mounting in first if mounting.rpy_deg == configured and mounting not in near
+    ]
     stage = "trying mountings with arm and delay"
     fitted = [tried(mounting.rpy_deg, fitted=True) for mounting in track_progress(stage, near)]
     others = [mounting for mounting in first if mounting not in near]
@@ -334,9 +370,17 @@ def _free_turns(dives: Sequence[ReadDive]) -> list[Floats]:
             continue
         level = LevelDvl(free, down_of(read.dive.imu), dvl.look_d)
         # A DVL that does not say where it looks may be built in on its side.
-        found += level.minima if dvl.look_d is None else [turn for turn in level.minima if level.is_possible(turn)]
+        found += (
+            level.minima
+            if dvl.look_d is None
+            else [turn for turn in level.minima if level.is_possible(turn)]
+        )
         found += [] if dvl.look_d is not None else free.minima[:1]
-    return [turn for turn in found if min(angle_between(turn, quarter) for quarter in AXES) > NEAR_QUARTER_RAD]
+    return [
+        turn
+        for turn in found
+        if min(angle_between(turn, quarter) for quarter in AXES) > NEAR_QUARTER_RAD
+    ]
 
 
 def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
@@ -347,5 +391,9 @@ def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
     """
     tried = tried_mountings(dives)
     similar = [mounting for mounting in tried if mounting.cost * CLEARLY <= tried[0].cost]
-    downwards = (mounting for mounting in similar if mat_from_rpy(np.array(mounting.rpy_deg) * DEG)[2, 2] > 0.5)
+    downwards = (
+        mounting
+        for mounting in similar
+        if mat_from_rpy(np.array(mounting.rpy_deg) * DEG)[2, 2] > 0.5
+    )
     return next(downwards, tried[0]).rpy_deg

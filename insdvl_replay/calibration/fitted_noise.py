@@ -65,7 +65,9 @@ def fit_noise_of_dives(dives: Sequence[Dive], config: Config) -> FoundSettings:
     alone = _with_baseline_alone(config)
     fixed = [key for word, keys in FREE.items() if word not in config.noise.fit for key in keys]
     values = [key for key, _ in flattened(msgspec.to_builtins(alone))]
-    given = Given(alone, [key for key in values if any(f"{key}.".startswith(f"{name}.") for name in fixed)])
+    given = Given(
+        alone, [key for key in values if any(f"{key}.".startswith(f"{name}.") for name in fixed)]
+    )
     preset = max((imu_class(dive.imu) for dive in dives), key=GRADES.index)
     found = as_given(of_class(preset, alone), given)
     notes = list[Note]()
@@ -133,7 +135,9 @@ def with_noise(config: Config, found: Calibration, given: Given) -> Config:
     for row in found.noise_rows:
         is_of_dvl = row.parameter in DVL
         if row.is_proposed and not (is_of_dvl and given.has(*FREE["dvl"])):
-            changed = with_values(changed, "dvl" if is_of_dvl else "noise", **{row.parameter: row.after})
+            changed = with_values(
+                changed, "dvl" if is_of_dvl else "noise", **{row.parameter: row.after}
+            )
     return as_given(changed, given)
 
 
@@ -182,7 +186,12 @@ def halves(read: Sequence[ReadDive]) -> list[ReadDive]:
 
 
 def levelled_to_dives(
-    dives: Sequence[Dive], config: Config, given: Given, started: Initial, preset: str, notes: list[Note]
+    dives: Sequence[Dive],
+    config: Config,
+    given: Given,
+    started: Initial,
+    preset: str,
+    notes: list[Note],
 ) -> Config:
     """Scale the noise of the DVL until the innovations are as large as expected, where they are not."""
     key = "velocity_sd_mps" if config.dvl.beam_sd_mps is None else "beam_sd_mps"
@@ -208,7 +217,9 @@ def levelled_to_dives(
     if size < LEAST_NIS and not given.has("noise"):
         # The noise of the IMU decides. It is at most the scatter of the readings.
         for name, field in INERTIAL.items():
-            most = max(readings_scatter(getattr(dive.imu, field), dive.imu.usual_step_s) for dive in dives)
+            most = max(
+                readings_scatter(getattr(dive.imu, field), dive.imu.usual_step_s) for dive in dives
+            )
             quieter = float(f"{min(getattr(config.noise, name), most):.3g}")
             if not beyond_the_sensor(name, quieter):
                 config = with_values(config, "noise", **{name: quieter})

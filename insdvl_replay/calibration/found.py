@@ -31,7 +31,11 @@ class Given:
         if "imu" not in self.config.noise.fit:
             named |= {*FREE["imu"]}
         values = flattened(msgspec.to_builtins(self.config))
-        keys = [key for key, value in values if value not in (default.get(key), without.get(key)) or key in named]
+        keys = [
+            key
+            for key, value in values
+            if value not in (default.get(key), without.get(key)) or key in named
+        ]
         return [key for key in keys if not key.startswith(("span.", "evaluation.", "noise.fit"))]
 
     def has(self, *names: str) -> bool:
@@ -74,14 +78,21 @@ class FoundSettings:
     def text(self) -> str:
         """Return the settings as a file for ``-c``, which holds what differs from the defaults."""
         comments = [line for note in self.notes for line in comment_lines(note.text)]
-        return "".join(f"{line}\n" for line in comments) + f"\n{render_toml(self.config, changed_only=True)}"
+        return (
+            "".join(f"{line}\n" for line in comments)
+            + f"\n{render_toml(self.config, changed_only=True)}"
+        )
 
 
 def as_given(found: Config, given: Given) -> Config:
     """Return settings with those that are given."""
     for section in ("imu", "dvl", "reference", "initial", "noise"):
         now = getattr(given.config, section)
-        values = {key: getattr(now, key) for key in now.__struct_fields__ if given.has(f"{section}.{key}")}
-        found = with_values(found, section, **{key: value for key, value in values.items() if value is not None})
+        values = {
+            key: getattr(now, key) for key in now.__struct_fields__ if given.has(f"{section}.{key}")
+        }
+        found = with_values(
+            found, section, **{key: value for key, value in values.items() if value is not None}
+        )
     are_given = given.has("filters") or given.config.filters != Config().filters
     return msgspec.structs.replace(found, filters=given.config.filters) if are_given else found

@@ -32,11 +32,15 @@ IMU_STEP_S: Final = 0.04  # to which readings are averaged
 LEAST_BETTER: Final = 1.02  # the same where a rotation is many standard deviations off
 MANY_SDS: Final = 5.0
 CLEARLY: Final = 1.25  # ratio of sums of squares from which a rotation is excluded
-NEAR_QUARTER_RAD: Final = 4.0 * DEG  # a calibration that starts from the quarter turn finds the rest
+NEAR_QUARTER_RAD: Final = (
+    4.0 * DEG
+)  # a calibration that starts from the quarter turn finds the rest
 LEAST_TILT: Final = 0.7  # cosine; no DVL is built in more obliquely
 WINDOW_S: Final = 20.0
 LONGEST_STEP_S: Final = 0.5  # IMU steps above it end the usable part of a window
-OWN: Final = 9  # unknowns of a window: velocity and gravity at its start, and how the Earth turns gravity
+OWN: Final = (
+    9  # unknowns of a window: velocity and gravity at its start, and how the Earth turns gravity
+)
 FEWEST_PINGS: Final = 8  # in a window
 FEWEST_WINDOWS: Final = 3
 # Standard deviations of the biases and of the lever arm before the fit.
@@ -116,7 +120,9 @@ class Quadratic:
             # Far from the best, the curvature may be negative.
             sizes, axes = np.linalg.eigh(moved.T @ self.square @ moved + curved)
             sizes = np.abs(sizes)
-            step = -axes @ ((axes.T @ (moved.T @ pull)) / (sizes + damping * max(float(sizes.max()), 1e-30)))
+            step = -axes @ (
+                (axes.T @ (moved.T @ pull)) / (sizes + damping * max(float(sizes.max()), 1e-30))
+            )
             tried = mat_from_vector(step) @ mat
             tried_cost = self.cost(tried)
             if tried_cost > cost:
@@ -188,7 +194,9 @@ class FreeMounting:
             total = self.windows.total(np.arange(count) != window)
             quadratic = Quadratic.of(total)
             square = self.windows.squares[window]
-            fitted, fixed = (_solution(total, quadratic, turn) for turn in (quadratic.descended(mat), other))
+            fitted, fixed = (
+                _solution(total, quadratic, turn) for turn in (quadratic.descended(mat), other)
+            )
             by_fit += float(fitted @ square @ fitted)
             by_other += float(fixed @ square @ fixed)
         return by_other / by_fit
@@ -246,7 +254,9 @@ class _Integrals:
         by_attitude = _summed(attitude.reshape(*rows.shape, 9), steps_s)
         by_gyro = skew(turned_force) @ by_attitude.reshape(*rows.shape, 3, 3)
         by_gyro = _summed(by_gyro.reshape(*rows.shape, 9), steps_s)
-        summed = np.concatenate([rate, _summed(turned_force, steps_s), by_attitude, by_gyro], axis=2)
+        summed = np.concatenate(
+            [rate, _summed(turned_force, steps_s), by_attitude, by_gyro], axis=2
+        )
         whole = (steps_s <= LONGEST_STEP_S).all(axis=(1, 2))
         return cls(int(imu.time_ns[0]), times_s, whole, attitude, summed)
 
@@ -348,12 +358,16 @@ class LevelDvl:
 
     def is_possible(self, mat: Floats) -> bool:
         """Return whether the DVL looks down, or up if its beams do not say where they look."""
-        return (self.tilt(mat) if self.known_look_d is not None else abs(self.tilt(mat))) > LEAST_TILT
+        return (
+            self.tilt(mat) if self.known_look_d is not None else abs(self.tilt(mat))
+        ) > LEAST_TILT
 
     @cached_property
     def minima(self) -> list[Floats]:
         """Rotations of locally least cost, (3, 3) each, upright and upside down, level where motion does not tell."""
-        return [self._levelled(mat) for mat in [*self.fit.minima, *map(self._tipped, self.fit.minima)]]
+        return [
+            self._levelled(mat) for mat in [*self.fit.minima, *map(self._tipped, self.fit.minima)]
+        ]
 
     @property
     def likeliest(self) -> Floats:
@@ -395,7 +409,11 @@ class LevelDvl:
             return True
         turn = vector_from_mat(other @ mat.T)
         is_far = float(np.linalg.norm(turn)) > _LEVEL_RAD
-        return not is_far and misfit > LEAST_BETTER and abs(float(turn @ self.down_b)) > MANY_SDS * self._sd_rad
+        return (
+            not is_far
+            and misfit > LEAST_BETTER
+            and abs(float(turn @ self.down_b)) > MANY_SDS * self._sd_rad
+        )
 
 
 def down_of(imu: ImuColumns) -> Floats:

@@ -73,9 +73,15 @@ PARAMETERS: Final = (
 )
 # Of a reference, in the same order.
 REFERENCE_PARAMETERS: Final = (
-    Parameter("reference_clock", "reference_clock", "ref. clock", *_TIME, "changes of speed, or turns"),
-    Parameter("reference_mounting_x", "reference_mounting", "ref. mounting x", *_ANGLE, "turns, for level"),
-    Parameter("reference_mounting_y", "reference_mounting", "ref. mounting y", *_ANGLE, "turns, for level"),
+    Parameter(
+        "reference_clock", "reference_clock", "ref. clock", *_TIME, "changes of speed, or turns"
+    ),
+    Parameter(
+        "reference_mounting_x", "reference_mounting", "ref. mounting x", *_ANGLE, "turns, for level"
+    ),
+    Parameter(
+        "reference_mounting_y", "reference_mounting", "ref. mounting y", *_ANGLE, "turns, for level"
+    ),
     Parameter("reference_mounting_z", "reference_mounting", "ref. mounting z", *_ANGLE, _WAY),
     Parameter("reference_arm_x", "reference_arm", "ref. arm x", *_LENGTH, _TURNS),
     Parameter("reference_arm_y", "reference_arm", "ref. arm y", *_LENGTH, _TURNS),
@@ -164,7 +170,9 @@ READ_S: Final = 1800.0  # most that is used of a dive; more adds little
 START_SPEED_SD_MPS: Final = 2.0  # large, so that the pings determine the velocity at the start
 WILD: Final = 20.0  # times the upper quartile of the distance of pings from the pings around them
 LEAST_OFF_MPS: Final = 0.01  # usual distance even without motion
-FAR: Final = 1e3  # replaces an innovation that is larger, or not finite, in its own standard deviations
+FAR: Final = (
+    1e3  # replaces an innovation that is larger, or not finite, in its own standard deviations
+)
 NO_CHANGE: Final = np.zeros(len(NAMES))
 
 
@@ -195,7 +203,9 @@ class ReadDive:
             It has too few pings.
         """
         prepared = prepare_with_heading(self.dive, self.alone)
-        baseline = replace(prepared.filters[0], aiding=("velocity",), gate_probability=1.0, gate_reopen_after=0)
+        baseline = replace(
+            prepared.filters[0], aiding=("velocity",), gate_probability=1.0, gate_reopen_after=0
+        )
         # A step beyond the largest delay also needs its pings inside.
         room_ns = nanoseconds(LATEST_S + 2.0 * float(STEPS[DELAY]))
         alignment = prepared.alignment
@@ -222,7 +232,9 @@ class ReadDive:
         return DiveInnovations(replace(self.dive, reference=None), ready, baseline, wild)
 
 
-def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> ReadDive:
+def read_dive(
+    path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False
+) -> ReadDive:
     """Read a dive and check it, as `prepared.read_checked_dive` does."""
     dive = read_checked_dive(path, config.without_solutions(), allow_damaged=allow_damaged)
     return ReadDive(with_reference_at_imu(dive, config), config, dive.reference)
@@ -269,9 +281,17 @@ class DiveInnovations:
             unit_cov_b=configured.unit_cov_b,
             full_unit_cov_b=configured.full_unit_cov_b,
         )
-        moved = replace(self.prepared, velocities=pings, mounting=moved_mounting(self.prepared.mounting, change))
-        start_ns, end_ns, gaps = self.prepared.alignment.start_ns, self.prepared.end_ns, self.prepared.gaps
-        return moved, build_timeline(self.dive.imu, pings.time_ns, np.empty(0, np.int64), start_ns, end_ns, gaps)
+        moved = replace(
+            self.prepared, velocities=pings, mounting=moved_mounting(self.prepared.mounting, change)
+        )
+        start_ns, end_ns, gaps = (
+            self.prepared.alignment.start_ns,
+            self.prepared.end_ns,
+            self.prepared.gaps,
+        )
+        return moved, build_timeline(
+            self.dive.imu, pings.time_ns, np.empty(0, np.int64), start_ns, end_ns, gaps
+        )
 
     def runner(self, change: Floats) -> Callable[[ResolvedFilter], Innovations]:
         """Return a function from a filter to its velocity innovations with a changed geometry."""
@@ -293,7 +313,11 @@ class DiveInnovations:
 
 
 def central_differences(
-    function: Callable[[Floats], Floats], at: Floats, steps: Floats, free: Mask, shape: tuple[int, ...]
+    function: Callable[[Floats], Floats],
+    at: Floats,
+    steps: Floats,
+    free: Mask,
+    shape: tuple[int, ...],
 ) -> Floats:
     """Differentiate a function by its n arguments, (*shape, n); 0 for held ones."""
     chosen, columns = np.flatnonzero(free), np.zeros((*shape, len(at)))
@@ -312,6 +336,8 @@ def steady(velocity_b: Floats) -> Mask:
     if not len(velocity_b):
         return np.zeros(0, bool)
     padded = np.pad(velocity_b, ((2, 2), (0, 0)), mode="edge")
-    off = np.abs(velocity_b - np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1))
+    off = np.abs(
+        velocity_b - np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1)
+    )
     usual = np.maximum(np.quantile(off, 0.75, axis=0), LEAST_OFF_MPS)
     return np.asarray((off <= WILD * usual).all(axis=1))

@@ -27,10 +27,16 @@ from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter, 
 from insdvl_replay.preparation.filters import DvlNoise, ResolvedFilter
 
 # Noise keys of the inertial sensors, and their readings.
-INERTIAL: Final = {"accel_white_mps_rts": "specific_force_b", "gyro_white_rad_rts": "angular_rate_b"}
+INERTIAL: Final = {
+    "accel_white_mps_rts": "specific_force_b",
+    "gyro_white_rad_rts": "angular_rate_b",
+}
 GRADES: Final = ("fog", "tactical", "mems")  # presets from the quietest IMU to the noisiest
 # For each axis of a velocity, or for one beam.
-DVL: Final[tuple[Literal["velocity_sd_mps", "beam_sd_mps"], ...]] = ("velocity_sd_mps", "beam_sd_mps")
+DVL: Final[tuple[Literal["velocity_sd_mps", "beam_sd_mps"], ...]] = (
+    "velocity_sd_mps",
+    "beam_sd_mps",
+)
 UNITS: Final = {
     "accel_white_mps_rts": "m/s/sqrt(s)",
     "gyro_white_rad_rts": "rad/sqrt(s)",
@@ -40,7 +46,13 @@ UNITS: Final = {
 PRIOR_FACTOR: Final = 3.0
 LARGEST_FACTOR: Final = 1e3
 # Start factors; the likeliest starts the search, since a search finds the nearest optimum. Order as in `noise_of`.
-STARTS: Final = ((1.0, 1.0, 1.0), (0.1, 1.0, 0.3), (0.02, 1.0, 0.3), (0.1, 10.0, 0.3), (1.0, 10.0, 0.3))
+STARTS: Final = (
+    (1.0, 1.0, 1.0),
+    (0.1, 1.0, 0.3),
+    (0.02, 1.0, 0.3),
+    (0.1, 10.0, 0.3),
+    (1.0, 10.0, 0.3),
+)
 FIRST_STEP: Final = -0.7
 DIGITS: Final = 3  # of a noise; more would differ between processors
 LIKELIHOOD_DIGITS: Final = 2
@@ -60,9 +72,15 @@ OF_CLASS: Final = (
     "cannot be determined from these dives; that of preset {preset}, the class of this IMU, as the configured value "
     "does not fit them"
 )
-AT_MOST: Final = "cannot be determined from these dives; upper limit, as the configured value does not fit them"
-OWN_NOISE: Final = "[filters.NAME] of the baseline sets its own noise, which overrides [noise] and [dvl]"
-NO_GEOMETRY: Final = "the geometry of the DVL cannot be determined, and its errors would count as noise"
+AT_MOST: Final = (
+    "cannot be determined from these dives; upper limit, as the configured value does not fit them"
+)
+OWN_NOISE: Final = (
+    "[filters.NAME] of the baseline sets its own noise, which overrides [noise] and [dvl]"
+)
+NO_GEOMETRY: Final = (
+    "the geometry of the DVL cannot be determined, and its errors would count as noise"
+)
 
 
 def imu_class(imu: ImuColumns) -> str:
@@ -97,10 +115,21 @@ class FittedNoise:
         return replace(dive, filter=_with_noise(dive.filter, self.after))
 
 
-def noise_row(fitted: FittedNoise, key: str, status: Estimated, why: str = "", sd: float | None = None) -> NoiseRow:
+def noise_row(
+    fitted: FittedNoise, key: str, status: Estimated, why: str = "", sd: float | None = None
+) -> NoiseRow:
     """Return the row of one noise; the sd is None if the innovations do not bound it."""
     before, after = fitted.before[key], fitted.after[key]
-    return NoiseRow(key, UNITS[key], before, after, sd, noise_class(key, after) if key in INERTIAL else "", status, why)
+    return NoiseRow(
+        key,
+        UNITS[key],
+        before,
+        after,
+        sd,
+        noise_class(key, after) if key in INERTIAL else "",
+        status,
+        why,
+    )
 
 
 def noise_of(baseline: ResolvedFilter) -> dict[str, float]:
@@ -110,7 +139,9 @@ def noise_of(baseline: ResolvedFilter) -> dict[str, float]:
 
 
 def _with_noise(baseline: ResolvedFilter, noise: Mapping[str, float]) -> ResolvedFilter:
-    inertial = msgspec.structs.replace(baseline.inertial_noise, **{key: noise[key] for key in INERTIAL})
+    inertial = msgspec.structs.replace(
+        baseline.inertial_noise, **{key: noise[key] for key in INERTIAL}
+    )
     (dvl,) = (DvlNoise(key, noise[key]) for key in DVL if key in noise)
     return replace(baseline, inertial_noise=inertial, dvl_noise=dvl)
 
@@ -124,14 +155,19 @@ class _Search:
     runs: Sequence[Callable[[ResolvedFilter], Innovations]]  # of each dive
 
     @staticmethod
-    def of(before: Mapping[str, float], dives: Sequence[DiveInnovations], changes: Sequence[Floats]) -> "_Search":
+    def of(
+        before: Mapping[str, float], dives: Sequence[DiveInnovations], changes: Sequence[Floats]
+    ) -> "_Search":
         """Search around a noise, with dives whose geometries are changed, (8,) each."""
         runs = [dive.runner(change) for dive, change in zip(dives, changes, strict=True)]
         return _Search(dives[0].gated, before, runs)
 
     def noise(self, logarithms: Floats) -> dict[str, float]:
         factors = np.exp(np.clip(logarithms, -np.log(LARGEST_FACTOR), np.log(LARGEST_FACTOR)))
-        return {key: float(value * factor) for (key, value), factor in zip(self.before.items(), factors, strict=True)}
+        return {
+            key: float(value * factor)
+            for (key, value), factor in zip(self.before.items(), factors, strict=True)
+        }
 
     def innovations(self, noise: Mapping[str, float]) -> list[Innovations]:
         tried = _with_noise(self.filter, noise)
@@ -174,7 +210,10 @@ def fit_noise(dives: Sequence[DiveInnovations], changes: Sequence[Floats]) -> Fi
 
 
 def levelled(
-    fitted: FittedNoise, dives: Sequence[DiveInnovations], changes: Sequence[Floats], free: Floats = ALL_FREE
+    fitted: FittedNoise,
+    dives: Sequence[DiveInnovations],
+    changes: Sequence[Floats],
+    free: Floats = ALL_FREE,
 ) -> FittedNoise:
     """Scale all free noise by one factor, until the mean NIS is its degrees of freedom.
 
@@ -184,7 +223,9 @@ def levelled(
     factor = 0.0
     for _ in range(LEVELLINGS):
         innovations = search.innovations(search.noise(factor * free))
-        factor += 0.5 * float(np.log(np.mean(np.concatenate([_sizes(found) for found in innovations]))))
+        factor += 0.5 * float(
+            np.log(np.mean(np.concatenate([_sizes(found) for found in innovations])))
+        )
     after = {
         key: float(f"{value:.{DIGITS}g}") if is_free else fitted.after[key]
         for (key, value), is_free in zip(search.noise(factor * free).items(), free, strict=True)
@@ -193,7 +234,10 @@ def levelled(
 
 
 def relative_sds(
-    fitted: FittedNoise, dives: Sequence[DiveInnovations], changes: Sequence[Floats], nis_by_errors: float = 0.0
+    fitted: FittedNoise,
+    dives: Sequence[DiveInnovations],
+    changes: Sequence[Floats],
+    nis_by_errors: float = 0.0,
 ) -> Floats:
     """Return the standard deviation of the logarithm of each noise, (3,).
 
@@ -229,7 +273,9 @@ def determined_noise(
     """
     sds = dict(zip(fitted.after, relative_sds(fitted, dives, changes, nis_by_errors), strict=True))
     scatter = {key: _scatter(key, dives) for key in fitted.after}
-    impossible = {key: beyond_the_sensor(key, value, scatter[key]) for key, value in fitted.after.items()}
+    impossible = {
+        key: beyond_the_sensor(key, value, scatter[key]) for key, value in fitted.after.items()
+    }
     any_impossible = any(impossible.values())
     drowned = nis_by_errors > MOST_BY_ERRORS * 3 * sum(dive.count for dive in dives)
     statuses = dict.fromkeys(fitted.after, (Estimated.ESTIMATED, ""))
@@ -238,14 +284,22 @@ def determined_noise(
         if any(getattr(own, name) is not None for name in ((key,) if key in INERTIAL else DVL)):
             statuses[key] = Estimated.HELD, OWN_NOISE
         elif impossible[key]:
-            statuses[key] = Estimated.IMPLAUSIBLE, f"{value:g} {UNITS[key]} was found, which is {impossible[key]}"
+            statuses[key] = (
+                Estimated.IMPLAUSIBLE,
+                f"{value:g} {UNITS[key]} was found, which is {impossible[key]}",
+            )
         elif any_impossible or not sds[key] < UNSURE or (drowned and key in INERTIAL):
             statuses[key] = Estimated.NOT_DETERMINED, AS_IT_WAS
     # Scale the proposed noise, with the others as configured.
     levelled_status = Estimated.NOT_DETERMINED if any_impossible else Estimated.ESTIMATED
     free = np.array([float(status == levelled_status) for status, _ in statuses.values()])
-    held = {key: fitted.after[key] if statuses[key][0] == levelled_status else fitted.before[key] for key in statuses}
-    proposed = fitted if free.all() else levelled(FittedNoise(fitted.before, held), dives, changes, free)
+    held = {
+        key: fitted.after[key] if statuses[key][0] == levelled_status else fitted.before[key]
+        for key in statuses
+    }
+    proposed = (
+        fitted if free.all() else levelled(FittedNoise(fitted.before, held), dives, changes, free)
+    )
     is_bad = any(
         beyond_the_sensor(key, value, scatter[key]) and value != fitted.before[key]
         for key, value in proposed.after.items()
@@ -256,7 +310,8 @@ def determined_noise(
     else:
         search = _Search.of(fitted.before, dives, changes)
         is_limit = not free.all() and (
-            is_bad or search.likelihood(proposed.after) > search.likelihood(fitted.after) + CONTRADICTED
+            is_bad
+            or search.likelihood(proposed.after) > search.likelihood(fitted.after) + CONTRADICTED
         )
         kept = fitted if is_limit else proposed
     unknown = [key for key, (status, _) in statuses.items() if status == Estimated.NOT_DETERMINED]
@@ -281,7 +336,10 @@ def _scatter(key: str, dives: Sequence[DiveInnovations]) -> float:
 
 
 def _noise_rows(
-    kept: FittedNoise, fitted: FittedNoise, statuses: Mapping[str, tuple[Estimated, str]], sds: Mapping[str, float]
+    kept: FittedNoise,
+    fitted: FittedNoise,
+    statuses: Mapping[str, tuple[Estimated, str]],
+    sds: Mapping[str, float],
 ) -> tuple[NoiseRow, ...]:
     """Return a row for each noise, with its standard deviation where the dives show one."""
     rows = []
@@ -294,12 +352,18 @@ def _noise_rows(
 def _class_of(found: FittedNoise, keys: Sequence[str], dives: Sequence[DiveInnovations]) -> str:
     """Return the preset of the class of an IMU by upper limits of its noise, and by the scatter of its readings."""
     by_readings = max((imu_class(dive.dive.imu) for dive in dives), key=GRADES.index)
-    by_limits = max((sensor_class(key, found.after[key]) or by_readings for key in keys), key=GRADES.index)
+    by_limits = max(
+        (sensor_class(key, found.after[key]) or by_readings for key in keys), key=GRADES.index
+    )
     return min(by_readings, by_limits, key=GRADES.index)
 
 
 def _with_class(
-    found: FittedNoise, keys: Sequence[str], preset: str, dives: Sequence[DiveInnovations], changes: Sequence[Floats]
+    found: FittedNoise,
+    keys: Sequence[str],
+    preset: str,
+    dives: Sequence[DiveInnovations],
+    changes: Sequence[Floats],
 ) -> FittedNoise:
     """Give some noise of the IMU the values of its class, and the DVL more if the innovations are too large for them.
 
@@ -308,7 +372,9 @@ def _with_class(
     usual = load_config(preset).noise
     of_class = {key: getattr(usual, key) for key in keys}
     with_class = FittedNoise(found.before, {**found.after, **of_class})
-    raised = levelled(with_class, dives, changes, np.array([float(key in DVL) for key in found.after]))
+    raised = levelled(
+        with_class, dives, changes, np.array([float(key in DVL) for key in found.after])
+    )
     after = dict(with_class.after)
     for key in DVL:
         if key in after:

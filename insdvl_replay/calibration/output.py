@@ -24,7 +24,14 @@ from insdvl_replay.calibration.innovations import (
     Geometry,
 )
 from insdvl_replay.calibration.noise import INERTIAL
-from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, ParameterRow, ReferenceDiveRow, StartRow
+from insdvl_replay.calibration.rows import (
+    DiveRow,
+    HeldOutRow,
+    NoiseRow,
+    ParameterRow,
+    ReferenceDiveRow,
+    StartRow,
+)
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
@@ -79,10 +86,14 @@ def calibration_result(
     parts += correlations if verbose else [Only(PAGE, tuple(correlations))]
     parts += [Sentences(tuple(reasons))] if reasons else []
     if written and names:
-        parts.append(f"Nothing is applied automatically. To use it: `insdvl-replay run LOG -c ... -c {written}`")
+        parts.append(
+            f"Nothing is applied automatically. To use it: `insdvl-replay run LOG -c ... -c {written}`"
+        )
         kept = ["geometry"] * answer.keeps_geometry + ["noise"] * answer.keeps_noise
         if kept and not even_if_worse:
-            parts.append(f"{written} leaves out the new {' and '.join(kept)}. To write all: --even-if-worse")
+            parts.append(
+                f"{written} leaves out the new {' and '.join(kept)}. To write all: --even-if-worse"
+            )
     parts += [Heading("Pictures"), *figures] if figures else []
     tables = {
         "parameters": found.all_rows,
@@ -92,7 +103,11 @@ def calibration_result(
         "reference": reference.dives if reference else (),
         "starts": reference.starts if reference else (),
     }
-    facts: dict[str, Any] = {"before": {"dvl": found.before}, "after": {"dvl": found.after}, "warnings": found.warnings}
+    facts: dict[str, Any] = {
+        "before": {"dvl": found.before},
+        "after": {"dvl": found.after},
+        "warnings": found.warnings,
+    }
     facts |= {"keeps_geometry": answer.keeps_geometry, "keeps_noise": answer.keeps_noise}
     if reference:
         for name, settings in (("before", reference.before), ("after", reference.after)):
@@ -113,7 +128,12 @@ def calibration_result(
 def _reasons(found: Calibration) -> list[Remark]:
     """Return why parameters are not proposed, grouped by reason."""
 
-    rows = [(what, row) for status, what in _KEPT.items() for row in found.all_rows if row.status == status]
+    rows = [
+        (what, row)
+        for status, what in _KEPT.items()
+        for row in found.all_rows
+        if row.status == status
+    ]
     reasons = [(LABELS[row.parameter], what + row.why) for what, row in rows]
     kept = (Estimated.HELD, Estimated.NOT_DETERMINED, Estimated.OF_CLASS)
     reasons += [(row.parameter, row.why) for row in found.noise_rows if row.status in kept]
@@ -127,7 +147,9 @@ def _reasons(found: Calibration) -> list[Remark]:
 
 
 def _tables(found: Calibration) -> Iterator[DisplayTable]:
-    yield _parameter_table("Change from the configuration; x forward, y starboard, z down", found.rows)
+    yield _parameter_table(
+        "Change from the configuration; x forward, y starboard, z down", found.rows
+    )
     is_asked = all(row.status != Estimated.NOT_ASKED for row in found.noise_rows)
     yield table_of(
         "White noise with the highest likelihood of the innovations",
@@ -185,7 +207,10 @@ def _parameter_table(title: str, rows: Sequence[ParameterRow]) -> DisplayTable:
 def _change(row: ParameterRow) -> str:
     if row.status == Estimated.HELD or row.change is None:
         return Estimated.HELD
-    sign, mark = "-" if row.change < 0.0 else "+", "?" if row.status == Estimated.IMPLAUSIBLE else ""
+    sign, mark = (
+        "-" if row.change < 0.0 else "+",
+        "?" if row.status == Estimated.IMPLAUSIBLE else "",
+    )
     return f"{sign}{number(abs(row.change))}{mark}"
 
 
@@ -221,17 +246,38 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
 
     ``started_ns``: start of each dive since 1970, on its own clock.
     """
-    days = sorted({datetime.fromtimestamp(start_ns / NS_PER_S, UTC).date().isoformat() for start_ns in started_ns})
+    days = sorted(
+        {
+            datetime.fromtimestamp(start_ns / NS_PER_S, UTC).date().isoformat()
+            for start_ns in started_ns
+        }
+    )
     span = f"{days[0]} to {days[-1]}" if len(days) > 1 else days[0]
     names = ", ".join(visible(dive.dive) for dive in found.dives)
-    lines = [f"# insdvl-replay {__version__} calibrate: {counted(len(found.dives), 'dive')} of {span}: {names}"]
+    lines = [
+        f"# insdvl-replay {__version__} calibrate: {counted(len(found.dives), 'dive')} of {span}: {names}"
+    ]
     lines += ["[dvl]", *_geometry_lines(found.rows, found.before, found.after)]
-    lines += [line for row in found.noise_rows if row.parameter not in INERTIAL for line in _noise_lines(row)]
+    lines += [
+        line
+        for row in found.noise_rows
+        if row.parameter not in INERTIAL
+        for line in _noise_lines(row)
+    ]
     if found.proposes_noise:
         lines += ["", "[noise]"]
-        lines += [line for row in found.noise_rows if row.parameter in INERTIAL for line in _noise_lines(row)]
+        lines += [
+            line
+            for row in found.noise_rows
+            if row.parameter in INERTIAL
+            for line in _noise_lines(row)
+        ]
     if (reference := found.reference) is not None:
-        lines += ["", "[reference]", *_geometry_lines(reference.rows, reference.before, reference.after)]
+        lines += [
+            "",
+            "[reference]",
+            *_geometry_lines(reference.rows, reference.before, reference.after),
+        ]
         lines += ["", "[initial]"] if reference.starts else []
         lines += [
             f"# {visible(start.dive)}: heading {start.heading_deg:g} deg, sd {start.heading_sd_deg:.2g} deg; gyro bias "
@@ -239,10 +285,15 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
             for start in reference.starts
         ]
         lines += [f"heading_deg = {toml_value(FIT)}"] if reference.starts else []
-    return "\n".join([*lines, *(f"# warning: {visible(warning)}" for warning in found.warnings)]) + "\n"
+    return (
+        "\n".join([*lines, *(f"# warning: {visible(warning)}" for warning in found.warnings)])
+        + "\n"
+    )
 
 
-def _geometry_lines(rows: Sequence[ParameterRow], before: Geometry, after: Geometry) -> Iterator[str]:
+def _geometry_lines(
+    rows: Sequence[ParameterRow], before: Geometry, after: Geometry
+) -> Iterator[str]:
     for key in Geometry.__struct_fields__:
         own = [row for row in rows if _KEYS[row.parameter] == key]
         old, new = getattr(before, key), getattr(after, key)
@@ -289,7 +340,9 @@ _LEGEND: Final = ((BEFORE, "before"), (AFTER, "after"))
 _PROFILE_S: Final = np.linspace(-LATEST_S, LATEST_S, 17)
 _SHARE: Final = 0.995  # share of the innovations inside a panel, without outliers
 _AIR: Final = 1.2
-_CAPTION: Final = "Predicted minus measured velocity, in standard deviations. A good result has no pattern."
+_CAPTION: Final = (
+    "Predicted minus measured velocity, in standard deviations. A good result has no pattern."
+)
 _PLACES: Final = "dive, in the order of the table"
 
 
@@ -301,10 +354,17 @@ def calibration_figures(found: Calibration, dives: Sequence[DiveInnovations]) ->
         clock = Clock(dive.prepared.alignment.start_ns, dive.prepared.end_ns)
         time = clock.time(dive.prepared.velocities.time_ns[SKIPPED:-SKIPPED])
         panels = []
-        for axis, *pair in zip(AXES, dive.residuals(NO_CHANGE).T, dive.residuals(change).T, strict=True):
-            curves = tuple(Curve(time, values, style) for values, style in zip(pair, (BEFORE, AFTER), strict=True))
+        for axis, *pair in zip(
+            AXES, dive.residuals(NO_CHANGE).T, dive.residuals(change).T, strict=True
+        ):
+            curves = tuple(
+                Curve(time, values, style)
+                for values, style in zip(pair, (BEFORE, AFTER), strict=True)
+            )
             height = _AIR * float(np.quantile(np.abs(np.concatenate(pair)), _SHARE))
-            panels.append(Panel(f"innovation {axis} [sd]", clock.label, curves, y_limits=(-height, height)))
+            panels.append(
+                Panel(f"innovation {axis} [sd]", clock.label, curves, y_limits=(-height, height))
+            )
         figures.append(Figure(f"Innovations of {dive.name}", _CAPTION, tuple(panels), _LEGEND))
         # The cost of a delay above its minimum, with all other parameters as estimated.
         delays_s = np.union1d(_PROFILE_S, change[DELAY])
@@ -335,7 +395,10 @@ def _between_dives(found: Calibration) -> Iterator[Figure]:
         parameter = PARAMETERS[row]
         value, sd = parameter.shown_as * own[:, row], parameter.shown_as * own_sd[:, row]
         bars = Curve(np.repeat(place, 3), _interrupted(value - sd, value + sd), BEFORE, name="")
-        title, level = f"{parameter.label} [{parameter.unit}]", parameter.shown_as * float(common[row])
+        title, level = (
+            f"{parameter.label} [{parameter.unit}]",
+            parameter.shown_as * float(common[row]),
+        )
         curves = (bars, Curve(place, value, BEFORE, points=True))
         panels.append(Panel(title, _PLACES, curves, levels=(level,), x_whole=True))
     caption = "From innovations only: the change estimated from one dive, with its formal standard deviation."
@@ -344,12 +407,18 @@ def _between_dives(found: Calibration) -> Iterator[Figure]:
 
 
 def _drifts(rows: Sequence[HeldOutRow]) -> Iterator[Figure]:
-    drifts_m = np.array([[row.drift_before_m, row.drift_after_m] for row in rows], dtype=np.float64).reshape(-1, 2)
+    drifts_m = np.array(
+        [[row.drift_before_m, row.drift_after_m] for row in rows], dtype=np.float64
+    ).reshape(-1, 2)
     pairs = drifts_m[np.isfinite(drifts_m).all(axis=1)]
     if len(pairs):
         place = np.arange(1.0, len(pairs) + 1.0)
-        bars = Curve(np.repeat(place, 3), _interrupted(pairs[:, 0], pairs[:, 1]), REFERENCE, name="")
-        ends = [Curve(place, pairs[:, i], style, points=True) for i, style in enumerate((BEFORE, AFTER))]
+        bars = Curve(
+            np.repeat(place, 3), _interrupted(pairs[:, 0], pairs[:, 1]), REFERENCE, name=""
+        )
+        ends = [
+            Curve(place, pairs[:, i], style, points=True) for i, style in enumerate((BEFORE, AFTER))
+        ]
         caption = f"Median drift in 60 s without DVL; {counted(len(pairs), 'dive')} had windows."
         panel = Panel("horizontal drift [m]", _PLACES, (bars, *ends), x_whole=True)
         yield Figure("DVL outage test on held-out dives", caption, (panel,), _LEGEND)

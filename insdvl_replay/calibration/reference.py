@@ -53,7 +53,14 @@ from insdvl_replay.calibration.innovations import (
     with_dvl,
 )
 from insdvl_replay.calibration.rows import ReferenceDiveRow, StartRow
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, at_time, nanoseconds, seconds
+from insdvl_replay.core.dive_columns import (
+    Floats,
+    ReferenceColumns,
+    TimeNs,
+    at_time,
+    nanoseconds,
+    seconds,
+)
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import track_progress
@@ -116,23 +123,36 @@ class ReferenceDive:
         """Return the reference at the IMU, read with other settings."""
         settings = self.settings.changed(shared[CLOCK:])
         late = replace(self.reference, time_ns=self._times_ns(shared))
-        return reference_at_imu(late, self.asked.dive.imu, np.array(settings.lever_arm_m), settings.mat_b)
+        return reference_at_imu(
+            late, self.asked.dive.imu, np.array(settings.lever_arm_m), settings.mat_b
+        )
 
     def _times_ns(self, shared: Floats) -> TimeNs:
         return np.asarray(self.reference.time_ns - nanoseconds(float(shared[CLOCK])))
 
     def history(self, shared: Floats) -> History:
         """Run the baseline with another DVL geometry, with rows at the delayed times of the reference."""
-        prepared, imu, change = self.asked.prepared, self.asked.dive.imu, self.change + shared[:CLOCK]
+        prepared, imu, change = (
+            self.asked.prepared,
+            self.asked.dive.imu,
+            self.change + shared[:CLOCK],
+        )
         alignment, pings = prepared.alignment, moved_pings(prepared.velocities, change)
         timeline = build_timeline(
-            imu, pings.time_ns, self._times_ns(shared), alignment.start_ns, prepared.end_ns, prepared.gaps
+            imu,
+            pings.time_ns,
+            self._times_ns(shared),
+            alignment.start_ns,
+            prepared.end_ns,
+            prepared.gaps,
         )
         if self.gives_start:
             # Use the attitude of the moved reference. With another heading the Earth rate would be in other axes,
             # which a good filter takes for tilt and velocity. The start is uncertain by its mounting and delay, too,
             # which are looked for here. Its own scatter, which may be much smaller, does not show them.
-            late = mat_from_vector(at_time(imu.time_ns, imu.angular_rate_b, alignment.start_ns) * shared[CLOCK])
+            late = mat_from_vector(
+                at_time(imu.time_ns, imu.angular_rate_b, alignment.start_ns) * shared[CLOCK]
+            )
             mat_nb = alignment.start.mat_nb @ late @ mat_from_vector(-shared[REFERENCE_MOUNTING])
             alignment = replace(alignment, start=replace(alignment.spread_start, mat_nb=mat_nb))
         mounting = moved_mounting(prepared.mounting, change)
@@ -168,7 +188,9 @@ class ReferenceDive:
             )
             moved_m, at_s = np.diff(ours_m, axis=0), (time_s[ends[1:]] + time_s[ends[:-1]]) / 2.0
             by_heading = np.column_stack([-moved_m[:, 1], moved_m[:, 0], np.zeros(len(moved_m))])
-            apart = np.column_stack([moved_m - np.diff(theirs_m, axis=0), np.full(len(moved_m), np.nan)])
+            apart = np.column_stack(
+                [moved_m - np.diff(theirs_m, axis=0), np.full(len(moved_m), np.nan)]
+            )
             if theirs.has_attitude:
                 off = vector_from_mat(mat_nb[ends] @ np.swapaxes(theirs.mat_nb[ends], 1, 2))[:, 2]
                 apart -= ((off[1:] + off[:-1]) / 2.0)[:, None] * by_heading
@@ -225,10 +247,16 @@ class ReferenceDive:
         known, scatter = np.isfinite(off), np.ones_like(off)
         for family in np.unique(compared.family):
             rows = compared.family == family
-            scatter[rows] = self.level_sd if family == LEVEL else scatter_of(np.where(known[rows], off[rows], 0.0))
+            scatter[rows] = (
+                self.level_sd
+                if family == LEVEL
+                else scatter_of(np.where(known[rows], off[rows], 0.0))
+            )
         jacobian = np.concatenate([self.jacobian(shared, free), -compared.own], axis=2)
         jacobian = np.where(known[:, :, None], jacobian / scatter[:, :, None], 0.0)
-        return compared.time_s, Linearised(np.where(known, off / scatter, 0.0), np.ones(3), jacobian, jacobian)
+        return compared.time_s, Linearised(
+            np.where(known, off / scatter, 0.0), np.ones(3), jacobian, jacobian
+        )
 
     def apart(self, shared: Floats) -> tuple[float, TrackFit]:
         """Return the rms difference of velocities or displacements, and the track fit."""
@@ -249,7 +277,12 @@ def thinned(time_ns: TimeNs, apart_s: float) -> NDArray[np.int64]:
 
 
 def reference_dive(
-    asked: DiveInnovations, reference: ReferenceColumns, settings: Geometry, change: Floats, *, gives_start: bool
+    asked: DiveInnovations,
+    reference: ReferenceColumns,
+    settings: Geometry,
+    change: Floats,
+    *,
+    gives_start: bool,
 ) -> ReferenceDive | None:
     """Prepare a dive for the comparison with its reference; None if the reference is too short."""
     start_ns = asked.prepared.alignment.start_ns + nanoseconds(SETTLED_S)
@@ -257,7 +290,9 @@ def reference_dive(
     inside = (reference.time_ns >= start_ns) & (reference.time_ns <= end_ns)
     if reference.has_attitude:
         inside &= reference.known["attitudes"]
-    kept = reference.rows(inside & reference.known["velocities" if reference.has_velocity else "positions"])
+    kept = reference.rows(
+        inside & reference.known["velocities" if reference.has_velocity else "positions"]
+    )
     kept = kept.rows(np.isin(np.arange(len(kept.time_ns)), thinned(kept.time_ns, APART_S)))
     if len(kept.time_ns) < 2 or (kept.time_ns[-1] - kept.time_ns[0]) * 1e-9 < 2.0 * WAY_S:
         return None
@@ -293,7 +328,9 @@ class ReferenceFit(Fit):
         seen = np.flatnonzero(self.information_of_pings)
         correlated[seen] += 1.0 / self.information_of_pings[seen]
         correlated[CLOCK] += FINEST_CLOCK_S**2
-        formal, correlated = (np.sqrt(variances)[:COUNT] for variances in (np.diag(cov) + considered, correlated))
+        formal, correlated = (
+            np.sqrt(variances)[:COUNT] for variances in (np.diag(cov) + considered, correlated)
+        )
         between = birge = np.full(COUNT, np.nan)
         if len(self.dives) > 1:
             own, own_sd = np.empty((2, len(self.dives), COUNT))
@@ -303,7 +340,9 @@ class ReferenceFit(Fit):
                 own[i] = (alone.values + cov @ alone.gradient)[:COUNT]
                 own_sd[i] = np.sqrt(np.diag(cov) + considered)[:COUNT]
             between, birge = differing(own, own_sd, np.ones_like(own))
-        return Certainty(SHARED_SD, formal, correlated, between, birge, np.zeros(COUNT), np.zeros(COUNT))
+        return Certainty(
+            SHARED_SD, formal, correlated, between, birge, np.zeros(COUNT), np.zeros(COUNT)
+        )
 
 
 def solved(fit: Fit, information: Floats) -> tuple[Floats, Floats]:
@@ -330,9 +369,13 @@ def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats)
     pings = np.sum([dive.information_of_pings for dive in dives], axis=0) * free
 
     def linearised(values: Floats) -> ReferenceFit:
-        found = [dive.linearised(values[places], free) for dive, places in zip(dives, rows, strict=True)]
+        found = [
+            dive.linearised(values[places], free) for dive, places in zip(dives, rows, strict=True)
+        ]
         times_s, near = zip(*found, strict=True)
-        return ReferenceFit(rows, prior_sd, np.ones_like(values, bool), values, near, times_s, pings)
+        return ReferenceFit(
+            rows, prior_sd, np.ones_like(values, bool), values, near, times_s, pings
+        )
 
     fit = linearised(np.zeros(len(prior_sd)))
     for _ in track_progress("fitting the reference", range(ROUNDS)):
@@ -347,7 +390,10 @@ def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats)
 
 
 def with_reference(
-    found: Calibration, reads: Sequence[ReadDive], dives: Sequence[DiveInnovations], groups: Collection[str]
+    found: Calibration,
+    reads: Sequence[ReadDive],
+    dives: Sequence[DiveInnovations],
+    groups: Collection[str],
 ) -> Calibration:
     """Add the calibration with the references of the same dives to the one from the innovations.
 
@@ -397,7 +443,9 @@ def with_reference(
             dvl_rows[row] = msgspec.structs.replace(rows[row], why=WAY)
             change[row] = proposed[row]
     after = found.before.changed(change)
-    warnings = _warnings(certainty, kept, dive_rows, independent=reads[0].config.reference.independent)
+    warnings = _warnings(
+        certainty, kept, dive_rows, independent=reads[0].config.reference.independent
+    )
     # Headings at the start from positions, with the proposed DVL settings.
     starts = []
     for read in reads:
@@ -406,8 +454,12 @@ def with_reference(
             with suppress(LogError):
                 start = fitted_start(read.dive, with_dvl(read.config, after))
                 gyro = (start.gyro_bias_degph, start.gyro_bias_sd_degph)
-                starts.append(StartRow(read.dive.name, start.heading_deg, start.heading_sd_deg, *gyro))
-    reference = ReferenceCalibration(before, before.changed(proposed[CLOCK:]), rows[CLOCK:], dive_rows, tuple(starts))
+                starts.append(
+                    StartRow(read.dive.name, start.heading_deg, start.heading_sd_deg, *gyro)
+                )
+    reference = ReferenceCalibration(
+        before, before.changed(proposed[CLOCK:]), rows[CLOCK:], dive_rows, tuple(starts)
+    )
     return replace(
         found,
         rows=tuple(dvl_rows),
@@ -425,14 +477,23 @@ def _refused(certainty: Certainty, change: Floats, free: Mask) -> Refusals:
             continue
         # Check this first: at the edge of the search range no sd is right.
         if row == CLOCK and abs(change[row]) > LATEST_CLOCK_S - parameter.step:
-            yield row, (Estimated.IMPLAUSIBLE, "at the edge of the search range. Check the clocks and stamps")
+            yield (
+                row,
+                (
+                    Estimated.IMPLAUSIBLE,
+                    "at the edge of the search range. Check the clocks and stamps",
+                ),
+            )
         elif certainty.signal_to_noise[row] < SEEN:
             yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
         elif row == SCALE and abs(np.expm1(change[row])) > PLAUSIBLE_SCALE:
             reason = "larger than any error of the speed of sound. Check the unit of the reference's velocity"
             yield row, (Estimated.IMPLAUSIBLE, reason)
         elif abs(change[row]) > PLAUSIBLE_SDS * parameter.prior_sd:
-            yield row, (Estimated.IMPLAUSIBLE, "too far from the configuration. Check axes and clocks")
+            yield (
+                row,
+                (Estimated.IMPLAUSIBLE, "too far from the configuration. Check axes and clocks"),
+            )
 
 
 def _dive_row(dive: ReferenceDive, fit: ReferenceFit) -> ReferenceDiveRow:
@@ -443,7 +504,9 @@ def _dive_row(dive: ReferenceDive, fit: ReferenceFit) -> ReferenceDiveRow:
     turns = (track_before.turn_deg, track.turn_deg, track.turn_sd_deg)
     unit = "m/s" if dive.reference.has_velocity else "m"
     count = len(dive.reference.time_ns)
-    return ReferenceDiveRow(dive.asked.name, count, unit, rms_before, rms, *map(finite_or_none, (*numbers, *turns)))
+    return ReferenceDiveRow(
+        dive.asked.name, count, unit, rms_before, rms, *map(finite_or_none, (*numbers, *turns))
+    )
 
 
 def _warnings(

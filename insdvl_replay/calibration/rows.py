@@ -14,21 +14,35 @@ class ParameterRow(Struct, frozen=True):
 
     parameter: str
     unit: str
-    change: Annotated[Number, Meta(description="change from the configuration; null if not requested")] = None
+    change: Annotated[
+        Number, Meta(description="change from the configuration; null if not requested")
+    ] = None
     formal_sd: Number = None
-    correlated_sd: Annotated[Number, Meta(description="allows for the correlation of the innovations")] = None
-    between_dives_sd: Annotated[Number, Meta(description="of the mean over dives; null for one dive")] = None
-    beams_sd: Annotated[Number, Meta(description="from errors of each beam of 0.2 % and 1 mm/s")] = None
-    imu_sd: Annotated[Number, Meta(description="from IMU errors of 1500 ppm scale and 1 mrad misalignment")] = None
-    sd: Annotated[Number, Meta(description="largest of the first three, plus beams and IMU; at most the prior's")] = (
-        None
-    )
+    correlated_sd: Annotated[
+        Number, Meta(description="allows for the correlation of the innovations")
+    ] = None
+    between_dives_sd: Annotated[
+        Number, Meta(description="of the mean over dives; null for one dive")
+    ] = None
+    beams_sd: Annotated[
+        Number, Meta(description="from errors of each beam of 0.2 % and 1 mm/s")
+    ] = None
+    imu_sd: Annotated[
+        Number, Meta(description="from IMU errors of 1500 ppm scale and 1 mrad misalignment")
+    ] = None
+    sd: Annotated[
+        Number,
+        Meta(description="largest of the first three, plus beams and IMU; at most the prior's"),
+    ] = None
     signal_to_noise: Annotated[Number, Meta(description="prior's sd over that of the data")] = None
     birge: Annotated[
-        Number, Meta(description="Birge ratio: scatter between dives over the expected one; 1 is expected")
+        Number,
+        Meta(description="Birge ratio: scatter between dives over the expected one; 1 is expected"),
     ] = None
     status: Estimated = Estimated.HELD
-    why: Annotated[str, Meta(description="the manoeuvre that determines it, or why it is unchanged")] = ""
+    why: Annotated[
+        str, Meta(description="the manoeuvre that determines it, or why it is unchanged")
+    ] = ""
 
 
 class NoiseRow(Struct, frozen=True):
@@ -37,19 +51,30 @@ class NoiseRow(Struct, frozen=True):
     parameter: Annotated[str, Meta(description="key of [noise] or [dvl]")]
     unit: str
     before: Annotated[float, Meta(description="configured value")]
-    after: Annotated[float, Meta(description="proposed value; equal to before if it is held or implausible")]
-    sd: Annotated[Number, Meta(description="of the estimate; null if the innovations do not bound it")]
-    sensor_class: Annotated[str, Meta(description="best class of inertial sensors with this noise; else empty")]
+    after: Annotated[
+        float, Meta(description="proposed value; equal to before if it is held or implausible")
+    ]
+    sd: Annotated[
+        Number, Meta(description="of the estimate; null if the innovations do not bound it")
+    ]
+    sensor_class: Annotated[
+        str, Meta(description="best class of inertial sensors with this noise; else empty")
+    ]
     status: Estimated
     why: Annotated[str, Meta(description="why it is not proposed or only a limit; else empty")]
 
     @property
     def is_proposed(self) -> bool:
         """Whether it is estimated, of a class, or a limit other than configured; never a noise that no sensor has."""
-        from insdvl_replay.evaluation.notes import CLASSES  # heavy, and a schema needs the rows alone
+        from insdvl_replay.evaluation.notes import (
+            CLASSES,
+        )  # heavy, and a schema needs the rows alone
 
         known = self.status == Estimated.ESTIMATED
-        unknown = self.status in (Estimated.NOT_DETERMINED, Estimated.OF_CLASS) and self.after != self.before
+        unknown = (
+            self.status in (Estimated.NOT_DETERMINED, Estimated.OF_CLASS)
+            and self.after != self.before
+        )
         is_possible = CLASSES[self.parameter].least <= self.after < math.inf
         return is_possible and (known or unknown)
 
@@ -68,7 +93,9 @@ class DiveRow(Struct, frozen=True):
     after_x: float
     after_y: float
     after_z: float
-    autocorrelation_x: Annotated[float, Meta(description="lag-1 correlation of the innovations, after")]
+    autocorrelation_x: Annotated[
+        float, Meta(description="lag-1 correlation of the innovations, after")
+    ]
     autocorrelation_y: float
     autocorrelation_z: float
 
@@ -85,11 +112,17 @@ class HeldOutRow(Struct, frozen=True):
     dive: Annotated[str, Col(head="dive")]
     nis_per_dof_before: Annotated[Number, Col(head="NIS before")]
     nis_per_dof_after: Annotated[Number, Col(head="after")]
-    windows: Annotated[int, Meta(description="number of DVL outage tests of 60 s"), Col(head="windows")]
-    drift_before_m: Annotated[Number, Meta(description="median over the windows"), Col(head="drift before\n[m]")]
+    windows: Annotated[
+        int, Meta(description="number of DVL outage tests of 60 s"), Col(head="windows")
+    ]
+    drift_before_m: Annotated[
+        Number, Meta(description="median over the windows"), Col(head="drift before\n[m]")
+    ]
     drift_after_m: Annotated[Number, Col(head="after\n[m]")]
     nis_per_dof_noise: Annotated[
-        Number, Meta(description="after, also with the proposed noise; null if none"), Col(head="NIS with\nnoise")
+        Number,
+        Meta(description="after, also with the proposed noise; null if none"),
+        Col(head="NIS with\nnoise"),
     ] = None
 
 
@@ -97,17 +130,23 @@ class ReferenceDiveRow(Struct, frozen=True):
     """One dive compared with its reference, before and after: remaining differences and track fit."""
 
     title: ClassVar = (
-        "Difference from the reference, before and after: velocity (or displacement in 10 s), and track fit"
+        "Difference from the reference, before and after: velocity (or "
+        "displacement in 10 s), and track fit"
     )
     footnote: ClassVar = (
-        "Scale and turn align the filter's track with the reference's. The turn includes the drift of the heading."
+        "Scale and turn align the filter's track with the reference's. The "
+        "turn includes the drift of the heading."
     )
 
     dive: Annotated[str, Col(head="dive")]
-    rows: Annotated[int, Meta(description="number of reference rows that were compared"), Col(head="rows")]
+    rows: Annotated[
+        int, Meta(description="number of reference rows that were compared"), Col(head="rows")
+    ]
     unit: Annotated[
         str,
-        Meta(description="m/s for velocities; m for displacements, if the reference has no velocity"),
+        Meta(
+            description="m/s for velocities; m for displacements, if the reference has no velocity"
+        ),
         Col(head="unit"),
     ]
     rms_before: Annotated[
@@ -117,12 +156,16 @@ class ReferenceDiveRow(Struct, frozen=True):
     ]
     rms_after: Annotated[float, Col(head="after")]
     track_scale_before_pct: Annotated[
-        Number, Meta(description="positive if the filter's track is too short"), Col(head="scale before\n[%]")
+        Number,
+        Meta(description="positive if the filter's track is too short"),
+        Col(head="scale before\n[%]"),
     ]
     track_scale_after_pct: Annotated[Number, Col(head="after\n[%]")]
     track_scale_sd_pct: Number
     track_turn_before_deg: Annotated[
-        Number, Meta(description="clockwise; includes the filter's heading error"), Col(head="turn before\n[deg]")
+        Number,
+        Meta(description="clockwise; includes the filter's heading error"),
+        Col(head="turn before\n[deg]"),
     ]
     track_turn_after_deg: Annotated[Number, Col(head="after\n[deg]")]
     track_turn_sd_deg: Number
@@ -131,7 +174,9 @@ class ReferenceDiveRow(Struct, frozen=True):
 class StartRow(Struct, frozen=True):
     """One dive whose reference has only positions: heading at the start and gyro bias about down."""
 
-    title: ClassVar = "Headings at the start, from the tracks of positions with the proposed DVL settings"
+    title: ClassVar = (
+        "Headings at the start, from the tracks of positions with the proposed DVL settings"
+    )
     footnote: ClassVar = 'initial.heading_deg = "fit" estimates them for each dive.'
 
     dive: Annotated[str, Col(head="dive")]

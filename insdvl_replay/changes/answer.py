@@ -14,7 +14,12 @@ from msgspec.structs import replace
 
 from insdvl_replay.changes.cells import RowPair, is_number, paired_rows
 from insdvl_replay.core.distinct import distinct_dives
-from insdvl_replay.core.quantities import CONSISTENCY, DRIFT_QUANTITIES, FEWEST_DIVES, WITHOUT_VERDICT
+from insdvl_replay.core.quantities import (
+    CONSISTENCY,
+    DRIFT_QUANTITIES,
+    FEWEST_DIVES,
+    WITHOUT_VERDICT,
+)
 from insdvl_replay.core.result import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES, EvidenceRow, Number, finite
 from insdvl_replay.core.words import Role, Verdict
@@ -26,7 +31,9 @@ from insdvl_replay.evaluation.sentences import headline
 
 OLD: Final = "before"  # name of the old side in sentences
 _TABLES: Final = [layout for layout in TABLES if layout.name in ("evidence", "drift", "outage")]
-_NO_CHANGE: Final = 0.01  # of every value that may decide or warn: so small a change on a dive is none
+_NO_CHANGE: Final = (
+    0.01  # of every value that may decide or warn: so small a change on a dive is none
+)
 
 
 class DiveChange(Struct, frozen=True):
@@ -46,9 +53,12 @@ class Answer(answers.Answer, frozen=True, kw_only=True):
     sentence: str
     lost: Annotated[int, Meta(description="dives in which only the old side is evaluated")]
     largest_change: Annotated[
-        Number, Meta(description="largest relative change of a value that may decide or warn, on any dive")
+        Number,
+        Meta(description="largest relative change of a value that may decide or warn, on any dive"),
     ]
-    by_dive: Annotated[tuple[DiveChange, ...], Meta(description="the primary quantity, dive by dive")] = ()
+    by_dive: Annotated[
+        tuple[DiveChange, ...], Meta(description="the primary quantity, dive by dive")
+    ] = ()
 
     @property
     def is_same(self) -> bool:
@@ -60,7 +70,11 @@ class Answer(answers.Answer, frozen=True, kw_only=True):
     def sameness(self) -> str:
         """How small the changes are, for the end of a sentence."""
         same = finite(self.largest_change) == 0.0
-        return "has the same evidence as before" if same else "changed by less than 1 % in all that may decide"
+        return (
+            "has the same evidence as before"
+            if same
+            else "changed by less than 1 % in all that may decide"
+        )
 
     @property
     def is_harm(self) -> bool:
@@ -106,7 +120,9 @@ def answers_of(pairs: Sequence[tuple[StoredResult, StoredResult]]) -> tuple[Answ
     return msgspec.json.decode(msgspec.json.encode(found), type=tuple[Answer, ...])
 
 
-def _paired(name: str, dives: list[tuple[StoredResult, StoredResult]], *, is_equal: bool) -> _Paired:
+def _paired(
+    name: str, dives: list[tuple[StoredResult, StoredResult]], *, is_equal: bool
+) -> _Paired:
     unsound = [[_not_evaluated(side.report, name) for side in pair] for pair in dives]
     evaluated = [pair for pair, reasons in zip(dives, unsound, strict=True) if not all(reasons)]
     evidence = [[*_paired_evidence(name, *pair)] for pair in evaluated]
@@ -142,7 +158,9 @@ def _answer(paired: _Paired, level: float) -> Answer:
         lost=sum(bool(new and not old) for old, new in paired.unsound),
         largest_change=paired.largest_change,
         by_dive=tuple(
-            DiveChange(row.log, row.quantity, row.unit, finite(row.baseline), finite(row.value), row.ratio)
+            DiveChange(
+                row.log, row.quantity, row.unit, finite(row.baseline), finite(row.value), row.ratio
+            )
             for rows in paired.evidence
             for row in rows
             if row.quantity == pooled.primary
@@ -152,14 +170,18 @@ def _answer(paired: _Paired, level: float) -> Answer:
         is_equal = finite(answer.largest_change) == 0.0
         word = Verdict.NO_EFFECT if is_equal else Verdict.EQUIVALENT
         undecided = answers.Undecided.NONE
-        answer = replace(answer, verdict=word, undecided=undecided, sentence=f"{name} {answer.sameness}.")
+        answer = replace(
+            answer, verdict=word, undecided=undecided, sentence=f"{name} {answer.sameness}."
+        )
     return answer
 
 
 def _not_evaluated(report: StoredReport, name: str) -> str:
     """Return why a filter is not evaluated, empty if it is. The baseline is evaluated, if any candidate is."""
     candidates = [report.filters[name]] if name in report.filters else [*report.filters.values()]
-    if not candidates or any(candidate.get("verdict") not in WITHOUT_VERDICT for candidate in candidates):
+    if not candidates or any(
+        candidate.get("verdict") not in WITHOUT_VERDICT for candidate in candidates
+    ):
         return ""
     return str(candidates[0].get("reason") or "its result does not say why")
 
@@ -170,19 +192,32 @@ def _paired_evidence(name: str, old: StoredResult, new: StoredResult) -> Iterato
     Of the baseline, the first row counts: candidates with a start of their own, which change its values, come last.
     """
     frame = [*paired_rows(old.report, new.report, _TABLES)]
-    evidence = [pair for pair in frame if pair.layout.name == "evidence" and pair.new.get("evidence") != CONSISTENCY]
+    evidence = [
+        pair
+        for pair in frame
+        if pair.layout.name == "evidence" and pair.new.get("evidence") != CONSISTENCY
+    ]
     is_baseline = name == new.report.baseline
     is_independent = new.report.config.get("reference", {}).get("independent") is not False
     done = set()
     if evidence:
         own = [pair for pair in evidence if is_baseline or pair.filter == name]
         cells = [
-            _Cell(pair.row, str(pair.new.get("evidence")), _role(pair, is_independent=is_independent), pair)
+            _Cell(
+                pair.row,
+                str(pair.new.get("evidence")),
+                _role(pair, is_independent=is_independent),
+                pair,
+            )
             for pair in own
         ]
         column = "baseline" if is_baseline else "value"
     else:
-        cells = [*_cells_alone([pair for pair in frame if pair.filter == name], is_independent=is_independent)]
+        cells = [
+            *_cells_alone(
+                [pair for pair in frame if pair.filter == name], is_independent=is_independent
+            )
+        ]
         column = ""
     for cell in cells:
         pair = cell.pair
@@ -227,7 +262,9 @@ def _role(pair: RowPair, *, is_independent: bool) -> str:
     if Role.PRIMARY in (pair.old.get("role"), pair.new.get("role")):
         return Role.PRIMARY
     samples = pair.new.get("samples")
-    return role_alone(pair.row, int(samples) if is_number(samples) else 0, independent=is_independent)
+    return role_alone(
+        pair.row, int(samples) if is_number(samples) else 0, independent=is_independent
+    )
 
 
 def _cells_alone(pairs: Sequence[RowPair], *, is_independent: bool) -> Iterator[_Cell]:

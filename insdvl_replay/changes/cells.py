@@ -43,7 +43,9 @@ class RowPair(NamedTuple):
     new: Row
 
 
-def paired_rows(old: StoredReport | None, new: StoredReport, layouts: Iterable[TableLayout]) -> Iterator[RowPair]:
+def paired_rows(
+    old: StoredReport | None, new: StoredReport, layouts: Iterable[TableLayout]
+) -> Iterator[RowPair]:
     """Yield the rows of some tables, found by filter, key and unit: those of the new report, then those it lacks."""
     for layout in layouts:
         sides = []
@@ -51,7 +53,12 @@ def paired_rows(old: StoredReport | None, new: StoredReport, layouts: Iterable[T
             rows = report.tables.get(layout.name, []) if report else []
             if layout is CANDIDATES and report:
                 rows = [{"filter": name, **row} for name, row in report.filters.items()]
-            sides.append({(str(row["filter"]), str(row[layout.key]), str(row.get("unit") or "")): row for row in rows})
+            sides.append(
+                {
+                    (str(row["filter"]), str(row[layout.key]), str(row.get("unit") or "")): row
+                    for row in rows
+                }
+            )
         before, after = sides
         for name in dict.fromkeys((*after, *before)):
             yield RowPair(layout, *name, before.get(name, {}), after.get(name, {}))
@@ -90,11 +97,27 @@ def changes_of(
     for pair in pairs:
         layout = pair.layout
         for column in dict.fromkeys((*pair.new, *pair.old)):
-            if column in _NAMES or column in PROSE or column == layout.key or (columns and column not in columns):
+            if (
+                column in _NAMES
+                or column in PROSE
+                or column == layout.key
+                or (columns and column not in columns)
+            ):
                 continue
             moved = judge_cell(pair, column, tolerance_pct)
-            if moved.verdict != ChangeVerdict.SAME or column in layout.better or column in layout.words:
-                place = log, layout.name, pair.filter, pair.row, layout.unit_of(column, pair.unit), column
+            if (
+                moved.verdict != ChangeVerdict.SAME
+                or column in layout.better
+                or column in layout.words
+            ):
+                place = (
+                    log,
+                    layout.name,
+                    pair.filter,
+                    pair.row,
+                    layout.unit_of(column, pair.unit),
+                    column,
+                )
                 yield Change(*place, pair.old.get(column), pair.new.get(column), *moved[:3])
 
 
@@ -111,21 +134,38 @@ class Moved(NamedTuple):
 
 
 def judge_cell(
-    pair: RowPair, column: str, tolerance_pct: float | None = None, tolerance_abs: float | None = None
+    pair: RowPair,
+    column: str,
+    tolerance_pct: float | None = None,
+    tolerance_abs: float | None = None,
 ) -> Moved:
     """Return the change of a cell."""
     if not (column in pair.old and column in pair.new):
         return Moved(None, None, ChangeVerdict.NEW if column in pair.new else ChangeVerdict.GONE)
     old, new, better = pair.old[column], pair.new[column], pair.layout.better.get(column)
     before_dof, after_dof = pair.old.get("dof"), pair.new.get("dof")
-    if pair.layout.name == "evidence" and pair.new.get("evidence") == CONSISTENCY and column in ("baseline", "value"):
-        better, before_dof, after_dof = "nearer dof", 1.0, 1.0  # NIS and NEES over their degrees of freedom
+    if (
+        pair.layout.name == "evidence"
+        and pair.new.get("evidence") == CONSISTENCY
+        and column in ("baseline", "value")
+    ):
+        better, before_dof, after_dof = (
+            "nearer dof",
+            1.0,
+            1.0,
+        )  # NIS and NEES over their degrees of freedom
     dofs = tuple(float(dof) if is_number(dof) else math.nan for dof in (before_dof, after_dof))
     if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
         better = None
     if better is not None and not isinstance(old, str) and not isinstance(new, str):
         return judge_number(
-            old, new, column, better, dofs=dofs, tolerance_pct=tolerance_pct, tolerance_abs=tolerance_abs
+            old,
+            new,
+            column,
+            better,
+            dofs=dofs,
+            tolerance_pct=tolerance_pct,
+            tolerance_abs=tolerance_abs,
         )
     if is_number(old) and is_number(new):
         word = ChangeVerdict.SAME if agree(old, new, column) else ChangeVerdict.CHANGED
@@ -166,7 +206,13 @@ def judge_number(
     if tolerance_abs is not None:
         is_same |= within(abs(after - before), tolerance_abs, digits)
     is_better = (after > before) == (better == "higher")
-    word = ChangeVerdict.SAME if is_same else ChangeVerdict.BETTER if is_better else ChangeVerdict.WORSE
+    word = (
+        ChangeVerdict.SAME
+        if is_same
+        else ChangeVerdict.BETTER
+        if is_better
+        else ChangeVerdict.WORSE
+    )
     return Moved(new - old, change_pct, word, better)
 
 
@@ -184,7 +230,11 @@ def rank_verdict(old: Cell, new: Cell, best_first: tuple[str, ...]) -> ChangeVer
         return ChangeVerdict.SAME
     if old not in best_first or new not in best_first:
         return ChangeVerdict.CHANGED
-    return ChangeVerdict.WORSE if best_first.index(str(new)) > best_first.index(str(old)) else ChangeVerdict.BETTER
+    return (
+        ChangeVerdict.WORSE
+        if best_first.index(str(new)) > best_first.index(str(old))
+        else ChangeVerdict.BETTER
+    )
 
 
 def is_number(value: Cell) -> TypeGuard[float | int]:
@@ -213,13 +263,23 @@ def prints_the_same(old: float, new: float, column: str) -> bool:
     if math.isinf(largest) or largest == 0.0:
         return old == new
     exponent = math.floor(math.log10(largest))
-    unit = PRINTED_PERCENT_UNIT if column.endswith(PERCENTAGE) else 10.0 ** (exponent - PRINTED_DIGITS + 1)
+    unit = (
+        PRINTED_PERCENT_UNIT
+        if column.endswith(PERCENTAGE)
+        else 10.0 ** (exponent - PRINTED_DIGITS + 1)
+    )
     return abs(new - old) <= unit * (1.0 + ROUNDING)
 
 
 # --- Names and settings as people read them.
 
-_SHORT_NAMES: Final = {"rmse": "rms", "mean nis": "mean NIS", "mean nees": "mean NEES", "value": "", "fitted": ""}
+_SHORT_NAMES: Final = {
+    "rmse": "rms",
+    "mean nis": "mean NIS",
+    "mean nees": "mean NEES",
+    "value": "",
+    "fitted": "",
+}
 _MOST_LETTERS: Final = 30  # of a setting in a sentence
 
 
@@ -227,14 +287,19 @@ def cell_name(table: str, filter_: str, row: str, column: str, baseline: str = "
     """Name a cell in the field's words, such as ``aided position rms``; columns of the baseline are its own."""
     if baseline and (column == "baseline" or column.startswith("baseline_")):
         filter_, column = baseline, column.removeprefix("baseline").removeprefix("_")
-    words = column.removesuffix(next((ending for ending in UNITS if column.endswith(ending)), "")).replace("_", " ")
+    words = column.removesuffix(
+        next((ending for ending in UNITS if column.endswith(ending)), "")
+    ).replace("_", " ")
     what = label(f"outage_{row}s" if table == "outage" else row).replace(",", "")
     return " ".join(filter(None, dict.fromkeys((filter_, what, _SHORT_NAMES.get(words, words)))))
 
 
 def change_text(key: str, old: str, new: str) -> str:
     """Write the change of a setting, long values cut."""
-    texts = (text if len(text) <= _MOST_LETTERS else f"{text[: _MOST_LETTERS - 3]}..." for text in (old, new))
+    texts = (
+        text if len(text) <= _MOST_LETTERS else f"{text[: _MOST_LETTERS - 3]}..."
+        for text in (old, new)
+    )
     return f"{key} {' -> '.join(texts)}"
 
 

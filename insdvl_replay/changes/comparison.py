@@ -29,7 +29,9 @@ BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
 WORSE: Final = "worse"  # instead of a percentage: fail on the answer
 UNDECIDED: Final = "undecided"  # the same, and on answers that are not decided
 # The main columns, and words with a rank, which summarise numbers.
-_PRIMARY: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.primary, *layout.words)}
+_PRIMARY: Final = {
+    (layout.name, column) for layout in LAYOUTS for column in (layout.primary, *layout.words)
+}
 _ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
 
 
@@ -125,17 +127,23 @@ def compare_results(
     pairs = [(was, is_) for was, is_, _ in both]
     frames = [[*paired_rows(was.report, is_.report, layouts)] for was, is_ in pairs]
     notes = [*notes_before, *notes_after, *_notes_on_names(pairs, frames)]
-    known = dict.fromkeys(column for frame in frames for row in frame for column in (*row.new, *row.old))
+    known = dict.fromkeys(
+        column for frame in frames for row in frame for column in (*row.new, *row.old)
+    )
     if not known:  # an empty comparison must not pass
         names = ", ".join(layout.name for layout in layouts)
-        raise ConfigError(f"there is no row to compare in {names}", "leave out --table to see all tables")
+        raise ConfigError(
+            f"there is no row to compare in {names}", "leave out --table to see all tables"
+        )
     for name in columns:
         require_known("column", name, [*known])
 
     changes, compared = list[Change](), list[DiveComparison]()
     for (was, is_, how), frame in zip(both, frames, strict=True):
         found = [*changes_of(frame, is_.name, columns, tolerance_pct)]
-        compared.append(DiveComparison(is_.name, str(was.folder), str(is_.folder), how, _counts(found)))
+        compared.append(
+            DiveComparison(is_.name, str(was.folder), str(is_.folder), how, _counts(found))
+        )
         changes += found
     for lost, added, how in matching:
         if lost and not added:
@@ -163,8 +171,14 @@ def compare_results(
 
 # Results of one log in several folders are matched by their place, then by their name. Without a file there is no hash.
 _MATCHES: Final[tuple[tuple[MatchedBy, Callable[[StoredResult], Hashable]], ...]] = (
-    (MatchedBy.HASH, lambda result: result.report.log.sha256 and (result.report.log.sha256, result.below)),
-    (MatchedBy.HASH, lambda result: result.report.log.sha256 and (result.report.log.sha256, result.name)),
+    (
+        MatchedBy.HASH,
+        lambda result: result.report.log.sha256 and (result.report.log.sha256, result.below),
+    ),
+    (
+        MatchedBy.HASH,
+        lambda result: result.report.log.sha256 and (result.report.log.sha256, result.name),
+    ),
     (MatchedBy.HASH, lambda result: result.report.log.sha256),
     (MatchedBy.NAME, lambda result: (result.name, result.below)),
     (MatchedBy.NAME, lambda result: result.name),
@@ -184,7 +198,13 @@ def match_dives(
         sides = []
         for results in (before, after):
             times = Counter(map(key, results))
-            sides.append({key(result): result for result in results if key(result) and times[key(result)] == 1})
+            sides.append(
+                {
+                    key(result): result
+                    for result in results
+                    if key(result) and times[key(result)] == 1
+                }
+            )
         theirs, ours = sides
         found |= {ours[value].folder: (theirs[value], how) for value in theirs.keys() & ours.keys()}
         taken = {was.folder for was, _ in found.values()}
@@ -195,8 +215,13 @@ def match_dives(
     # A dive that is left on both sides has several results, and the matching ones are not known.
     for result in after:
         digest = result.report.log.sha256
-        if any(other.name == result.name or (digest and other.report.log.sha256 == digest) for other in before):
-            folders = [str(other.folder) for other in (*before, *after) if other.name == result.name]
+        if any(
+            other.name == result.name or (digest and other.report.log.sha256 == digest)
+            for other in before
+        ):
+            folders = [
+                str(other.folder) for other in (*before, *after) if other.name == result.name
+            ]
             text = f"{result.name}: several results could match: {', '.join(folders)}"
             raise ConfigError(text, "name the two folders to compare")
     if not found:
@@ -206,7 +231,11 @@ def match_dives(
             "name two folders that hold results of the same logs, or two single results",
         )
     return [
-        *((found[result.folder][0], result, found[result.folder][1]) for result in new if result.folder in found),
+        *(
+            (found[result.folder][0], result, found[result.folder][1])
+            for result in new
+            if result.folder in found
+        ),
         *((result, None, MatchedBy.NOTHING) for result in before),
         *((None, result, MatchedBy.NOTHING) for result in after),
     ]
@@ -218,14 +247,22 @@ def parse_pairs(texts: Iterable[str]) -> dict[str, str]:
     for text in texts:
         old, _, new = text.partition("=")
         if not (old and new):
-            raise ConfigError(f"--pair {text}: is not of the form OLD=NEW", "write --pair aided=windowed")
+            raise ConfigError(
+                f"--pair {text}: is not of the form OLD=NEW", "write --pair aided=windowed"
+            )
         pairs[old] = new
     return pairs
 
 
-def _with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) -> list[StoredResult]:
+def _with_new_names(
+    results: Sequence[StoredResult], pairs: Mapping[str, str]
+) -> list[StoredResult]:
     """Return old results with the new names of their filters."""
-    names = list(dict.fromkeys(name for result in results for name in (result.report.baseline, *result.report.filters)))
+    names = list(
+        dict.fromkeys(
+            name for result in results for name in (result.report.baseline, *result.report.filters)
+        )
+    )
     for old, new in pairs.items():
         require_known("filter", old, names)
         if new in names and new not in pairs:
@@ -235,7 +272,10 @@ def _with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) -
     for result in results:
         report = result.report
         tables = {
-            table: [{**row, "filter": pairs.get(str(row.get("filter")), row.get("filter"))} for row in rows]
+            table: [
+                {**row, "filter": pairs.get(str(row.get("filter")), row.get("filter"))}
+                for row in rows
+            ]
             for table, rows in report.tables.items()
         }
         filters = {pairs.get(name, name): candidate for name, candidate in report.filters.items()}
@@ -262,7 +302,10 @@ def _notes_on_names(
     tables = [({row.layout.name for row in rows if row.old}, {row.layout.name for row in rows if row.new})
               for rows in map(list, frames)]  # fmt: skip
     gone, added = set(theirs) - set(ours), set(ours) - set(theirs)
-    hints = {"filter": "its verdict against the baseline is in the results that have it", "table": ""}
+    hints = {
+        "filter": "its verdict against the baseline is in the results that have it",
+        "table": "",
+    }
     if gone and added:
         hints["filter"] = "--pair OLD=NEW compares filters with different names"
     for kind, names in (("filter", candidates), ("table", tables)):
@@ -271,10 +314,14 @@ def _notes_on_names(
             for name, count in sorted(counts.items()):
                 text = f"{kind} {name} is only in the {side} results ({counted(count, 'dive')}); its rows are {word}"
                 yield Note(f"{kind}_on_one_side", text, count, Severity.WARNING, hints[kind])
-    unknown = Counter(table for pair in pairs for side in pair for table in {*side.report.tables} - _ORDER.keys())
+    unknown = Counter(
+        table for pair in pairs for side in pair for table in {*side.report.tables} - _ORDER.keys()
+    )
     for table, count in unknown.items():
         text = f"table {table}: unknown to this version, and ignored"
-        yield Note("table_unknown", text, count, Severity.WARNING, "compare with the version that wrote it")
+        yield Note(
+            "table_unknown", text, count, Severity.WARNING, "compare with the version that wrote it"
+        )
 
 
 def _differences(pairs: Iterable[tuple[StoredResult, StoredResult]]) -> tuple[Difference, ...]:
@@ -301,7 +348,11 @@ def _facts(report: StoredReport) -> dict[tuple[str, str], str]:
     }
     span = {"start_ns": log.start_ns, "end_ns": log.end_ns, "duration_s": log.duration_s}
     blocks: dict[str, Mapping[str, Any]] = {
-        "tool": {key: value for key, value in report.tool.items() if key in {"name", "version", "sources"}},
+        "tool": {
+            key: value
+            for key, value in report.tool.items()
+            if key in {"name", "version", "sources"}
+        },
         "versions": report.versions,
         "config": dict(flattened(report.config)),
         "filters": {"names": ", ".join([report.baseline, *report.filters])},
@@ -374,7 +425,9 @@ def only_changed(comparison: Comparison) -> Comparison:
     """Drop unchanged cells, and aggregates that are the same in all dives; the counts stay."""
     return replace(
         comparison,
-        changes=tuple(change for change in comparison.changes if change.verdict != ChangeVerdict.SAME),
+        changes=tuple(
+            change for change in comparison.changes if change.verdict != ChangeVerdict.SAME
+        ),
         aggregates=tuple(cell for cell in comparison.aggregates if cell.same < cell.dives),
     )
 
@@ -383,7 +436,9 @@ def parse_percentage(text: str, option: str, otherwise: str = "") -> float:
     """Read a percentage such as ``0.1%``; the option, and what else it takes, are for the message."""
     match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+) ?%", text.strip())
     if match is None:
-        raise ConfigError(f"{option} {text}: is not a percentage", f"write {option} 0.5%{otherwise}")
+        raise ConfigError(
+            f"{option} {text}: is not a percentage", f"write {option} 0.5%{otherwise}"
+        )
     return float(match[1])
 
 
@@ -391,7 +446,9 @@ def parse_limit(text: str | None) -> float | str | None:
     """Read the value of ``--fail-on``: a percentage, or one of the words worse and undecided."""
     if text in (None, WORSE, UNDECIDED):
         return text
-    return parse_percentage(str(text), "--fail-on", f", or --fail-on {WORSE} or --fail-on {UNDECIDED}")
+    return parse_percentage(
+        str(text), "--fail-on", f", or --fail-on {WORSE} or --fail-on {UNDECIDED}"
+    )
 
 
 def find_violation(comparison: Comparison, limit: float | str | None) -> str:
@@ -411,11 +468,16 @@ def find_violation(comparison: Comparison, limit: float | str | None) -> str:
         sentences = [
             answer.sentence
             for answer in comparison.answers
-            if answer.is_harm or (is_open and answer.verdict in (Verdict.UNDECIDED, *WITHOUT_VERDICT))
+            if answer.is_harm
+            or (is_open and answer.verdict in (Verdict.UNDECIDED, *WITHOUT_VERDICT))
         ]
         return " ".join([*sentences, *lost])
     above_pct = limit
-    changes = [change for change in comparison.changes if not within(_loss_pct(change), above_pct, 100.0 * ROUNDING)]
+    changes = [
+        change
+        for change in comparison.changes
+        if not within(_loss_pct(change), above_pct, 100.0 * ROUNDING)
+    ]
     reasons = []
     if worst := _largest(changes, 1.0):
         more = f" by more than {above_pct:g} %" if above_pct else ""

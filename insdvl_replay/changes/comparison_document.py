@@ -8,14 +8,38 @@ from msgspec.structs import astuple
 
 from insdvl_replay.changes.answer import Answer
 from insdvl_replay.changes.cells import Change, change_text
-from insdvl_replay.changes.comparison import Aggregate, Comparison, Difference, cell_place, described
+from insdvl_replay.changes.comparison import (
+    Aggregate,
+    Comparison,
+    Difference,
+    cell_place,
+    described,
+)
 from insdvl_replay.core.errors import counted, listed, natural_key
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
-from insdvl_replay.core.result import PAGE, PRINTED, Block, Callout, DisplayTable, Only, Part, Result, Sentences, Title
+from insdvl_replay.core.result import (
+    PAGE,
+    PRINTED,
+    Block,
+    Callout,
+    DisplayTable,
+    Only,
+    Part,
+    Result,
+    Sentences,
+    Title,
+)
 from insdvl_replay.core.tables import CANDIDATES, RATIO, PooledRow, finite
 from insdvl_replay.core.words import ChangeVerdict, Verdict
 from insdvl_replay.evaluation.answers import Undecided
-from insdvl_replay.evaluation.sentences import headline, interval_text, plan_line, ratio_text, shouted, word_of
+from insdvl_replay.evaluation.sentences import (
+    headline,
+    interval_text,
+    plan_line,
+    ratio_text,
+    shouted,
+    word_of,
+)
 from insdvl_replay.show.answers import TONES, verdict_in_table
 from insdvl_replay.show.document import MISSING, ShownColumn, table_of
 from insdvl_replay.show.first_screen import (
@@ -44,14 +68,19 @@ _OFF_ONE: Final = ("nis", "nees")
 def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Result:
     """Return a comparison as tables and JSON, with its screen."""
     dives = [
-        (*astuple(dive)[:4], *(dive.counts[word] if dive.counts else None for word in ChangeVerdict))
+        (
+            *astuple(dive)[:4],
+            *(dive.counts[word] if dive.counts else None for word in ChangeVerdict),
+        )
         for dive in comparison.dives
     ]
     return Result(
         kind="comparison",
         title=_title(comparison),
         tables={
-            "answer": Block.of(PooledRow, (row for answer in comparison.answers for row in answer.rows)),
+            "answer": Block.of(
+                PooledRow, (row for answer in comparison.answers for row in answer.rows)
+            ),
             "difference": Block.of(Difference, comparison.differences),
             "dive": Block(("log", "old", "new", "matched_by", *ChangeVerdict), dives),
             "aggregate": Block.of(Aggregate, comparison.aggregates),
@@ -72,11 +101,16 @@ def comparison_document(
     command: str = "",  # the one that shows all values, if it is not the one that was typed
 ) -> list[Part]:
     """Return the screen: answers, changed verdicts, differences outside the tables, evidence or values, and counts."""
-    several, most = len(comparison.matched) > 1, len(comparison.differences) if values else _MOST_DIFFERENCES
+    several, most = (
+        len(comparison.matched) > 1,
+        len(comparison.differences) if values else _MOST_DIFFERENCES,
+    )
     unmoved = (ChangeVerdict.SAME, ChangeVerdict.NEW, ChangeVerdict.GONE)
     moved = [change for change in comparison.changes if change.verdict not in unmoved]
     if values:
-        tables = [_values_over_dives(comparison.aggregates) if several else _values(comparison.changes)]
+        tables = [
+            _values_over_dives(comparison.aggregates) if several else _values(comparison.changes)
+        ]
     elif several:
         tables = [*_answer_table(comparison.answers, every_row=every_row)]
     else:
@@ -101,9 +135,19 @@ def comparison_document(
 def _closing_lines(comparison: Comparison, *, values: bool, command: str) -> Iterator[str]:
     """Count the values by verdict, and say where the others are."""
     counts = comparison.counts
-    words = ", ".join(f"{counts[word]} {word}" for word in ChangeVerdict if counts[word] and word != ChangeVerdict.SAME)
-    limit = "the last printed digit" if comparison.tolerance_pct is None else f"{comparison.tolerance_pct:g} %"
-    same = f"{counts[ChangeVerdict.SAME]} of {sum(counts.values())} values are the same up to {limit}"
+    words = ", ".join(
+        f"{counts[word]} {word}"
+        for word in ChangeVerdict
+        if counts[word] and word != ChangeVerdict.SAME
+    )
+    limit = (
+        "the last printed digit"
+        if comparison.tolerance_pct is None
+        else f"{comparison.tolerance_pct:g} %"
+    )
+    same = (
+        f"{counts[ChangeVerdict.SAME]} of {sum(counts.values())} values are the same up to {limit}"
+    )
     yield f"{words or 'no value changed'}; {same}"
     for name, change in (("worst", comparison.worst), ("best", comparison.best)):
         if values and change is not None:
@@ -120,7 +164,8 @@ def _closing_lines(comparison: Comparison, *, values: bool, command: str) -> Ite
 def answer_lines(answers: Sequence[Answer]) -> list[Callout]:
     """Return a line for each filter: its verdict and the evidence that made it, or could have."""
     name_width, verdict_width = (
-        max(map(len, texts)) for texts in zip(*((answer.filter, word_of(answer)) for answer in answers), strict=True)
+        max(map(len, texts))
+        for texts in zip(*((answer.filter, word_of(answer)) for answer in answers), strict=True)
     )
     return [
         Callout(
@@ -136,10 +181,16 @@ def _said(answer: Answer) -> str:
     dives = counted(answer.dives, "dive")
     if answer.verdict in WITHOUT_VERDICT:
         return f"evaluated in only {answer.evaluated} of {dives}: {answer.reason}"
-    said = answer.sameness if answer.is_same else headline(answer).removeprefix(f"{shouted(answer.verdict)}, ")
+    said = (
+        answer.sameness
+        if answer.is_same
+        else headline(answer).removeprefix(f"{shouted(answer.verdict)}, ")
+    )
     is_one_dive = answer.undecided == Undecided.ONE_DIVE
     found = [said, plan_line(answer).rstrip(".") if answer.undecided and not is_one_dive else ""]
-    lost = f"no longer evaluated in {answer.lost} of {dives}: {answer.reason}" if answer.lost else ""
+    lost = (
+        f"no longer evaluated in {answer.lost} of {dives}: {answer.reason}" if answer.lost else ""
+    )
     return "; ".join(filter(None, (*found, lost)))
 
 
@@ -157,10 +208,17 @@ def _answer_table(answers: Sequence[Answer], *, every_row: bool) -> Iterator[Dis
         ("", "l", verdict_in_table),
     )
     rows = [row for answer in answers for row in answer.known]
-    chosen = [row for answer in answers if not answer.is_same for row in (answer.decisive, *answer.warnings)]
+    chosen = [
+        row
+        for answer in answers
+        if not answer.is_same
+        for row in (answer.decisive, *answer.warnings)
+    ]
     kept = [row for row in rows if every_row or row in chosen]
     left = len(rows) - len(kept)
-    footnote = "old, new: medians over the dives. ratio: new over old, geometric mean over the dives."
+    footnote = (
+        "old, new: medians over the dives. ratio: new over old, geometric mean over the dives."
+    )
     footnote += f" {left} more rows: -v" if left else ""
     if kept:
         yield table_of("Evidence, new against old", kept, columns, footnote, spare=(2, 7, 3, 4))
@@ -170,18 +228,25 @@ def _answer_screen(answers: Sequence[Answer]) -> list[Part]:
     """Return the answers: a line for each filter, on pages a section with forest plots."""
     sections = []
     for answer in answers:
-        plots = [evidence_forest("This dive" if answer.dives == 1 else "All dives", answer, _MOST_DRAWN)]
+        plots = [
+            evidence_forest("This dive" if answer.dives == 1 else "All dives", answer, _MOST_DRAWN)
+        ]
         if answer.dives > 1:
             rows = [
                 ForestRow(
-                    dive.log, dive.ratio, tone=Verdict.UNDECIDED, text=change_of_value(dive.old, dive.new, dive.unit)
+                    dive.log,
+                    dive.ratio,
+                    tone=Verdict.UNDECIDED,
+                    text=change_of_value(dive.old, dive.new, dive.unit),
                 )
                 for dive in answer.by_dive
                 if finite(dive.ratio) > 0.0
             ]
             plots.append(by_dive_forest(answer.primary, rows))
         sections.append(section(answer, [f"{_said(answer)}."], plots))
-    caption = "All dives: each is one sample." if any(answer.dives > 1 for answer in answers) else ""
+    caption = (
+        "All dives: each is one sample." if any(answer.dives > 1 for answer in answers) else ""
+    )
     page = first_screen(sections, caption, compared=("new result", "old one"))
     return [Only(PRINTED, tuple(answer_lines(answers))), Only(PAGE, (page,))]
 
@@ -211,21 +276,34 @@ def _changed_settings(comparison: Comparison) -> list[str]:
         if (match := added.fullmatch(item.key)) and None in (item.old, item.new)
     }
     own_keys = tuple(f"filters.{name}." for name in one_sided)
-    texts = [_difference_text(item, item.key, comparison) for item in found if not item.key.startswith(own_keys)]
-    return [*texts, *(f"filter {name} only in the {side} results" for name, side in one_sided.items())]
+    texts = [
+        _difference_text(item, item.key, comparison)
+        for item in found
+        if not item.key.startswith(own_keys)
+    ]
+    return [
+        *texts,
+        *(f"filter {name} only in the {side} results" for name, side in one_sided.items()),
+    ]
 
 
 def _difference_text(item: Difference, name: str, comparison: Comparison) -> str:
     """Write a difference, with the number of its dives if it is not in all."""
     matched = len(comparison.matched)
     some = f" (in {len(item.logs)} of {matched})" if len(item.logs) < matched else ""
-    return change_text(name, *(NONE if side is None else side for side in (item.old, item.new))) + some
+    return (
+        change_text(name, *(NONE if side is None else side for side in (item.old, item.new))) + some
+    )
 
 
 def _other_differences(comparison: Comparison, most: int) -> list[str]:
     """Return the differences outside the tables, one line each: logs, settings that the title lacks, and the rest."""
     found = comparison.differences
-    other = [item for item in found if (item.block, item.key) == ("log", "sha256") and item.old and item.new]
+    other = [
+        item
+        for item in found
+        if (item.block, item.key) == ("log", "sha256") and item.old and item.new
+    ]
     names = sorted({name for item in other for name in item.logs}, key=natural_key)
     whose = "the log differs" if len(names) == 1 else f"the logs of {listed(names)} differ"
     lines = [f"{whose} (SHA-256). Changed values may come from the log"] if names else []
@@ -246,8 +324,14 @@ def _changed_verdicts(comparison: Comparison) -> list[str]:
             key = change.column, change.filter, str(change.new), str(change.old)
             dives.setdefault(key, []).append(change.log)
     matched, lines = len(comparison.matched), []
-    for (column, *names), logs in sorted(dives.items(), key=lambda found: list(_CHANGED_WORDS).index(found[0][0])):
-        where = f" ({len(logs)} of {matched} dives: {listed(logs, _NAMED_DIVES)})" if len(logs) < matched else ""
+    for (column, *names), logs in sorted(
+        dives.items(), key=lambda found: list(_CHANGED_WORDS).index(found[0][0])
+    ):
+        where = (
+            f" ({len(logs)} of {matched} dives: {listed(logs, _NAMED_DIVES)})"
+            if len(logs) < matched
+            else ""
+        )
         lines.append(_CHANGED_WORDS[column].format(*names) + where)
     return lines
 
@@ -274,17 +358,25 @@ def _evidence_of_dive(changes: Iterable[Change], baseline: str) -> Iterator[Disp
     # The rows of every candidate repeat the baseline's values; show them once.
     rows: dict[tuple[str, str], Change] = {}
     for cell in changes:
-        if cell.table == "evidence" and cell.column in ((RATIO,) if cell.row in _OFF_ONE else ("value", "baseline")):
+        if cell.table == "evidence" and cell.column in (
+            (RATIO,) if cell.row in _OFF_ONE else ("value", "baseline")
+        ):
             rows.setdefault((owner(cell), cell.row), cell)
     if rows:
-        named: tuple[ShownColumn, ...] = (("filter", "l", owner), ("evidence", "l", name), ("", "l", "unit"))
+        named: tuple[ShownColumn, ...] = (
+            ("filter", "l", owner),
+            ("evidence", "l", name),
+            ("", "l", "unit"),
+        )
         columns = (*named, *_OLD_AND_NEW[:-1])
         yield table_of("Changed evidence", rows.values(), columns, spare=(2, 3, 4))
 
 
 def _values(changes: Sequence[Change]) -> DisplayTable:
     footnote = "% is of the magnitude; for NIS, of the ratio to its degrees of freedom"
-    return table_of("Values, old and new", changes, (("value", "l", cell_place), *_OLD_AND_NEW), footnote)
+    return table_of(
+        "Values, old and new", changes, (("value", "l", cell_place), *_OLD_AND_NEW), footnote
+    )
 
 
 def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
@@ -293,6 +385,10 @@ def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
         *((key, "r", key) for key in ("dives", "better", "worse")),
         ("median\n[%]", "r", "median_change_pct:signed_percent"),
         ("worst\n[%]", "r", "worst_change_pct:signed_percent"),
-        ("in", "l", lambda cell: MISSING if cell.worst_word == ChangeVerdict.SAME else cell.worst_log),
+        (
+            "in",
+            "l",
+            lambda cell: MISSING if cell.worst_word == ChangeVerdict.SAME else cell.worst_log,
+        ),
     )
     return table_of("Values over the dives", cells, columns)

@@ -11,7 +11,16 @@ from insdvl_replay.changes.cells import cell_name
 from insdvl_replay.changes.gate_file import TRAJECTORY
 from insdvl_replay.changes.gates import EVERY_DIVE, NOT_EXPECTED, CheckResult, Finding, GateOutcome
 from insdvl_replay.core.errors import counted, visible, visible_lines
-from insdvl_replay.core.result import Block, Callout, DisplayTable, Part, Result, Title, Tool, this_tool
+from insdvl_replay.core.result import (
+    Block,
+    Callout,
+    DisplayTable,
+    Part,
+    Result,
+    Title,
+    Tool,
+    this_tool,
+)
 from insdvl_replay.core.words import GateStatus
 from insdvl_replay.show.render import render
 
@@ -35,7 +44,9 @@ class CheckReport(Struct, frozen=True):
     tool: Tool
     gates: Annotated[str, Meta(description="the gate file")]
     failed: int
-    unusable: Annotated[int, Meta(description="the dive could not be replayed, or its result could not be read")]
+    unusable: Annotated[
+        int, Meta(description="the dive could not be replayed, or its result could not be read")
+    ]
     warning: int
     off: int
     passed: int
@@ -60,12 +71,22 @@ def in_format(found: CheckResult, format_: str) -> str:
 def check_result(found: CheckResult) -> Result:
     """Return the outcome of the gates, with the gated values that differ from the expected ones."""
     tone = "bad" if any(found.count(status) for status in _ERRORS) else "good"
-    parts: list[Part] = [Title("Gates"), Callout(check_sentence(found), tone), *_trajectory_counts(found)]
+    parts: list[Part] = [
+        Title("Gates"),
+        Callout(check_sentence(found), tone),
+        *_trajectory_counts(found),
+    ]
     for name, words in found.words.items():
-        parts.append(f"{name} against the baseline: {', '.join(f'{count} {word}' for word, count in words.items())}")
+        parts.append(
+            f"{name} against the baseline: {', '.join(f'{count} {word}' for word, count in words.items())}"
+        )
     if missed := _missed(found):
-        rows = tuple((WORDS[item.status][0], item.dive, item.gate, item.explained) for item in missed)
-        parts.append(DisplayTable("Gates that did not pass", ("", "dive", "gate", "why"), "llll", rows))
+        rows = tuple(
+            (WORDS[item.status][0], item.dive, item.gate, item.explained) for item in missed
+        )
+        parts.append(
+            DisplayTable("Gates that did not pass", ("", "dive", "gate", "why"), "llll", rows)
+        )
     moved = [
         (item.dive, cell.sentence)
         for item in found.outcomes
@@ -79,7 +100,10 @@ def check_result(found: CheckResult) -> Result:
     parts.append(DisplayTable("Gates", ("gate", "passed"), "ll", tuple(_passed(found))))
     counts = {status.name.lower(): found.count(status) for status in GateStatus}
     report = CheckReport(this_tool(), found.gates, **counts, outcomes=found.outcomes)
-    every = [(item.dive, item.gate, str(item.status), "; ".join(item.explained)) for item in found.outcomes]
+    every = [
+        (item.dive, item.gate, str(item.status), "; ".join(item.explained))
+        for item in found.outcomes
+    ]
     tables = {"gates": Block(("dive", "gate", "status", "why"), every)}
     return Result("check", "Gates", tables=tables, document=parts, data=report)
 
@@ -88,7 +112,10 @@ def check_text(found: CheckResult) -> str:
     """Return the counts, the gates that did not pass, and the number of passed dives of each gate."""
     lines = [check_sentence(found), *_trajectory_counts(found), ""]
     for item in _missed(found):
-        lines += [f"{WORDS[item.status][0]}  {item.dive}: {item.gate}", *(f"    {reason}" for reason in item.explained)]
+        lines += [
+            f"{WORDS[item.status][0]}  {item.dive}: {item.gate}",
+            *(f"    {reason}" for reason in item.explained),
+        ]
     lines += [""] if lines[-1] else []
     lines += [f"{name}: {passed}" for name, passed in _passed(found)]
     return "".join(f"{visible(line)}\n" for line in lines)
@@ -98,15 +125,23 @@ def check_sentence(found: CheckResult) -> str:
     """Return the counts of the gates' outcomes, in one sentence."""
     dives = len({item.dive for item in found.outcomes} - {EVERY_DIVE})
     gates = len({item.gate for item in found.outcomes})
-    counts = ", ".join(f"{count} {word}" for status, (_, word, _) in WORDS.items() if (count := found.count(status)))
+    counts = ", ".join(
+        f"{count} {word}"
+        for status, (_, word, _) in WORDS.items()
+        if (count := found.count(status))
+    )
     return f"{counted(gates, 'gate')} on {counted(dives, 'dive') if dives else 'all dives together'}: {counts}"
 
 
 def _trajectory_counts(found: CheckResult) -> list[str]:
     """Return the counts of changed trajectories, if gates compare them."""
     compared = [item for item in found.outcomes if item.is_trajectory]
-    errors = {item.dive for item in compared if item.status == GateStatus.UNUSABLE or not item.findings}
-    changed = {item.dive for item in compared if not all(finding.passed for finding in item.findings)} - errors
+    errors = {
+        item.dive for item in compared if item.status == GateStatus.UNUSABLE or not item.findings
+    }
+    changed = {
+        item.dive for item in compared if not all(finding.passed for finding in item.findings)
+    } - errors
     unchanged = {item.dive for item in compared} - errors - changed
     counts = f"{len(changed)} changed, {len(unchanged)} unchanged, {len(errors)} errors"
     return [f"trajectories: {counts}"] if compared else []
@@ -136,31 +171,48 @@ def junit_xml(found: CheckResult) -> str:
 
     def counts(outcomes: Sequence[GateOutcome], elapsed_s: float) -> dict[str, str]:
         failures, errors = (
-            str(sum(item.status == status for item in outcomes)) for status in (GateStatus.FAILED, GateStatus.UNUSABLE)
+            str(sum(item.status == status for item in outcomes))
+            for status in (GateStatus.FAILED, GateStatus.UNUSABLE)
         )
-        return {"tests": str(len(outcomes)), "failures": failures, "errors": errors, "time": f"{elapsed_s:.3f}"}
+        return {
+            "tests": str(len(outcomes)),
+            "failures": failures,
+            "errors": errors,
+            "time": f"{elapsed_s:.3f}",
+        }
 
     def clean(text: str) -> str:
         """Escape control characters, and replace other characters that XML does not allow."""
         return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", visible_lines(text))
 
     total_s = sum(found.elapsed_s.values())
-    root = ElementTree.Element("testsuites", {"name": clean(found.gates), **counts(found.outcomes, total_s)})
+    root = ElementTree.Element(
+        "testsuites", {"name": clean(found.gates), **counts(found.outcomes, total_s)}
+    )
     for dive in dict.fromkeys(item.dive for item in found.outcomes):
-        own, elapsed_s = [item for item in found.outcomes if item.dive == dive], found.elapsed_s.get(dive, 0.0)
+        own, elapsed_s = (
+            [item for item in found.outcomes if item.dive == dive],
+            found.elapsed_s.get(dive, 0.0),
+        )
         skipped = str(sum(WORDS[item.status][2] == "skipped" for item in own))
         attributes = {"name": clean(dive), **counts(own, elapsed_s), "skipped": skipped}
         suite = ElementTree.SubElement(root, "testsuite", attributes)
         for item in own:
             place = {"file": clean(found.gates), **({"line": str(item.line)} if item.line else {})}
-            names = {"classname": clean(item.dive), "name": clean(item.gate), "time": f"{elapsed_s / len(own):.3f}"}
+            names = {
+                "classname": clean(item.dive),
+                "name": clean(item.gate),
+                "time": f"{elapsed_s / len(own):.3f}",
+            }
             case = ElementTree.SubElement(suite, "testcase", names | place)
             element, lines = WORDS[item.status][2], [visible(line) for line in item.explained]
             if element:
                 attributes = {"message": clean("; ".join(lines) or item.status)}
                 attributes |= {} if element == "skipped" else {"type": item.status}
                 where = [":".join(place.values())] if lines else []
-                ElementTree.SubElement(case, element, attributes).text = clean("\n".join([*lines, *where]))
+                ElementTree.SubElement(case, element, attributes).text = clean(
+                    "\n".join([*lines, *where])
+                )
     ElementTree.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
@@ -175,7 +227,10 @@ def github_annotations(found: CheckResult) -> str:
         return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
 
     def command(level: str, line: int, title: str, message: str) -> str:
-        file, title = (escaped(visible(text)).replace(":", "%3A").replace(",", "%2C") for text in (found.gates, title))
+        file, title = (
+            escaped(visible(text)).replace(":", "%3A").replace(",", "%2C")
+            for text in (found.gates, title)
+        )
         return f"::{level} file={file}{f',line={line}' if line else ''},title={title}::{escaped(message)}"
 
     lines = list[str]()
@@ -186,7 +241,9 @@ def github_annotations(found: CheckResult) -> str:
             message = "\n".join(map(visible, item.explained))
             lines.append(command(level, item.line, f"{item.dive}: {item.gate}", message))
         if hidden := len(missed) - len(listed):
-            lines.append(command(level, 0, "more", f"{hidden} more gates did not pass; the log lists them"))
+            lines.append(
+                command(level, 0, "more", f"{hidden} more gates did not pass; the log lists them")
+            )
     return "".join(f"{line}\n" for line in (*lines, check_sentence(found)))
 
 
@@ -206,5 +263,7 @@ def update_text(
                 name = cell_name(cell.table, cell.filter, cell.row, cell.column)
                 text = f"{name} is new: {value}{f' {cell.unit}' if cell.unit else ''}"
             lines.append(f"{dive}: {'trajectory of ' if cell.table == TRAJECTORY else ''}{text}")
-    count = f"{counted(len(lines), 'value')} new or changed, {len(changes) - len(lines)} print the same"
+    count = (
+        f"{counted(len(lines), 'value')} new or changed, {len(changes) - len(lines)} print the same"
+    )
     return "".join(f"{visible(line)}\n" for line in (*lines, count))

@@ -51,7 +51,9 @@ MOST_CAUSES: Final = 4  # settings that a failure names
 _FILTERS: Final = "filters"  # key of the names of all filters, among the settings
 _SETTINGS_FILE: Final = "settings.json"  # in the archive of a trajectory
 _HASH_DIGITS: Final = 12
-LAYOUTS: Final = {layout.name: layout for layout in (*TABLES, CANDIDATES, layout_of(POOLED, PooledRow))}
+LAYOUTS: Final = {
+    layout.name: layout for layout in (*TABLES, CANDIDATES, layout_of(POOLED, PooledRow))
+}
 Limit = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]  # finite
 Allowance = Annotated[float, Meta(ge=0, le=LARGEST)]
 Share = Annotated[float, Meta(ge=0, le=100)]
@@ -64,7 +66,9 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     table: str
     filter: str = ANY
     row: str = ANY
-    expected: str | None = None  # stored values, relative to the gate file; ``{log}`` is the dive's name
+    expected: str | None = (
+        None  # stored values, relative to the gate file; ``{log}`` is the dive's name
+    )
     dives: tuple[str, ...] = ()  # name patterns of the dives to check; empty for all
     share_of_dives_pct: Share | None = None  # the gate passes if this share of the dives passes it
     level: GateLevel = GateLevel.ERROR
@@ -80,7 +84,9 @@ class CellGate(Gate, frozen=True, kw_only=True):
     column: str
     min: Limit | None = None  # inclusive, as the maximum
     max: Limit | None = None
-    equals: str | int | float | tuple[str | int | float, ...] | None = None  # the allowed value or values
+    equals: str | int | float | tuple[str | int | float, ...] | None = (
+        None  # the allowed value or values
+    )
     # Allowed loss against the expected value: in percent, or in percentage points if the value is a percentage; and in
     # the unit of the value. The larger of the two counts.
     max_worse_pct: Allowance | None = None
@@ -89,7 +95,13 @@ class CellGate(Gate, frozen=True, kw_only=True):
     @property
     def wanted(self) -> tuple[str | int | float, ...]:
         """The allowed values."""
-        return self.equals if isinstance(self.equals, tuple) else () if self.equals is None else (self.equals,)
+        return (
+            self.equals
+            if isinstance(self.equals, tuple)
+            else ()
+            if self.equals is None
+            else (self.equals,)
+        )
 
     def rows_of(self, old: StoredReport | None, new: StoredReport) -> Iterator[RowPair]:
         """Yield the rows that it checks, each with the expected one."""
@@ -140,21 +152,36 @@ def load_gates(path: Path) -> Gates:
     if not is_writable(str(path)):
         raise ConfigError(f"{path}: its name is not UTF-8", "rename it")
     source = read_toml(
-        path, f"for example {EXAMPLE}", if_unreadable="name a file of gates", if_invalid=f"[[gate]] {EXAMPLE}"
+        path,
+        f"for example {EXAMPLE}",
+        if_unreadable="name a file of gates",
+        if_invalid=f"[[gate]] {EXAMPLE}",
     )
     require_kind_of_toml(path, source.content, "gates", SECTIONS)
     content = converted(source.content, GateFile, source)
     gates = list[CellGate | TrajectoryGate]()
     for number, table in enumerate(content.gate, 1):
-        kind: type[CellGate | TrajectoryGate] = TrajectoryGate if table.get("table") == TRAJECTORY else CellGate
+        kind: type[CellGate | TrajectoryGate] = (
+            TrajectoryGate if table.get("table") == TRAJECTORY else CellGate
+        )
         gates.append(converted(table, kind, source, label=f"gate {number}"))
     names = [gate.name for gate in gates]
     for name, times in Counter(names).items():
         if times > 1:
-            raise ConfigError(f"two gates have the name '{name}'", "give each gate its own name", source.name)
+            raise ConfigError(
+                f"two gates have the name '{name}'", "give each gate its own name", source.name
+            )
     if all(gate.level == GateLevel.OFF for gate in gates):
-        raise ConfigError("no gate is active", f"add [[gate]] with {EXAMPLE}, or set a level to error", source.name)
-    lines = [number for number, line in enumerate(source.text.split("\n"), 1) if line.lstrip().startswith("[[gate]]")]
+        raise ConfigError(
+            "no gate is active",
+            f"add [[gate]] with {EXAMPLE}, or set a level to error",
+            source.name,
+        )
+    lines = [
+        number
+        for number, line in enumerate(source.text.split("\n"), 1)
+        if line.lstrip().startswith("[[gate]]")
+    ]
     by_name = dict(zip(names, lines, strict=True)) if len(lines) == len(names) else {}
     found = Gates(path, content, tuple(gates), by_name)
     for gate in gates:
@@ -172,7 +199,9 @@ def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gate
     matches = {pattern: fnmatch.filter(names, pattern) for pattern in (*only, *skip)}
     for pattern, found in matches.items():
         if not found:
-            raise ConfigError(f"{gates.path}: no gate has the name '{pattern}'", f"gates: {listed(names)}")
+            raise ConfigError(
+                f"{gates.path}: no gate has the name '{pattern}'", f"gates: {listed(names)}"
+            )
     wanted = {name for pattern in only for name in matches[pattern]} if only else set(names)
     wanted -= {name for pattern in skip for name in matches[pattern]}
     if not wanted:
@@ -189,7 +218,11 @@ def require_known_filters(
     for gate in gates.gates:
         with error_context(gates.where(gate)):
             require_known("filter", gate.filter, [ANY, *filters])
-            if isinstance(gate, CellGate) and gate.filter == baseline and not LAYOUTS[gate.table].baseline_too:
+            if (
+                isinstance(gate, CellGate)
+                and gate.filter == baseline
+                and not LAYOUTS[gate.table].baseline_too
+            ):
                 raise ConfigError(
                     f"filter '{baseline}' is the baseline, which has no rows in {gate.table}",
                     f"name a candidate: {', '.join(candidates)}; its rows also have columns of the baseline",
@@ -229,13 +262,19 @@ def _check_cell_gate(gate: CellGate) -> None:
     if has_words and not (gate.min is None and gate.max is None):
         raise ConfigError(f"{column} contains words, which have no limits", "use equals")
     if gate.wanted and not any(isinstance(value, str) == has_words for value in gate.wanted):
-        raise ConfigError(f"equals: {column} contains {'words' if has_words else 'numbers'}, found {gate.equals!r}")
+        raise ConfigError(
+            f"equals: {column} contains {'words' if has_words else 'numbers'}, found {gate.equals!r}"
+        )
 
     if (gate.expected is None) != (gate.max_worse_pct is None and gate.max_worse_abs is None):
         text = "expected needs max_worse_pct or max_worse_abs, and these need expected"
         raise ConfigError(text, 'expected = "expected/{log}.json" with max_worse_pct = 5')
-    if gate.table == POOLED and (gate.expected is not None or gate.share_of_dives_pct is not None or gate.dives):
-        raise ConfigError("pooled evidence has no expected values and no single dives", "min, max or equals")
+    if gate.table == POOLED and (
+        gate.expected is not None or gate.share_of_dives_pct is not None or gate.dives
+    ):
+        raise ConfigError(
+            "pooled evidence has no expected values and no single dives", "min, max or equals"
+        )
     if unknown := re.findall(r"\{.*?\}", (gate.expected or "").replace(LOG, "")):
         raise ConfigError(f"expected: {unknown[0]} is not known", f"use {LOG} for the dive's name")
     if gate.expected is not None and gate.column not in layout.better:
@@ -279,7 +318,10 @@ def stored_values(gate: Gate, path: Path) -> "StoredReport | Trajectory | None":
 
 def expected_of(gates: Gates, gate: Gate, log: StoredLog) -> "StoredReport | Trajectory":
     """Return the expected values of a log; the ConfigError names the command that writes them."""
-    path, command = expected_path(gates, gate, log.name), f"`insdvl-replay check {gates.path} --update`"
+    path, command = (
+        expected_path(gates, gate, log.name),
+        f"`insdvl-replay check {gates.path} --update`",
+    )
     with looked_for(path):
         if not path.is_file():
             raise ConfigError(f"{path}: there are no expected values yet", f"{command} writes them")
@@ -287,7 +329,9 @@ def expected_of(gates: Gates, gate: Gate, log: StoredLog) -> "StoredReport | Tra
     if expected is None:
         kind = "trajectory" if isinstance(gate, TrajectoryGate) else "result"
         raise ConfigError(f"{path}: is not a readable {kind}", f"{command} writes a new one")
-    if (expected.log.sha256 if isinstance(expected, StoredReport) else expected.sha256) != log.sha256:
+    if (
+        expected.log.sha256 if isinstance(expected, StoredReport) else expected.sha256
+    ) != log.sha256:
         text = f"{path}: the expected values are of another log than {log.name}"
         raise ConfigError(text, f"{command} writes new ones")
     return expected
@@ -300,14 +344,21 @@ def known_causes(gates: Gates, dive: str, report: StoredReport) -> tuple[str, ..
     stored = next((values for values in found if values is not None), None)
     if stored is None:
         return ()
-    causes, (old, new) = list[str](), ((values.log.sha256, values.tool.get("version")) for values in (stored, report))
+    causes, (old, new) = (
+        list[str](),
+        ((values.log.sha256, values.tool.get("version")) for values in (stored, report)),
+    )
     if old[0] != new[0]:
-        causes.append(f"the log differs: SHA-256 {old[0][:_HASH_DIGITS]} -> {new[0][:_HASH_DIGITS]}")
+        causes.append(
+            f"the log differs: SHA-256 {old[0][:_HASH_DIGITS]} -> {new[0][:_HASH_DIGITS]}"
+        )
     if old[1] and new[1] and old[1] != new[1]:
         causes.append(f"the version of the tool differs: {old[1]} -> {new[1]}")
     was, is_ = (_own_settings(values) for values in (stored, report))
     if stored.config and was != is_:
-        causes.append(f"settings differ: {listed(changed_settings(was, is_, _defaults()), MOST_CAUSES)}")
+        causes.append(
+            f"settings differ: {listed(changed_settings(was, is_, _defaults()), MOST_CAUSES)}"
+        )
     return tuple(causes)
 
 
@@ -323,7 +374,9 @@ def _stored_settings(gate: Gate, path: Path) -> StoredReport | None:
         return None
 
 
-def with_expected(gates: Gates, dives: Sequence[Checked]) -> Iterator[tuple[Gate, Checked, StoredReport]]:
+def with_expected(
+    gates: Gates, dives: Sequence[Checked]
+) -> Iterator[tuple[Gate, Checked, StoredReport]]:
     """Yield each gate that has expected values, with each dive that it applies to and its result."""
     for gate in gates.gates:
         if gate.expected is not None and gate.level != GateLevel.OFF:
@@ -339,7 +392,9 @@ def write_expected(gates: Gates, dives: Sequence[Checked]) -> list[Path]:
         path = expected_path(gates, gate, dive.name)
         owner, _, sharing = written.setdefault(path, (dive, report, []))
         if owner is not dive:
-            raise ConfigError(f"{gates.where(gate)}: several dives share {path}", f"use {LOG} for the dive's name")
+            raise ConfigError(
+                f"{gates.where(gate)}: several dives share {path}", f"use {LOG} for the dive's name"
+            )
         if sharing and type(sharing[0]) is not type(gate):
             text = f"{gates.where(gate)}: a trajectory and tables share {path}"
             raise ConfigError(text, "use a separate file for the trajectory")
@@ -362,7 +417,9 @@ def _gated_values(report: StoredReport, gates: Sequence[CellGate]) -> dict[str, 
     tables: dict[str, dict[tuple[str, ...], Row]] = {}
     for gate in gates:
         for pair in gate.rows_of(None, report):
-            kept = tables.setdefault(gate.table, {}).setdefault((pair.filter, pair.row, pair.unit), {})
+            kept = tables.setdefault(gate.table, {}).setdefault(
+                (pair.filter, pair.row, pair.unit), {}
+            )
             needed = ("log", "filter", pair.layout.key, "unit", "dof", "evidence", gate.column)
             kept.update({column: pair.new[column] for column in needed if column in pair.new})
     candidates = tables.pop(CANDIDATES.name, {}).values()

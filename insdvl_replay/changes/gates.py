@@ -155,7 +155,12 @@ def pooled_dive(dives: Sequence[Checked]) -> Checked:
 
 def _pooled_rows(reports: Sequence[StoredReport]) -> Iterator[PooledRow]:
     """Yield the pooled evidence on each candidate, with its share of the error rate."""
-    from insdvl_replay.evaluation.answers import CandidateAnswer, answers_together, pooled_candidate, primary_of
+    from insdvl_replay.evaluation.answers import (
+        CandidateAnswer,
+        answers_together,
+        pooled_candidate,
+        primary_of,
+    )
 
     reports, _ = distinct_dives(reports)
     settings = reports[0].config.get("evaluation", {})
@@ -204,7 +209,9 @@ def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
         found = [_outcome(gates, gate, dive) for gate in own]
         if isinstance(dive.result, StoredReport) and any(item.status in missed for item in found):
             causes = known_causes(gates, dive.name, dive.result)
-            found = [replace(item, causes=causes) if item.status in missed else item for item in found]
+            found = [
+                replace(item, causes=causes) if item.status in missed else item for item in found
+            ]
         outcomes += found
     for gate in gates.gates:
         if gate.table == POOLED:
@@ -218,7 +225,9 @@ def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
         for name, candidate in report.filters.items():
             words.setdefault(name, Counter())[str(candidate.get("verdict", ""))] += 1
     elapsed_s = {
-        name: float(seconds) for name, report in reports.items() if is_number(seconds := report.tool.get("elapsed_s"))
+        name: float(seconds)
+        for name, report in reports.items()
+        if is_number(seconds := report.tool.get("elapsed_s"))
     }
     return CheckResult(str(gates.path), tuple(outcomes), {**words}, elapsed_s)
 
@@ -254,7 +263,9 @@ def _outcome(gates: Gates, gate: Gate, dive: Checked) -> GateOutcome:
     except UserError as error:
         reasons = (f"{error.message}; {error.hint}",)
     missed = GateStatus.WARNING if gate.level == GateLevel.WARN else GateStatus.FAILED
-    return replace(outcome, status=missed if reasons else GateStatus.PASSED, reasons=reasons, findings=findings)
+    return replace(
+        outcome, status=missed if reasons else GateStatus.PASSED, reasons=reasons, findings=findings
+    )
 
 
 def findings_of(
@@ -284,7 +295,9 @@ def compare_with_expected(gates: Gates, dives: Sequence[Checked]) -> list[tuple[
 # --- Gates on cells.
 
 
-def gate_findings(gate: CellGate, report: StoredReport, expected: StoredReport | None) -> tuple[Finding, ...]:
+def gate_findings(
+    gate: CellGate, report: StoredReport, expected: StoredReport | None
+) -> tuple[Finding, ...]:
     """Return a finding for each cell that a gate checks; one failed finding if it checks none.
 
     A star in the gate also checks rows that only the expected values have.
@@ -295,7 +308,9 @@ def gate_findings(gate: CellGate, report: StoredReport, expected: StoredReport |
         f"{report.log.name} has no row for table {gate.table}, filter {gate.filter}, row {gate.row}, "
         f"column {gate.column}"
     )
-    return (Finding(gate.table, gate.filter, gate.row, gate.column, None, None, sentence, passed=False),)
+    return (
+        Finding(gate.table, gate.filter, gate.row, gate.column, None, None, sentence, passed=False),
+    )
 
 
 def _finding(gate: CellGate, pair: RowPair, report: StoredReport) -> Finding:
@@ -312,16 +327,27 @@ def _finding(gate: CellGate, pair: RowPair, report: StoredReport) -> Finding:
             *([] if gate.max_worse_pct is None else [f"{sign}{gate.max_worse_pct:g} {percent}"]),
             *([] if gate.max_worse_abs is None else [f"{sign}{gate.max_worse_abs:g}{in_unit}"]),
         ]
-        limit, is_same = " or ".join(limits), agree(value, old, column)  # processors differ in the last digits
-        of_size = {"nearer zero": " in magnitude", "nearer dof": " farther from dof"}.get(moved.better or "", "")
-        growth = [] if moved.change_pct is None else [f"{0.0 if is_same else moved.change_pct:+.3g} {percent}{of_size}"]
+        limit, is_same = (
+            " or ".join(limits),
+            agree(value, old, column),
+        )  # processors differ in the last digits
+        of_size = {"nearer zero": " in magnitude", "nearer dof": " farther from dof"}.get(
+            moved.better or "", ""
+        )
+        growth = (
+            []
+            if moved.change_pct is None
+            else [f"{0.0 if is_same else moved.change_pct:+.3g} {percent}{of_size}"]
+        )
         values = " -> ".join(numbers_apart(old, old if is_same else value))
         statement = f"{values}{in_unit} ({', '.join([*growth, f'limit {limit}'])})"
     complaint = f"is missing, and so is its row; expected: {value_text(old)}"
     if pair.new:
         word = str(report.filters.get(pair.filter, {}).get("verdict") or "")
         complaint = _why_unusable(pair, column, word)
-        complaint = complaint or "; ".join(_broken_conditions(gate, value, in_unit, moved, statement))
+        complaint = complaint or "; ".join(
+            _broken_conditions(gate, value, in_unit, moved, statement)
+        )
     return Finding(
         table=layout.name,
         filter=pair.filter,
@@ -345,7 +371,9 @@ def _why_unusable(pair: RowPair, column: str, verdict: str) -> str:
     if is_gain and verdict in WITHOUT_VERDICT:
         return f"is {value_text(value)}, but the filter is {verdict}"
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and column in layout.better:
-        covered = f"the reference does not cover the whole replay ({ReferenceStatus.PARTLY_COVERED})"
+        covered = (
+            f"the reference does not cover the whole replay ({ReferenceStatus.PARTLY_COVERED})"
+        )
         return f"is {value_text(value)}, but {covered}"
     if value in (None, "") or (isinstance(value, float) and not math.isfinite(value)):
         word = row.get("status") or row.get("verdict")
@@ -353,7 +381,9 @@ def _why_unusable(pair: RowPair, column: str, verdict: str) -> str:
     return ""
 
 
-def _broken_conditions(gate: CellGate, value: Cell, unit: str, moved: Moved | None, statement: str) -> Iterator[str]:
+def _broken_conditions(
+    gate: CellGate, value: Cell, unit: str, moved: Moved | None, statement: str
+) -> Iterator[str]:
     """Yield the conditions that a value does not meet."""
     close = [wanted for wanted in gate.wanted if is_number(wanted) and isinstance(value, float)
              and agree(value, wanted, gate.column)]  # fmt: skip
@@ -400,7 +430,9 @@ def trajectory_findings(
         return (finding(gate.filter, gate.row, missing, passed=False),)
     findings = []
     for name in meant:
-        row, sentence, passed = _over_time(gate, new, name) if gate.within else _against(gate, new, old, name)
+        row, sentence, passed = (
+            _over_time(gate, new, name) if gate.within else _against(gate, new, old, name)
+        )
         findings.append(finding(name, row, f"{name}: {sentence}", passed=passed))
     for name in old.names if old else ():
         if name not in new.names and gate.filter in (ANY, name):
@@ -409,7 +441,9 @@ def trajectory_findings(
     return tuple(findings)
 
 
-def _against(gate: TrajectoryGate, new: "Trajectory", old: "Trajectory | None", name: str) -> tuple[str, str, bool]:
+def _against(
+    gate: TrajectoryGate, new: "Trajectory", old: "Trajectory | None", name: str
+) -> tuple[str, str, bool]:
     """Return the first quantity that differs from the expected trajectory, a sentence, and whether it passed."""
     import numpy as np
 
@@ -418,10 +452,14 @@ def _against(gate: TrajectoryGate, new: "Trajectory", old: "Trajectory | None", 
         return gate.row, NOT_EXPECTED, False
     if not np.array_equal(new.time_s, old.time_s):
         return gate.row, f"has {samples} samples, expected: {len(old.time_s)} at other times", False
-    before, after = (trajectory.values[trajectory.names.index(name)] for trajectory in (old, new))  # (k, columns)
+    before, after = (
+        trajectory.values[trajectory.names.index(name)] for trajectory in (old, new)
+    )  # (k, columns)
     with np.errstate(invalid="ignore"):
         apart = np.abs(np.where(before == after, 0.0, after - before))
-    apart = np.where(np.isin(COLUMNS, list(ANGLES)), np.minimum(apart, np.abs(360.0 - apart)), apart)
+    apart = np.where(
+        np.isin(COLUMNS, list(ANGLES)), np.minimum(apart, np.abs(360.0 - apart)), apart
+    )
     # Missing on both sides is the same; missing on one side always differs.
     apart = np.nan_to_num(apart, nan=0.0, posinf=np.inf)
     apart[np.isnan(before) != np.isnan(after)] = np.inf
@@ -429,7 +467,11 @@ def _against(gate: TrajectoryGate, new: "Trajectory", old: "Trajectory | None", 
     for group, columns in GROUPS.items():
         largest = float(np.nanmax(np.abs(before[:, np.isin(COLUMNS, columns)]), initial=0.0))
         usual = (SAME if gate.max_rel is None else gate.max_rel) * largest
-        allowed |= {name: gate.max_abs.get(name, usual) for name in columns if gate.row in (ANY, group, name)}
+        allowed |= {
+            name: gate.max_abs.get(name, usual)
+            for name in columns
+            if gate.row in (ANY, group, name)
+        }
     differs = apart > np.array(list(allowed.values()))
     if not differs.any():
         return gate.row, f"{samples} samples are unchanged", True
@@ -451,7 +493,11 @@ def _over_time(gate: TrajectoryGate, trajectory: "Trajectory", name: str) -> tup
 
     low, high = gate.within or (-math.inf, math.inf)
     time_s, values = trajectory.time_s, trajectory.of(name, gate.row)
-    inside, complaints, statement = (values >= low) & (values <= high), list[str](), "it is"  # missing is outside
+    inside, complaints, statement = (
+        (values >= low) & (values <= high),
+        list[str](),
+        "it is",
+    )  # missing is outside
     if gate.at_s is not None:
         sample = int(np.argmin(np.abs(time_s - gate.at_s)))
         if abs(time_s[sample] - gate.at_s) > 1.0:
@@ -460,15 +506,26 @@ def _over_time(gate: TrajectoryGate, trajectory: "Trajectory", name: str) -> tup
             complaints.append(f"it is {values[sample]:.6g} at {time_s[sample]:g} s")
     else:
         share_pct, longest_s = 100.0 * float(inside.mean()), gate.longest_outside_s
-        wanted_pct = 100.0 if gate.share_pct is None and longest_s is None else gate.share_pct or 0.0
+        wanted_pct = (
+            100.0 if gate.share_pct is None and longest_s is None else gate.share_pct or 0.0
+        )
         if share_pct < wanted_pct:
-            complaints.append(f"{share_pct:.1f} % of {len(inside)} samples, required: at least {wanted_pct:g} %")
+            complaints.append(
+                f"{share_pct:.1f} % of {len(inside)} samples, required: at least {wanted_pct:g} %"
+            )
         # Length and start of each time outside; one sample a second.
         begins, ends = find_runs(~inside)
-        stays = [(float(end - begin), -float(time_s[begin])) for begin, end in zip(begins, ends, strict=True)]
+        stays = [
+            (float(end - begin), -float(time_s[begin]))
+            for begin, end in zip(begins, ends, strict=True)
+        ]
         length_s, begin_s = max(stays, default=(0.0, 0.0))
         if longest_s is not None and length_s > longest_s:
-            complaints.append(f"outside for {length_s:g} s from {-begin_s:g} s, allowed: {longest_s:g} s")
-        statement = f"{share_pct:.1f} % of {len(inside)} samples, outside for {length_s:g} s at most"
+            complaints.append(
+                f"outside for {length_s:g} s from {-begin_s:g} s, allowed: {longest_s:g} s"
+            )
+        statement = (
+            f"{share_pct:.1f} % of {len(inside)} samples, outside for {length_s:g} s at most"
+        )
     sentence = f"{gate.row} within {low:g} to {high:g}: {'; '.join(complaints) or statement}"
     return gate.row, sentence, not complaints

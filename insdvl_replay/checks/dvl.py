@@ -24,10 +24,18 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, FASTEST_MPS
-from insdvl_replay.geometry.frames import Complex, DvlMounting, horizontal, north_east_m, solve_beams
+from insdvl_replay.geometry.frames import (
+    Complex,
+    DvlMounting,
+    horizontal,
+    north_east_m,
+    solve_beams,
+)
 from insdvl_replay.geometry.rotation import wrap_angle
 
-LARGEST_SCALE_ERROR: Final = 0.1  # share of a speed or a rate; sound speed and lever arm explain less
+LARGEST_SCALE_ERROR: Final = (
+    0.1  # share of a speed or a rate; sound speed and lever arm explain less
+)
 COHERENT: Final = 0.97  # only what follows the reference this well can be measured by it
 INCOHERENT: Final = 0.95  # what follows the reference worse than this contradicts it
 
@@ -40,7 +48,9 @@ class Fit:
 
     scale: float  # length of the first over the second
     turn: float  # rad, by which the first is turned from the second, towards starboard
-    coherence: float  # 1 where the first is the second turned and scaled, 0 where they are unrelated
+    coherence: (
+        float  # 1 where the first is the second turned and scaled, 0 where they are unrelated
+    )
 
 
 def fit(measured: Complex, true: Complex) -> Fit:
@@ -49,7 +59,11 @@ def fit(measured: Complex, true: Complex) -> Fit:
     power, other_power = float(np.vdot(true, true).real), float(np.vdot(measured, measured).real)
     if not power or not other_power:
         return Fit(0.0, 0.0, 0.0)
-    return Fit(abs(product) / power, float(np.angle(product)), abs(product) / float(np.sqrt(power * other_power)))
+    return Fit(
+        abs(product) / power,
+        float(np.angle(product)),
+        abs(product) / float(np.sqrt(power * other_power)),
+    )
 
 
 def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Fit | None:
@@ -63,7 +77,9 @@ def _horizontal_fit(measured_b: Floats, true_b: Floats) -> Fit | None:
     return fit(measured[moving], true[moving]) if np.count_nonzero(moving) >= ENOUGH else None
 
 
-def velocity_pairs(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> tuple[Floats, Floats]:
+def velocity_pairs(
+    dvl: DvlColumns, reference: ReferenceColumns, config: Config
+) -> tuple[Floats, Floats]:
     """Return the velocities of DVL and reference in body axes, (k, 3), at times of the reference that have both."""
     ping_ns, measured_b = velocities_b(dvl, config)
     if len(ping_ns) < ENOUGH:
@@ -87,7 +103,9 @@ def velocities_b(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:
     else:
         raise ValueError("a DVL gives beams with their vectors, or velocities")
     good = np.isfinite(velocity_d).all(axis=1)
-    mounting = DvlMounting.from_rpy(config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale)
+    mounting = DvlMounting.from_rpy(
+        config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale
+    )
     return dvl.time_ns[good], mounting.velocity_b(velocity_d[good])
 
 
@@ -105,15 +123,23 @@ def median_speed_mps(dvl: DvlColumns) -> float:
     return float(np.median(np.abs(values).max(axis=1, initial=0.0, where=np.isfinite(values))))
 
 
-def dvl_remarks(place: str, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> Iterator[Remark]:
+def dvl_remarks(
+    place: str, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+) -> Iterator[Remark]:
     """Check the pings of a DVL."""
     speed_mps, values, count = median_speed_mps(dvl), measured_mps(dvl), len(dvl.time_ns)
     if speed_mps > FASTEST_MPS:
         yield refusal("dvl_too_fast", place, speed_mps=speed_mps)
     zero = np.flatnonzero((values == 0.0).all(axis=1))
     if zero.size:
-        yield warning("dvl_zero", int(zero.size), pings=len(values), first_s=since_s(dvl.time_ns, zero[0]))
-    names = AXES if dvl.velocity_d is not None else [f"along beam {i + 1}" for i in range(values.shape[1])]
+        yield warning(
+            "dvl_zero", int(zero.size), pings=len(values), first_s=since_s(dvl.time_ns, zero[0])
+        )
+    names = (
+        AXES
+        if dvl.velocity_d is not None
+        else [f"along beam {i + 1}" for i in range(values.shape[1])]
+    )
     for name, column in zip(names, values.T, strict=True):
         given = column[np.isfinite(column)]
         if len(given) >= ENOUGH and np.all(given == given[0]):
@@ -139,7 +165,9 @@ def dvl_remarks(place: str, dvl: DvlColumns, reference: ReferenceColumns | None,
     if found is not None and turned:
         roll, pitch, heading = config.dvl.mounting_rpy_deg
         right = float(wrap_angle(np.asarray(heading * DEG - found.turn))) / DEG
-        yield warning("dvl_direction", count, turn_deg=found.turn / DEG, roll=roll, pitch=pitch, heading=right)
+        yield warning(
+            "dvl_direction", count, turn_deg=found.turn / DEG, roll=roll, pitch=pitch, heading=right
+        )
     elif opposite:
         yield warning("dvl_axes", count, axes=" and ".join(opposite))
     elif found is not None and found.coherence < INCOHERENT:
@@ -196,7 +224,11 @@ def track_by_positions(
     at_s = np.concatenate([[config.span.start_s or 0.0], seconds(ping_ns, imu.time_ns[0])])
     yaw = turned_by(imu, at_s)[:, 2] - config.initial.gyro_bias_degph[2] * DEG_PER_HOUR * at_s
     start_yaw, turned = yaw[0], yaw[1:]
-    measured, ping_s, fix_s = horizontal(measured_b), seconds(ping_ns, ping_ns[0]), seconds(fix_ns, ping_ns[0])
+    measured, ping_s, fix_s = (
+        horizontal(measured_b),
+        seconds(ping_ns, ping_ns[0]),
+        seconds(fix_ns, ping_ns[0]),
+    )
 
     def fitted(gyro_scale: float) -> Fit:
         velocity = measured * np.exp(1j * turned / gyro_scale)

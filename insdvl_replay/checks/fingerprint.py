@@ -10,8 +10,12 @@ from insdvl_replay.core.dive_record import ImuFingerprint
 
 STEP_S: Final = 10
 MOST_DIGESTS: Final = 300
-EARLY_NS: Final = 700_000  # times of another encoding are rounded; no usual grid of samples begins here
-FORCE_STEP_MPS2: Final = 1e-4  # far above what single precision and six decimals round, below the noise of an IMU
+EARLY_NS: Final = (
+    700_000  # times of another encoding are rounded; no usual grid of samples begins here
+)
+FORCE_STEP_MPS2: Final = (
+    1e-4  # far above what single precision and six decimals round, below the noise of an IMU
+)
 RATE_STEP_RADPS: Final = 1e-5
 DIGEST_BYTES: Final = 4
 
@@ -31,8 +35,12 @@ def imu_fingerprint(imu: ImuColumns) -> ImuFingerprint:
     inside = rows < len(imu.time_ns)
     whole = whole[inside]
     rows = rows[inside]
-    forces = np.rint(np.linalg.norm(imu.specific_force_b[rows], axis=1) / FORCE_STEP_MPS2).astype("<i8")
-    rates = np.rint(np.linalg.norm(imu.angular_rate_b[rows], axis=1) / RATE_STEP_RADPS).astype("<i8")
+    forces = np.rint(np.linalg.norm(imu.specific_force_b[rows], axis=1) / FORCE_STEP_MPS2).astype(
+        "<i8"
+    )
+    rates = np.rint(np.linalg.norm(imu.angular_rate_b[rows], axis=1) / RATE_STEP_RADPS).astype(
+        "<i8"
+    )
     digests = [
         hashlib.blake2b(reading.tobytes(), digest_size=DIGEST_BYTES).hexdigest()
         for reading in np.column_stack([forces, rates])

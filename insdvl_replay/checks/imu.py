@@ -30,8 +30,12 @@ ENOUGH: Final = 20  # fewer pairs may agree by chance
 LONGEST_STEP_S: Final = 2.5  # longer steps are not used
 FASTEST_HZ: Final = 10_000.0  # no IMU is read more often
 LEAST_DIVE_S: Final = 1.0  # what is shorter is no dive, or its times are in another unit
-SMALLEST: Final = 1e-3  # weight of no rotation at all, where the vectors leave a turn about one axis open
-LEAST_SEEN: Final = 0.2  # second singular value from which vectors determine a rotation; one alone has 0
+SMALLEST: Final = (
+    1e-3  # weight of no rotation at all, where the vectors leave a turn about one axis open
+)
+LEAST_SEEN: Final = (
+    0.2  # second singular value from which vectors determine a rotation; one alone has 0
+)
 NO_PAIRS: Final = (np.empty((0, 3)), np.empty((0, 3)))
 SPIN_RADPS: Final = 1.0  # no vehicle that a DVL can follow turns faster than this half of the time
 
@@ -67,7 +71,9 @@ def length_refusal(place: str, imu: ImuColumns) -> LogError | None:
     span_s = since_s(imu.time_ns, -1)
     if span_s >= LEAST_DIVE_S:
         return None
-    return refusal("imu_too_short", place, samples=counted(len(imu.time_ns), "sample"), span_s=span_s)
+    return refusal(
+        "imu_too_short", place, samples=counted(len(imu.time_ns), "sample"), span_s=span_s
+    )
 
 
 def rate_remark(place: str, imu: ImuColumns, settings: Imu) -> Remark | None:
@@ -79,7 +85,9 @@ def rate_remark(place: str, imu: ImuColumns, settings: Imu) -> Remark | None:
         return None
     rate_hz = NS_PER_S / float(short_ns.mean())
     if rate_hz > FASTEST_HZ:
-        return refusal("imu_too_fast", place, rate_hz=rate_hz, count=count, span_s=since_s(imu.time_ns, -1))
+        return refusal(
+            "imu_too_fast", place, rate_hz=rate_hz, count=count, span_s=since_s(imu.time_ns, -1)
+        )
     if rate_hz < 0.95 * settings.min_rate_hz:  # what an IMU holds of its nominal rate
         return refusal("imu_too_slow", place, rate_hz=rate_hz, least_hz=np.floor(rate_hz))
     if rate_hz < 40.0:  # a vehicle rolls and surges at 1 to 2 Hz; slower samples miss part of it
@@ -87,20 +95,27 @@ def rate_remark(place: str, imu: ImuColumns, settings: Imu) -> Remark | None:
     return None
 
 
-def imu_remarks(place: str, imu: ImuColumns, reference: ReferenceColumns | None, settings: Imu) -> Iterator[Remark]:
+def imu_remarks(
+    place: str, imu: ImuColumns, reference: ReferenceColumns | None, settings: Imu
+) -> Iterator[Remark]:
     """Check the readings of an IMU."""
     count, span_s = len(imu.time_ns), since_s(imu.time_ns, -1)
     some_b = imu.angular_rate_b[:: 1 + count // 100_000]
     turning_radps = float(np.median(np.linalg.norm(some_b, axis=1)))
     if turning_radps > SPIN_RADPS and span_s > _LEAST_S:
-        yield refusal("imu_spinning", place, turning_radps=turning_radps, turning_degps=turning_radps / DEG)
+        yield refusal(
+            "imu_spinning", place, turning_radps=turning_radps, turning_degps=turning_radps / DEG
+        )
 
     unusual_rate = rate_remark(place, imu, settings)
     if unusual_rate is not None:
         yield unusual_rate
 
     # Axes that never change: none of a vehicle in water is constant to the last bit for ten seconds.
-    by_name = {"specific_force": ("m/s^2", imu.specific_force_b), "angular_rate": ("rad/s", imu.angular_rate_b)}
+    by_name = {
+        "specific_force": ("m/s^2", imu.specific_force_b),
+        "angular_rate": ("rad/s", imu.angular_rate_b),
+    }
     for name, (unit, readings) in by_name.items() if span_s >= 10.0 else ():
         known = {"name": name, "quantity": name.replace("_", " "), "unit": unit}
         # The last reading mostly shows that they are not the same.
@@ -121,7 +136,10 @@ def imu_remarks(place: str, imu: ImuColumns, reference: ReferenceColumns | None,
     lengths_s = seconds(imu.time_ns[ends], imu.time_ns[starts])
     long = np.flatnonzero(lengths_s > 1.0)
     if long.size:
-        repeats, first_s = int(np.sum(ends[long] - starts[long])), since_s(imu.time_ns, starts[long[0]])
+        repeats, first_s = (
+            int(np.sum(ends[long] - starts[long])),
+            since_s(imu.time_ns, starts[long[0]]),
+        )
         yield warning("imu_stuck", repeats, first_s=first_s, longest_s=lengths_s.max())
     yield from _gravity_remarks(place, imu, reference, settings)
 
@@ -145,25 +163,39 @@ def _gravity_remarks(
     size = float(np.median(sizes))
     ratio = size / gravity
     step_s = imu.usual_step_s if len(imu.time_ns) > ENOUGH else np.inf
-    is_increment = abs(ratio / step_s - 1.0) < 0.1 and settings.increment_s is None and step_s < 0.09
+    is_increment = (
+        abs(ratio / step_s - 1.0) < 0.1 and settings.increment_s is None and step_s < 0.09
+    )
     if not ratio:
         cure = 'to read another field: imu.specific_force = "field.path"'
     elif is_increment and settings.specific_force_unit != "mg":
         cure = f"it is {ratio:.3g} times gravity: increments over {step_s:.4g} s? imu.increment_s = {step_s:.4g}"
-    elif unit := next((unit for wrong, unit in _UNIT_BY_RATIO if abs(ratio / wrong - 1.0) < 0.1), None):
+    elif unit := next(
+        (unit for wrong, unit in _UNIT_BY_RATIO if abs(ratio / wrong - 1.0) < 0.1), None
+    ):
         cure = f'imu.specific_force_unit = "{unit}"'
     else:
         cure = f"imu.specific_force_scale = {ratio * settings.specific_force_scale:.4g}"
     found = {"size": size, "gravity": gravity, "cure": cure}
     along_down, above = float(np.median(mean_b[:, 2])), mean_b[:, 2] > 0.0
-    if not 1.0 / 1.5 < ratio < 1.5 and since_s(imu.time_ns, -1) > _LEAST_S:  # another unit, or another scale
+    if (
+        not 1.0 / 1.5 < ratio < 1.5 and since_s(imu.time_ns, -1) > _LEAST_S
+    ):  # another unit, or another scale
         yield refusal("imu_no_gravity", place, **found)
     elif abs(ratio - 1.0) > 0.05:  # no bias of a working accelerometer reaches 50 mg
         off = np.abs(sizes / gravity - 1.0) > 0.05
-        yield warning("imu_gravity", int(off.sum()), first_s=since_s(imu.time_ns, starts[off][0]), **found)
+        yield warning(
+            "imu_gravity", int(off.sum()), first_s=since_s(imu.time_ns, starts[off][0]), **found
+        )
     elif along_down > 0.0:
         first_s = since_s(imu.time_ns, starts[above][0])
-        yield warning("imu_upside_down", int(above.sum()), along_down=along_down, first_s=first_s, level=-gravity)
+        yield warning(
+            "imu_upside_down",
+            int(above.sum()),
+            along_down=along_down,
+            first_s=first_s,
+            level=-gravity,
+        )
 
 
 @dataclass(frozen=True)
@@ -178,7 +210,9 @@ class AttitudeFit:
 
 def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFit | None:
     """Compare the summed gyros with the turn between two attitudes; None where the vehicle turned too little."""
-    rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)) & lies_within(reference.time_ns, imu.time_ns))
+    rows = np.flatnonzero(
+        np.isfinite(reference.mat_nb).all(axis=(1, 2)) & lies_within(reference.time_ns, imu.time_ns)
+    )
     if len(rows) < ENOUGH:
         return None
     time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
@@ -213,7 +247,9 @@ def turn_to_reference(
     Source: Wahba, "A least squares estimate of satellite attitude", 1965; solved by Markley, "Attitude determination
     using vector observations and the singular value decomposition", 1988.
     """
-    rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)) & lies_within(reference.time_ns, imu.time_ns))
+    rows = np.flatnonzero(
+        np.isfinite(reference.mat_nb).all(axis=(1, 2)) & lies_within(reference.time_ns, imu.time_ns)
+    )
     if len(rows) < ENOUGH:
         return None
     time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
@@ -223,7 +259,9 @@ def turn_to_reference(
     size = np.linalg.norm(turned, axis=1)
     good = (step_s <= LONGEST_STEP_S) & (size > 0.3 * DEG * step_s) & (size < 1.0)
     sample_s = seconds(imu.time_ns, imu.time_ns[0])
-    pushed = np.column_stack([integrated(sample_s, force, time_s) for force in imu.specific_force_b.T])
+    pushed = np.column_stack(
+        [integrated(sample_s, force, time_s) for force in imu.specific_force_b.T]
+    )
     force = np.diff(pushed, axis=0)[step_s <= LONGEST_STEP_S]
     up = -0.5 * (mat_nb[1:, 2] + mat_nb[:-1, 2])[step_s <= LONGEST_STEP_S]
     pairs = [(summed[good], turned[good]), (force, up), velocities]
@@ -264,8 +302,13 @@ def gyro_by_gravity(imu: ImuColumns) -> float | None:
     )
     size = np.linalg.norm(force_b, axis=1, keepdims=True)
     direction = np.divide(force_b, size, out=np.zeros_like(force_b), where=size > 0.0)
-    step_s = seconds(imu.time_ns[length : blocks * length : length], imu.time_ns[: (blocks - 1) * length : length])
-    turned = -np.cross(rate_b[1:] + rate_b[:-1], direction[1:] + direction[:-1]) / 4.0 * step_s[:, None]
+    step_s = seconds(
+        imu.time_ns[length : blocks * length : length],
+        imu.time_ns[: (blocks - 1) * length : length],
+    )
+    turned = (
+        -np.cross(rate_b[1:] + rate_b[:-1], direction[1:] + direction[:-1]) / 4.0 * step_s[:, None]
+    )
     seen = np.diff(direction, axis=0)
     good = step_s < 0.5
     product = float(np.sum(turned[good] * seen[good]))
@@ -285,7 +328,9 @@ def turned_by(imu: ImuColumns, at_s: Floats, longest_s: float = np.inf) -> Float
     columns = []
     for rate in imu.angular_rate_b.T:
         total = np.zeros(len(rate))
-        turned = np.add(rate[1:], rate[:-1], out=total[1:])  # in place: of hours of samples each copy is large
+        turned = np.add(
+            rate[1:], rate[:-1], out=total[1:]
+        )  # in place: of hours of samples each copy is large
         turned *= 0.5
         turned *= step_s
         np.cumsum(turned, out=turned)

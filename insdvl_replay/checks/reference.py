@@ -62,14 +62,18 @@ from insdvl_replay.geometry.frames import (
 )
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, vector_from_mat, wrap_angle
 
-UNIT_WRONG: Final = 5.0  # factor of the angular rate at which it is another unit: deg/s are 57 times rad/s
+UNIT_WRONG: Final = (
+    5.0  # factor of the angular rate at which it is another unit: deg/s are 57 times rad/s
+)
 _UNDER_WAY_MPS: Final = 0.1  # beyond the noise of a DVL
 _TURNED_RAD: Final = 5.0 * DEG  # beyond the gyros' bias and Earth's rate in a minute
 _PINGS_LATE: Final = 3  # by which a velocity of the DVL is reported late by another topic
 _MOVING_MPS: Final = 0.05
 _SAME_MPS: Final = 2e-5  # single precision, and digits that are rounded
 _SAME_SHARE: Final = 0.5
-LARGEST_TRACK_ERROR: Final = 0.15  # share by which the gyros may differ from a track, whose DVL and positions err too
+LARGEST_TRACK_ERROR: Final = (
+    0.15  # share by which the gyros may differ from a track, whose DVL and positions err too
+)
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,9 @@ def plausibility_remarks(
     yield from imu_remarks(place, imu, reference, config.imu)
     turn = _turn_that_follows(imu, reference, by_attitude)
     if turn is None:
-        yield from _gyro_remarks(place, imu, by_attitude, _best_scale(imu, by_attitude, track), config.imu)
+        yield from _gyro_remarks(
+            place, imu, by_attitude, _best_scale(imu, by_attitude, track), config.imu
+        )
     else:
         turn = turn @ mat_from_rpy(np.array(config.imu.mounting_rpy_deg) * DEG)
         roll, pitch, heading = (rpy_from_mat(turn) / DEG + 0.0).tolist()
@@ -136,11 +142,17 @@ def _comparisons(
     return gyro_by_attitude(imu, reference), track
 
 
-def _best_scale(imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFit | None) -> GyroScale | None:
+def _best_scale(
+    imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFit | None
+) -> GyroScale | None:
     if by_attitude is not None and abs(by_attitude.correlation) > COHERENT:
         return GyroScale(by_attitude.scale, "the reference's attitude", 1.0 + LARGEST_SCALE_ERROR)
     if track is not None and track.gyro_scale is not None and track.coherence > COHERENT:
-        return GyroScale(track.gyro_scale, "the DVL's track and the reference's positions", 1.0 + LARGEST_TRACK_ERROR)
+        return GyroScale(
+            track.gyro_scale,
+            "the DVL's track and the reference's positions",
+            1.0 + LARGEST_TRACK_ERROR,
+        )
     # In a moving vehicle, the direction of gravity swings with its own acceleration.
     by_gravity = gyro_by_gravity(imu)
     return (
@@ -150,7 +162,9 @@ def _best_scale(imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFi
     )
 
 
-def _turn_that_follows(imu: ImuColumns, reference: ReferenceColumns | None, found: AttitudeFit | None) -> Floats | None:
+def _turn_that_follows(
+    imu: ImuColumns, reference: ReferenceColumns | None, found: AttitudeFit | None
+) -> Floats | None:
     """Return the constant rotation with which gyros follow a reference that they do not follow without it, (3, 3)."""
     if reference is None or found is None or abs(found.correlation) >= INCOHERENT:
         return None
@@ -163,21 +177,35 @@ def _turn_that_follows(imu: ImuColumns, reference: ReferenceColumns | None, foun
 
 
 def _gyro_remarks(
-    place: str, imu: ImuColumns, by_attitude: AttitudeFit | None, found: GyroScale | None, settings: Imu
+    place: str,
+    imu: ImuColumns,
+    by_attitude: AttitudeFit | None,
+    found: GyroScale | None,
+    settings: Imu,
 ) -> Iterator[Remark]:
     count = len(imu.time_ns)
     if found is not None and found.off >= found.tolerance:
-        shown = {"scale": found.scale, "by": found.by, "ignore": ignore_hint(by_reference=found.by_reference)}
+        shown = {
+            "scale": found.scale,
+            "by": found.by,
+            "ignore": ignore_hint(by_reference=found.by_reference),
+        }
         unit = "deg/s" if found.scale > 1.0 else "rad/s"
         if found.scale < 0.0:
             yield warning("imu_gyro_sign", count, **shown)
         elif found.off > UNIT_WRONG and unit != (settings.angular_rate_unit or "rad/s"):
             yield refusal("imu_gyro_unit", place, unit=unit, **shown)
         elif found.off > UNIT_WRONG:
-            yield refusal("imu_gyro_scale", place, setting=found.scale * settings.angular_rate_scale, **shown)
+            yield refusal(
+                "imu_gyro_scale", place, setting=found.scale * settings.angular_rate_scale, **shown
+            )
         else:
-            yield warning("imu_gyro_scale", count, setting=found.scale * settings.angular_rate_scale, **shown)
-    if by_attitude is None or by_attitude.excursion.max() < 3.0 * DEG:  # attitudes that swing less say nothing
+            yield warning(
+                "imu_gyro_scale", count, setting=found.scale * settings.angular_rate_scale, **shown
+            )
+    if (
+        by_attitude is None or by_attitude.excursion.max() < 3.0 * DEG
+    ):  # attitudes that swing less say nothing
         return
     known = by_attitude.excursion >= 3.0 * DEG
     if abs(by_attitude.correlation) < INCOHERENT:
@@ -185,10 +213,14 @@ def _gyro_remarks(
     elif np.any(known & (by_attitude.by_axis > 0.7)):
         # Axes that turn the other way while another one follows.
         for axis in np.flatnonzero(known & (by_attitude.by_axis < -0.7)).tolist():
-            yield warning("imu_gyro_axis", count, axis=AXES[axis], correlation=by_attitude.by_axis[axis])
+            yield warning(
+                "imu_gyro_axis", count, axis=AXES[axis], correlation=by_attitude.by_axis[axis]
+            )
 
 
-def _track_remarks(place: str, track: TrackFit, dvl: DvlColumns, config: Config) -> Iterator[Remark]:
+def _track_remarks(
+    place: str, track: TrackFit, dvl: DvlColumns, config: Config
+) -> Iterator[Remark]:
     if track.coherence < INCOHERENT:
         yield warning("track_contradiction", len(dvl.time_ns), coherence=track.coherence)
     if track.coherence < COHERENT:
@@ -200,10 +232,17 @@ def _track_remarks(place: str, track: TrackFit, dvl: DvlColumns, config: Config)
     # Gyro bias turns a track by less during a dive.
     if abs(float(wrap_angle(np.asarray(heading_deg * DEG - track.heading)))) > 30.0 * DEG:
         fitted_deg = track.heading / DEG
-        yield warning("dvl_direction by positions", len(dvl.time_ns), fitted_deg=fitted_deg, heading_deg=heading_deg)
+        yield warning(
+            "dvl_direction by positions",
+            len(dvl.time_ns),
+            fitted_deg=fitted_deg,
+            heading_deg=heading_deg,
+        )
 
 
-def reference_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns) -> Iterator[Note]:
+def reference_notes(
+    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns
+) -> Iterator[Note]:
     """Check a reference."""
     yield from _constant_notes(imu, dvl, reference)
     yield from _scale_notes(reference)
@@ -211,14 +250,18 @@ def reference_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumn
     steps = steps_of(reference)
     yield from _jump_notes("positions", unexplained_m(steps), 2.0, "m", 1.0, steps.time_s)
     # Turns that the gyros do not show. An error of the gyros is in the steps around, too, and is smaller than they are.
-    rows = np.flatnonzero(reference.known["attitudes"] & lies_within(reference.time_ns, imu.time_ns))
+    rows = np.flatnonzero(
+        reference.known["attitudes"] & lies_within(reference.time_ns, imu.time_ns)
+    )
     if len(rows) <= 2 * AROUND + 1:
         return
     time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
     shown = np.diff(turned_by(imu, time_s), axis=0)
     unseen = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:]) - shown
     unlike = np.fmin(np.linalg.norm(unseen, axis=1), least_difference(unseen))
-    unlike[np.diff(time_s) > 1.5] = np.nan  # in longer steps a turning vehicle turns unlike in the ones around
+    unlike[np.diff(time_s) > 1.5] = (
+        np.nan
+    )  # in longer steps a turning vehicle turns unlike in the ones around
     ends_ns = reference.time_ns[rows]
     unlike[in_pauses(ends_ns[:-1], ends_ns[1:], imu.time_ns, nanoseconds(LONGEST_STEP_S))] = np.nan
     smallest = np.maximum(5.0 * DEG, np.linalg.norm(shown, axis=1))
@@ -227,7 +270,11 @@ def reference_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumn
 
 def says_anything(reference: ReferenceColumns) -> bool:
     """Return whether it gives an attitude, a position, or a velocity that is not always zero."""
-    return reference.has_attitude or reference.has_position or bool(np.nan_to_num(reference.velocity_n).any())
+    return (
+        reference.has_attitude
+        or reference.has_position
+        or bool(np.nan_to_num(reference.velocity_n).any())
+    )
 
 
 def without_frozen(
@@ -242,7 +289,9 @@ def without_frozen(
     speed_mps = np.abs(horizontal(velocity_b))
 
     def moves(start_ns: int, end_ns: int) -> bool:
-        inside = speed_mps[np.searchsorted(ping_ns, start_ns) : np.searchsorted(ping_ns, end_ns, "right")]
+        inside = speed_mps[
+            np.searchsorted(ping_ns, start_ns) : np.searchsorted(ping_ns, end_ns, "right")
+        ]
         return len(inside) > 1 and float(np.median(inside)) > _UNDER_WAY_MPS
 
     def turns(start_ns: int, end_ns: int) -> bool:
@@ -254,8 +303,20 @@ def without_frozen(
     position = reference.position
     mat_nb = reference.mat_nb
     tests = (
-        ("position", reference.position, reference.position[:, :2], moves, "the DVL measures a velocity"),
-        ("attitude", reference.mat_nb, reference.mat_nb.reshape(-1, 9), turns, "the gyros measure a turn"),
+        (
+            "position",
+            reference.position,
+            reference.position[:, :2],
+            moves,
+            "the DVL measures a velocity",
+        ),
+        (
+            "attitude",
+            reference.mat_nb,
+            reference.mat_nb.reshape(-1, 9),
+            turns,
+            "the gyros measure a turn",
+        ),
     )
     for quantity, values, rows, is_moving, doing in tests:
         frozen = _frozen_rows(reference.time_ns, rows, is_moving)
@@ -265,7 +326,9 @@ def without_frozen(
         lengths_s = seconds(reference.time_ns[ends - 1], reference.time_ns[starts - 1])
         found: dict[str, float] = {"first_s": since_s(reference.time_ns, int(starts[0]))}
         found["longest_s"] = float(lengths_s.max())
-        notes.append(warning("reference_frozen", int(frozen.sum()), quantity=quantity, doing=doing, **found))
+        notes.append(
+            warning("reference_frozen", int(frozen.sum()), quantity=quantity, doing=doing, **found)
+        )
         kept = values.copy()
         kept[frozen] = np.nan
         if quantity == "position":
@@ -275,7 +338,9 @@ def without_frozen(
     return replace(reference, position=position, mat_nb=mat_nb), tuple(notes)
 
 
-def _frozen_rows(time_ns: TimeNs, rows: Floats, is_moving: Callable[[int, int], bool]) -> NDArray[np.bool_]:
+def _frozen_rows(
+    time_ns: TimeNs, rows: Floats, is_moving: Callable[[int, int], bool]
+) -> NDArray[np.bool_]:
     """Return which rows repeat the one before, shape (k,), for long while the vehicle moves."""
     frozen = np.zeros(len(rows), np.bool_)
     known = np.flatnonzero(np.isfinite(rows).all(axis=1))
@@ -309,10 +374,15 @@ def is_of_dvl(reference: ReferenceColumns, dvl: DvlColumns) -> bool:
         least_mps = np.fmin(least_mps, np.abs(pings_mps[row] - speeds_mps))
     moving = speeds_mps > _MOVING_MPS
     same = moving & (least_mps < _SAME_MPS)
-    return bool(np.count_nonzero(moving) >= ENOUGH and np.count_nonzero(same) > _SAME_SHARE * np.count_nonzero(moving))
+    return bool(
+        np.count_nonzero(moving) >= ENOUGH
+        and np.count_nonzero(same) > _SAME_SHARE * np.count_nonzero(moving)
+    )
 
 
-def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns) -> Iterator[Note]:
+def _constant_notes(
+    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns
+) -> Iterator[Note]:
     found = []
     if median_speed_mps(dvl) > 0.1:  # beyond its noise
         doing = "the DVL measures a velocity"
@@ -358,35 +428,65 @@ def velocity_misfit(reference: ReferenceColumns) -> float | None:
     by_position_m, by_velocity_m = legs_m(steps_of(reference))
     if len(by_position_m) < 4 or np.abs(by_position_m).sum() < 20.0:
         return None
-    return float(np.linalg.norm(by_velocity_m - by_position_m)) / float(np.linalg.norm(by_position_m))
+    return float(np.linalg.norm(by_velocity_m - by_position_m)) / float(
+        np.linalg.norm(by_position_m)
+    )
 
 
 def _scale_notes(reference: ReferenceColumns) -> Iterator[Note]:
     """Compare displacements by positions with those by velocity, over legs."""
     by_position_m, by_velocity_m = legs_m(steps_of(reference))
-    if len(by_position_m) < 4 or min(np.abs(by_position_m).sum(), np.abs(by_velocity_m).sum()) < 20.0:
+    if (
+        len(by_position_m) < 4
+        or min(np.abs(by_position_m).sum(), np.abs(by_velocity_m).sum()) < 20.0
+    ):
         return
-    power, product = float(np.vdot(by_velocity_m, by_velocity_m).real), np.vdot(by_velocity_m, by_position_m).real
+    power, product = (
+        float(np.vdot(by_velocity_m, by_velocity_m).real),
+        np.vdot(by_velocity_m, by_position_m).real,
+    )
     coherence = float(product / (np.sqrt(power) * np.linalg.norm(by_position_m)))
     if coherence < 0.8:
         count = int(np.count_nonzero(reference.known["positions"] & reference.known["velocities"]))
         yield warning("reference_contradiction", count, coherence=coherence)
         return
     # Noise of the velocity makes the one too small, noise of the positions the other too large: the scale lies between.
-    scale, at_most = float(product / power), float(np.vdot(by_position_m, by_position_m).real / product)
+    scale, at_most = (
+        float(product / power),
+        float(np.vdot(by_position_m, by_position_m).real / product),
+    )
     # Each leg's own residual stands for its noise, whatever its length.
-    scale_sd = float(np.linalg.norm((by_velocity_m.conj() * (by_position_m - scale * by_velocity_m)).real)) / power
+    scale_sd = (
+        float(np.linalg.norm((by_velocity_m.conj() * (by_position_m - scale * by_velocity_m)).real))
+        / power
+    )
     # Fewer than ten legs do not tell how they scatter.
     if len(by_position_m) >= 10 and max(scale - 1.0, 1.0 - at_most) >= max(0.003, 3.0 * scale_sd):
-        off_pct, sd_pct, longer = 100.0 * abs(scale - 1.0), 100.0 * scale_sd, "longer" if scale > 1.0 else "shorter"
-        yield warning("reference_scale", len(by_position_m), off_pct=off_pct, sd_pct=sd_pct, longer=longer)
+        off_pct, sd_pct, longer = (
+            100.0 * abs(scale - 1.0),
+            100.0 * scale_sd,
+            "longer" if scale > 1.0 else "shorter",
+        )
+        yield warning(
+            "reference_scale", len(by_position_m), off_pct=off_pct, sd_pct=sd_pct, longer=longer
+        )
 
 
 def _jump_notes(
-    quantity: str, unlike: Floats, smallest: float | Floats, unit: str, factor: float, time_s: Floats
+    quantity: str,
+    unlike: Floats,
+    smallest: float | Floats,
+    unit: str,
+    factor: float,
+    time_s: Floats,
 ) -> Iterator[Note]:
     jumps = find_jumps(unlike, smallest)
     if jumps.size:
         largest = int(jumps[np.argmax(unlike[jumps])])
-        known = {"quantity": quantity, "steps": len(unlike), "unit": unit, "at_s": time_s[largest + 1]}
+        known = {
+            "quantity": quantity,
+            "steps": len(unlike),
+            "unit": unit,
+            "at_s": time_s[largest + 1],
+        }
         yield warning("reference_jump", int(jumps.size), largest=unlike[largest] / factor, **known)

@@ -49,7 +49,9 @@ SMALLEST_PAUSE_S: Final = 0.5  # nobody saw what happened in one of the IMU
 _COARSE_LEGS: Final = 1000
 _FORCE_LEGS: Final = 1500  # each takes several rotations
 _SEARCHED_LEGS: Final = 250
-_CLEARLY_LESS: Final = 0.8  # of the misfit at the delay of the attitude, before another one is tried
+_CLEARLY_LESS: Final = (
+    0.8  # of the misfit at the delay of the attitude, before another one is tried
+)
 # Of a leg in eight parts, in each of which the attitude is that of its middle.
 _ENDS_AND_MIDDLES: Final = np.arange(17) / 16.0
 _ROW_APART_S: Final = 0.1  # rows of a faster reference add nothing
@@ -140,10 +142,14 @@ def reference_delay(imu: ImuColumns, reference: ReferenceColumns | None) -> Refe
     if len(imu.time_ns) < FEWEST_LEGS:
         return ReferenceDelay(None, None, DelayStatus.LITTLE_MOTION)
     integrals = _Integrals.of(imu)
-    of_step_s = _UNIFORM * imu.usual_step_s  # readings may be averages before their stamps, or around them
+    of_step_s = (
+        _UNIFORM * imu.usual_step_s
+    )  # readings may be averages before their stamps, or around them
     by_turns, is_aligned = _by_turns(imu, reference, integrals)
     attitude_s = by_turns.delay_s if by_turns is not None else 0.0
-    by_accelerations = _by_accelerations(imu, reference, integrals, attitude_s) if is_aligned else None
+    by_accelerations = (
+        _by_accelerations(imu, reference, integrals, attitude_s) if is_aligned else None
+    )
     return _together(_widened(by_turns, of_step_s), _widened(by_accelerations, of_step_s))
 
 
@@ -158,7 +164,11 @@ def with_reference_delay(dive: Dive, config: Config) -> Dive:
 def _delay_notes(found: ReferenceDelay, count: int, latency_s: float) -> tuple[Note, ...]:
     """Warn of a late or early reference; the latency is the one that its stamps are without already."""
     turns, accelerations = found.by_turns, found.by_accelerations
-    if found.status == DelayStatus.CONTRADICTORY and turns is not None and accelerations is not None:
+    if (
+        found.status == DelayStatus.CONTRADICTORY
+        and turns is not None
+        and accelerations is not None
+    ):
         both = {"turns_s": turns.delay_s, "accelerations_s": accelerations.delay_s}
         return (warning("reference_late in part", count, **both),)
     if not is_late(found) or found.delay_s is None:
@@ -183,7 +193,9 @@ def _widened(found: Delay | None, of_step_s: float) -> Delay | None:
 def _together(by_turns: Delay | None, by_accelerations: Delay | None) -> ReferenceDelay:
     """Return the mean of both by their weights, or the larger of two that exclude each other."""
     if by_accelerations is not None and by_accelerations.sd_s > SURE_S:
-        by_accelerations = None  # noise of the attitude turns gravity, and an unsure fit takes that for a delay
+        by_accelerations = (
+            None  # noise of the attitude turns gravity, and an unsure fit takes that for a delay
+        )
     known = [found for found in (by_turns, by_accelerations) if found is not None]
     if not known:
         return ReferenceDelay(None, None, DelayStatus.LITTLE_MOTION)
@@ -218,15 +230,23 @@ def _legs(imu: ImuColumns, time_s: Floats, known: NDArray[np.bool_]) -> _Legs:
     from_s = row_s[begin]
     to_s = row_s[end]
     end_of_imu_s = float(imu.time_ns[-1] - imu.time_ns[0]) * 1e-9
-    seen = (to_s - from_s <= LONGEST_LEG_S) & (from_s > FARTHEST_S) & (to_s < end_of_imu_s - FARTHEST_S)
+    seen = (
+        (to_s - from_s <= LONGEST_LEG_S)
+        & (from_s > FARTHEST_S)
+        & (to_s < end_of_imu_s - FARTHEST_S)
+    )
     margin_ns = nanoseconds(FARTHEST_S)
     from_ns = imu.time_ns[0] + np.rint(from_s * 1e9).astype(np.int64)
     to_ns = imu.time_ns[0] + np.rint(to_s * 1e9).astype(np.int64)
-    seen &= ~in_pauses(from_ns - margin_ns, to_ns + margin_ns, imu.time_ns, nanoseconds(SMALLEST_PAUSE_S))
+    seen &= ~in_pauses(
+        from_ns - margin_ns, to_ns + margin_ns, imu.time_ns, nanoseconds(SMALLEST_PAUSE_S)
+    )
     return _Legs(from_s, to_s, rows[begin], rows[end]).where(seen)
 
 
-def _by_turns(imu: ImuColumns, reference: ReferenceColumns, integrals: _Integrals) -> tuple[Delay | None, bool]:
+def _by_turns(
+    imu: ImuColumns, reference: ReferenceColumns, integrals: _Integrals
+) -> tuple[Delay | None, bool]:
     """Compare turns with the gyros; return also whether the reference has the axes of the IMU."""
     time_s = seconds(reference.time_ns, imu.time_ns[0])
     legs = _legs(imu, time_s, reference.known["attitudes"]).some(MOST_LEGS)
@@ -240,7 +260,10 @@ def _by_turns(imu: ImuColumns, reference: ReferenceColumns, integrals: _Integral
     searched = legs.some(_COARSE_LEGS)
     turns_searched = turns[:: -(-len(turns) // _COARSE_LEGS)]
     coarse_s = np.arange(-FARTHEST_S + COARSE_S, FARTHEST_S, COARSE_S)
-    misfits = [_misfit(_turns(searched, turns_searched, mat_nb, integrals, delay_s)) for delay_s in coarse_s.tolist()]
+    misfits = [
+        _misfit(_turns(searched, turns_searched, mat_nb, integrals, delay_s))
+        for delay_s in coarse_s.tolist()
+    ]
     best = int(np.argmin(misfits))
     if not 0 < best < len(coarse_s) - 1:
         return None, True
@@ -253,7 +276,9 @@ def _by_turns(imu: ImuColumns, reference: ReferenceColumns, integrals: _Integral
     return found, _is_aligned(legs, turns, integrals, delay_s)
 
 
-def _turns(legs: _Legs, turns: Floats, mat_nb: Floats, integrals: _Integrals, delay_s: float) -> Difference:
+def _turns(
+    legs: _Legs, turns: Floats, mat_nb: Floats, integrals: _Integrals, delay_s: float
+) -> Difference:
     """Compare turns of the reference, (k, 3) rad, with the gyros; scale and mounting are any matrix."""
     from_s = legs.from_s - delay_s
     to_s = legs.to_s - delay_s
@@ -319,7 +344,10 @@ class _Forces:
         """Choose at most so many, evenly."""
         stride = -(-len(self.changes_b) // most)
         return replace(
-            self, legs=self.legs.some(most), changes_b=self.changes_b[::stride], mat_bn=self.mat_bn[::stride]
+            self,
+            legs=self.legs.some(most),
+            changes_b=self.changes_b[::stride],
+            mat_bn=self.mat_bn[::stride],
         )
 
     def compared(self, delay_s: float) -> Difference:

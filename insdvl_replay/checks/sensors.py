@@ -27,7 +27,9 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
 
-_SHARED: Final = 0.5  # more than this share of a sensor's readings cannot be in the reference by chance
+_SHARED: Final = (
+    0.5  # more than this share of a sensor's readings cannot be in the reference by chance
+)
 _SAME_RAD: Final = 1e-9  # readings that differ by less come from one message: 6 mm of latitude
 
 
@@ -55,7 +57,9 @@ def _nearest(ours_ns: TimeNs, theirs_ns: TimeNs) -> NDArray[np.intp]:
     """Return the row of theirs that is nearest to each of our times."""
     after = np.minimum(np.searchsorted(theirs_ns, ours_ns), len(theirs_ns) - 1)
     before = np.maximum(after - 1, 0)
-    return np.where(np.abs(theirs_ns[before] - ours_ns) < np.abs(theirs_ns[after] - ours_ns), before, after)
+    return np.where(
+        np.abs(theirs_ns[before] - ours_ns) < np.abs(theirs_ns[after] - ours_ns), before, after
+    )
 
 
 def sensor_notes(
@@ -81,7 +85,9 @@ def sensor_notes(
         with np.errstate(invalid="ignore"):
             if name == "depth":  # the changes, since its zero is its own
                 change_m = np.diff(values[:, 0])
-                same = (np.abs(change_m + np.diff(position[:, 2])) < 1e-3) & (np.abs(change_m) > 1e-3)
+                same = (np.abs(change_m + np.diff(position[:, 2])) < 1e-3) & (
+                    np.abs(change_m) > 1e-3
+                )
             elif name == "heading":
                 heading = rpy_from_mat(reference.mat_nb[theirs])[:, 2]
                 same = np.asarray(np.abs(wrap_angle(values[:, 0] - heading)) < _SAME_RAD)
@@ -113,7 +119,8 @@ def solution_notes(
             if field == "position":
                 rows, other = rows[:, :2], other[:, :2]
             apart, size = (
-                np.abs(part).max(axis=tuple(range(1, part.ndim)), initial=0.0) for part in (rows - other, rows)
+                np.abs(part).max(axis=tuple(range(1, part.ndim)), initial=0.0)
+                for part in (rows - other, rows)
             )
             found[quantity] = int(np.count_nonzero((apart < least) & (size > least)))
         if solution.moved_n is not None:
@@ -128,7 +135,9 @@ def solution_notes(
             later = later[earlier]
             ours_m = (moved_n[later] - moved_n[earlier])[:, :2]
             theirs_m = north_east_down_m(position[later], position[earlier])[:, :2]
-            apart_m, far_m = (np.linalg.norm(rows, axis=1) for rows in (ours_m - theirs_m, theirs_m))
+            apart_m, far_m = (
+                np.linalg.norm(rows, axis=1) for rows in (ours_m - theirs_m, theirs_m)
+            )
             found["ways"] = int(np.count_nonzero((apart_m < 1e-3) & (far_m > 0.1)))
         quantity, count = max(found.items(), key=lambda item: item[1])
         all_count = len(solution.motion.time_ns)
@@ -148,7 +157,9 @@ def contradiction_notes(
     if reference is None or not len(reference.time_ns):
         return ()
     compared = [name for name in ("depth", "heading") if name in sensors]
-    return tuple(note for name in compared for note in _contradictions(name, sensors[name], reference, depth))
+    return tuple(
+        note for name in compared for note in _contradictions(name, sensors[name], reference, depth)
+    )
 
 
 def contradiction_of_filter(
@@ -160,14 +171,24 @@ def contradiction_of_filter(
         compared |= {"heading"} if reference.has_attitude else set()
         compared |= {"depth"} if np.isfinite(reference.position[:, 2]).any() else set()
     others = sorted(sensors.keys() - compared)
-    return tuple(note for name in others for note in _contradictions(name, sensors[name], baseline.motion(), None))
+    return tuple(
+        note
+        for name in others
+        for note in _contradictions(name, sensors[name], baseline.motion(), None)
+    )
 
 
-def _contradictions(name: str, columns: SensorColumns, known: ReferenceColumns, zero: Depth | None) -> Iterator[Note]:
+def _contradictions(
+    name: str, columns: SensorColumns, known: ReferenceColumns, zero: Depth | None
+) -> Iterator[Note]:
     """Compare readings with the nearest rows of the reference, or, without ``zero``, of the baseline."""
     row = _nearest(columns.time_ns, known.time_ns)
     near = np.abs(known.time_ns[row] - columns.time_ns) <= NS_PER_S // 2
-    values, row, whose = columns.values[near], row[near], "baseline" if zero is None else "reference"
+    values, row, whose = (
+        columns.values[near],
+        row[near],
+        "baseline" if zero is None else "reference",
+    )
     if name == "heading":
         off = wrap_angle(values[:, 0] - rpy_from_mat(known.mat_nb[row])[:, 2])
         off = off[np.isfinite(off)]
@@ -207,7 +228,10 @@ def _contradictions(name: str, columns: SensorColumns, known: ReferenceColumns, 
 
 
 def depth_at_start_notes(
-    sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None, start: ReferenceColumns, config: Config
+    sensors: Mapping[str, SensorColumns],
+    reference: ReferenceColumns | None,
+    start: ReferenceColumns,
+    config: Config,
 ) -> tuple[Note, ...]:
     """Note a depth whose configured zero contradicts the height at the start, one row, if no reference has heights."""
     known = reference is not None and bool(reference.known["heights"].any())

@@ -11,14 +11,19 @@ from insdvl_replay.core.words import Severity
 
 Remark = Note | LogError
 
-_UNIT_HINT: Final = 'dvl.velocity_unit = "mm/s" or "cm/s" (a wrong beam geometry cannot have so large an effect)'
+_UNIT_HINT: Final = (
+    'dvl.velocity_unit = "mm/s" or "cm/s" (a wrong beam geometry cannot have so large an effect)'
+)
 _SLOW: Final = "the IMU has {rate_hz:.1f} samples a second, too few to follow a vehicle's motion"
 _GRAVITY: Final = (
-    "the specific force is {size:.3f} m/s^2 (median of the quiet seconds), but gravity is {gravity:.3f} m/s^2"
+    "the specific force is {size:.3f} m/s^2 (median of the quiet seconds), "
+    "but gravity is {gravity:.3f} m/s^2"
 )
 _GYRO: Final = "the angular rate is {scale:.3g} times the rate derived from {by}, in the whole dive"
 _DVL_SCALE: Final = "the DVL's velocity is {scale:.3f} times the reference's, in the whole dive"
-_ZERO_HINT: Final = "set depth.surface_height_m, the height of depth 0 above the ellipsoid, or leave it out"
+_ZERO_HINT: Final = (
+    "set depth.surface_height_m, the height of depth 0 above the ellipsoid, or leave it out"
+)
 _IGNORE: Final = "; if the reference is wrong: reference.ignore = true"
 _OTHER_FIELD: Final = 'to read another field: imu.{name} = "field.path"'
 
@@ -29,7 +34,10 @@ _SENTENCES: Final = {
         "for so long",
         'imu.angular_rate_unit = "deg/s"; to read another field: imu.angular_rate = "field.path"',
     ),
-    "imu_too_slow": (_SLOW, "set imu.topic to a faster IMU; to try this one: imu.min_rate_hz = {least_hz:g}"),
+    "imu_too_slow": (
+        _SLOW,
+        "set imu.topic to a faster IMU; to try this one: imu.min_rate_hz = {least_hz:g}",
+    ),
     "imu_slow": (_SLOW, "set imu.topic to a faster IMU, if the log has one"),
     "imu_too_fast": (
         "the IMU has {rate_hz:.3g} samples a second, more than any: {count} samples in {span_s:.3g} s",
@@ -78,7 +86,10 @@ _SENTENCES: Final = {
         f"check imu.axes, and the order of the fields in imu.angular_rate{_IGNORE}",
     ),
     # The DVL.
-    "dvl_too_fast": ("the largest component of a ping is {speed_mps:g} m/s (median of all pings)", _UNIT_HINT),
+    "dvl_too_fast": (
+        "the largest component of a ping is {speed_mps:g} m/s (median of all pings)",
+        _UNIT_HINT,
+    ),
     "dvl_zero": (
         "{count} of {pings} pings are exactly zero, the first one {first_s:.1f} s after the first ping: the DVL may "
         "have had no bottom lock",

@@ -23,7 +23,8 @@ NO_MEMORY = 3
 def main() -> "NoReturn":
     """Run the command line and leave with its exit code."""
     handle_signals()
-    sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: PTH123, SIM115
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: PTH123, SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: PTH123, SIM115
     try:
         with interruptible():
             code = _prepared_and_run()
@@ -71,7 +72,10 @@ def run_command_line(arguments: list[str]) -> int:
     except SystemExit as leaving:  # shell completion exits this way
         return int(leaving.code or 0)
     except (ImportError, MemoryError, OSError):  # of the modules that would say so
-        print("error: there is not enough memory; hint: raise the limit with `ulimit -v`", file=sys.stderr)
+        print(
+            "error: there is not enough memory; hint: raise the limit with `ulimit -v`",
+            file=sys.stderr,
+        )
         return NO_MEMORY
     except KeyboardInterrupt:
         return INTERRUPTED

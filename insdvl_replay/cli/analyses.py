@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from insdvl_replay.cli import options as opt
-from insdvl_replay.cli.messages import log_failure, log_findings, log_info, log_notes, log_to_stderr, write_stdout
+from insdvl_replay.cli.messages import (
+    log_failure,
+    log_findings,
+    log_info,
+    log_notes,
+    log_to_stderr,
+    write_stdout,
+)
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.urls import shown_url
 
@@ -29,17 +36,24 @@ if TYPE_CHECKING:
 
 def inspect(
     logs: opt.Logs,
-    deep: Annotated[bool, typer.Option("--deep", help="Read all messages of each role, not only the first.")] = False,
+    deep: Annotated[
+        bool, typer.Option("--deep", help="Read all messages of each role, not only the first.")
+    ] = False,
     propose: Annotated[
         Path | None,
-        typer.Option("--propose", metavar="FILE", help="Write settings for these dives; implies --deep."),
+        typer.Option(
+            "--propose", metavar="FILE", help="Write settings for these dives; implies --deep."
+        ),
     ] = None,
     config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
     settings: opt.Settings = [],
     format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
     allow_damaged: Annotated[
-        bool, typer.Option("--allow-damaged", help="Do not count damage as a blocker; a note counts what is lost.")
+        bool,
+        typer.Option(
+            "--allow-damaged", help="Do not count damage as a blocker; a note counts what is lost."
+        ),
     ] = False,
     offline: opt.Offline = False,
     one_dive: opt.OneDive = False,
@@ -81,14 +95,18 @@ def inspect(
         files = opt.settings_files(own, config)
         given = load_config(preset, files, settings, allow_code=True, report=log_info)
         if given.code:
-            log_to_stderr(f"info: inspect runs no code from the settings; ignored: {', '.join(given.code)}")
+            log_to_stderr(
+                f"info: inspect runs no code from the settings; ignored: {', '.join(given.code)}"
+            )
         return given.without_code()
 
     is_whole = deep or propose is not None
     found = find_dives(logs)
     configs = {file: load(file) for file in {None, *(dive.settings for dive in found)}}
     if format_ == "html" and len(found) > 1 and not one_dive:
-        raise ConfigError(f"--format html: is a page of one dive, found {len(found)}", "name one log")
+        raise ConfigError(
+            f"--format html: is a page of one dive, found {len(found)}", "name one log"
+        )
     is_fetched = is_whole or one_dive or offline
     if is_fetched:
         found = fetch_with_progress(found, offline=offline)
@@ -103,7 +121,9 @@ def inspect(
                 if first.url and not is_fetched:
                     inventory = inspect_summary(first.url, configs[first.settings])
                 else:
-                    inventory = inspect_log(dive, configs[first.settings], deep=is_whole, allow_damaged=allow_damaged)
+                    inventory = inspect_log(
+                        dive, configs[first.settings], deep=is_whole, allow_damaged=allow_damaged
+                    )
         except Exception as error:
             code = max(code, log_failure(error, verbose))
             continue
@@ -113,7 +133,11 @@ def inspect(
                     *(shown_url(file.url) if file.url else str(file.path) for file in files),
                     *(["--one-dive"] if one_dive else []),
                     *(["--preset", preset] if preset else []),
-                    *(text for path in opt.settings_files(first.settings, config) for text in ("-c", str(path))),
+                    *(
+                        text
+                        for path in opt.settings_files(first.settings, config)
+                        for text in ("-c", str(path))
+                    ),
                     *(text for setting in settings for text in ("--set", setting)),
                     *(["--allow-damaged"] if allow_damaged else []),
                 ]
@@ -128,12 +152,23 @@ def inspect(
     if propose is not None and inspected:
         shared = shared_settings(found, "--propose")
         named = given_keys(preset, opt.settings_files(shared, config), settings)
-        _propose(propose, inspected, Given(configs[shared], named), allow_damaged=allow_damaged, force=force)
+        _propose(
+            propose,
+            inspected,
+            Given(configs[shared], named),
+            allow_damaged=allow_damaged,
+            force=force,
+        )
     return code
 
 
 def _propose(
-    target: Path, dives: "Sequence[Sequence[Path]]", given: "Given", *, allow_damaged: bool, force: bool
+    target: Path,
+    dives: "Sequence[Sequence[Path]]",
+    given: "Given",
+    *,
+    allow_damaged: bool,
+    force: bool,
 ) -> None:
     """Write settings, and print on stderr what the user must decide."""
     from insdvl_replay.cli.screen import compiling, progress
@@ -151,7 +186,9 @@ def _propose(
     if proposed.failure is not None:
         log_to_stderr(f"blocker: {proposed.failure.message}; hint: {proposed.failure.hint}")
     if proposed.missing:
-        log_to_stderr(f"without a value in {target}: {' '.join(f'--set {key}=...' for key in proposed.missing)}")
+        log_to_stderr(
+            f"without a value in {target}: {' '.join(f'--set {key}=...' for key in proposed.missing)}"
+        )
 
 
 # --- calibrate
@@ -160,10 +197,14 @@ def _propose(
 def calibrate(
     logs: opt.Logs,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write the result as settings for -c.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Write the result as settings for -c."),
     ] = None,
     page_file: Annotated[
-        Path | None, typer.Option("--page", metavar="FILE", help="Write the result with pictures as one HTML page.")
+        Path | None,
+        typer.Option(
+            "--page", metavar="FILE", help="Write the result with pictures as one HTML page."
+        ),
     ] = None,
     config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
@@ -171,26 +212,37 @@ def calibrate(
     only: Annotated[
         str | None,
         typer.Option(
-            metavar="NAMES", help="Some of arm, mounting, delay, scale and noise, separated by commas (default: all)."
+            metavar="NAMES",
+            help="Some of arm, mounting, delay, scale and noise, separated by commas (default: all).",
         ),
     ] = None,
     reference: Annotated[
-        bool, typer.Option("--reference", help="Compare with the dives' references, and calibrate these, too.")
+        bool,
+        typer.Option(
+            "--reference", help="Compare with the dives' references, and calibrate these, too."
+        ),
     ] = False,
     delays: Annotated[
-        Literal["each", "one"], typer.Option("--delays", help="A delay for each dive, or one for all.")
+        Literal["each", "one"],
+        typer.Option("--delays", help="A delay for each dive, or one for all."),
     ] = "each",
     mounting: Annotated[
-        Literal["known", "unknown"], typer.Option("--mounting", help="If unknown, 24 mountings are tried first.")
+        Literal["known", "unknown"],
+        typer.Option("--mounting", help="If unknown, 24 mountings are tried first."),
     ] = "known",
     hold_out: Annotated[
         list[str],
         typer.Option(
-            "--hold-out", metavar="SHARE|DIVE", help="Test dives that are not used in the fit: a share, or names."
+            "--hold-out",
+            metavar="SHARE|DIVE",
+            help="Test dives that are not used in the fit: a share, or names.",
         ),
     ] = [],
     even_if_worse: Annotated[
-        bool, typer.Option("--even-if-worse", help="Also write estimates that are worse on held-out dives.")
+        bool,
+        typer.Option(
+            "--even-if-worse", help="Also write estimates that are worse on held-out dives."
+        ),
     ] = False,
     format_: opt.PrintedAs = "table",
     allow_damaged: opt.AllowDamaged = False,
@@ -219,22 +271,36 @@ def calibrate(
     """
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings
     from insdvl_replay.calibration.dives import answer_of, calibrate_dives, require_groups
-    from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
-    from insdvl_replay.cli.screen import CALIBRATION, compiling, fetch_with_progress, progress, written
+    from insdvl_replay.calibration.output import (
+        calibration_figures,
+        calibration_result,
+        calibration_toml,
+    )
+    from insdvl_replay.cli.screen import (
+        CALIBRATION,
+        compiling,
+        fetch_with_progress,
+        progress,
+        written,
+    )
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.results.folder import require_replaceable_file, result_file
     from insdvl_replay.show.render import render
 
     logs_found = find_dives(logs)
     own = shared_settings(logs_found, "calibrate")
-    resolved = load_config(preset, opt.settings_files(own, config), settings, allow_code=allow_code, report=log_info)
+    resolved = load_config(
+        preset, opt.settings_files(own, config), settings, allow_code=allow_code, report=log_info
+    )
     groups = require_groups(None if only is None else only.split(","), reference=reference)
     for file in (output, page_file):
         if file is not None:
             require_replaceable_file(file, force=force)
     logs_found = fetch_with_progress(logs_found, offline=offline)
     with progress("calibrating", CALIBRATION, compiling()):
-        dives, failed = _read(logs_found, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
+        dives, failed = _read(
+            logs_found, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive
+        )
         if not dives:
             return failed
         found, resolved, kept, asked = calibrate_dives(
@@ -243,9 +309,14 @@ def calibrate(
         )  # fmt: skip
     for read, prepared in zip(kept, (dive.prepared for dive in asked), strict=True):
         notes = (*read.dive.notes, *prepared.notes)
-        log_notes([replace(note, text=f"{read.dive.name}: {note.text}") for note in notes], verbose=verbose > 0)
+        log_notes(
+            [replace(note, text=f"{read.dive.name}: {note.text}") for note in notes],
+            verbose=verbose > 0,
+        )
     settings_file = "" if output is None else str(output)
-    lay_out = partial(calibration_result, found, resolved, settings_file, even_if_worse=even_if_worse)
+    lay_out = partial(
+        calibration_result, found, resolved, settings_file, even_if_worse=even_if_worse
+    )
     write_stdout(written(lay_out(verbose=verbose > 0), format_))
     # Both files, or none if the work is interrupted.
     is_found = bool(found.estimated) or found.proposes_noise
@@ -255,7 +326,9 @@ def calibrate(
         contents[page_file] = render(lay_out(figures), "html")
     if output is not None and is_found:
         better = found if even_if_worse else answer_of(found).applied(found)
-        contents[output] = calibration_toml(better, [dive.prepared.alignment.start_ns for dive in asked])
+        contents[output] = calibration_toml(
+            better, [dive.prepared.alignment.start_ns for dive in asked]
+        )
     with ExitStack() as stack:
         for file, content in contents.items():
             stack.enter_context(result_file(file, force=force)).write_text(content, "utf-8")
@@ -270,7 +343,12 @@ def calibrate(
 
 
 def _read(
-    found: "Sequence[FoundDive]", config: "Config", verbose: int, *, allow_damaged: bool, one_dive: bool
+    found: "Sequence[FoundDive]",
+    config: "Config",
+    verbose: int,
+    *,
+    allow_damaged: bool,
+    one_dive: bool,
 ) -> tuple[list["ReadDive"], int]:
     """Read the dives; one that cannot be used does not stop the others."""
     from insdvl_replay.batch.dive_paths import usable_paths
@@ -294,7 +372,10 @@ study = typer.Typer(rich_markup_mode=None, no_args_is_help=True)
 Png = Annotated[bool, typer.Option("--png", help="Also draw the pictures as PNG.")]
 
 StudyOutput = Annotated[
-    Path, typer.Option("-o", "--output", metavar="DIR", help="Output folder; each study gets a subfolder.")
+    Path,
+    typer.Option(
+        "-o", "--output", metavar="DIR", help="Output folder; each study gets a subfolder."
+    ),
 ]
 
 
@@ -312,10 +393,12 @@ def montecarlo(
     runs: Annotated[int, typer.Option(metavar="N", min=2, help="Number of simulated dives.")] = 100,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Random seed of the study.")] = 1,
     run: Annotated[
-        int | None, typer.Option(metavar="K", min=1, help="Repeat only run K, counted from 1, and print it.")
+        int | None,
+        typer.Option(metavar="K", min=1, help="Repeat only run K, counted from 1, and print it."),
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help="Duration in s (default: that of the scenario).")
+        float | None,
+        typer.Option(metavar="S", help="Duration in s (default: that of the scenario)."),
     ] = None,
     imu: Annotated[
         str,
@@ -326,7 +409,8 @@ def montecarlo(
     ] = "matched",
     outage: opt.Outages = [],
     jobs: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Number of parallel runs (default: one per core).")
+        int | None,
+        typer.Option(metavar="N", min=1, help="Number of parallel runs (default: one per core)."),
     ] = None,
     output: StudyOutput = Path("study"),
     png: Png = False,
@@ -371,11 +455,16 @@ def montecarlo(
 def window(
     logs: opt.Logs,
     longest: Annotated[
-        int, typer.Option("--longest", metavar="N", min=2, max=1000, help="Try windows of 2 to N velocities.")
+        int,
+        typer.Option(
+            "--longest", metavar="N", min=2, max=1000, help="Try windows of 2 to N velocities."
+        ),
     ] = 10,
     start: opt.Start = None,
     end: opt.End = None,
-    jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Number of dives in parallel.")] = 1,
+    jobs: Annotated[
+        int, typer.Option("--jobs", metavar="N", min=1, help="Number of dives in parallel.")
+    ] = 1,
     output: StudyOutput = Path("study"),
     png: Png = False,
     config: opt.ConfigFiles = [],
@@ -406,7 +495,9 @@ def window(
     found = find_dives(logs)
     own = shared_settings(found, "study window")
     given = [*settings, *opt.span_settings(start, end)]
-    resolved = load_config(preset, opt.settings_files(own, config), given, allow_code=True).without_code()
+    resolved = load_config(
+        preset, opt.settings_files(own, config), given, allow_code=True
+    ).without_code()
     found = fetch_with_progress(found, offline=offline)
     codes = [log_failure(dive.error, verbose) for dive in found if dive.error is not None]
     dives = [dive.path for dive in found if dive.error is None]
@@ -418,13 +509,17 @@ def window(
     )  # fmt: skip
     left_out = [note.text for note in report.notes if note.code == LEFT_OUT]
     if left_out:
-        log_to_stderr(f"error: {len(left_out)} of {len(dives)} logs could not be used; the first: {left_out[0]}")
+        log_to_stderr(
+            f"error: {len(left_out)} of {len(dives)} logs could not be used; the first: {left_out[0]}"
+        )
     return max([*codes, LogError.exit_code if left_out else 0])
 
 
 @study.command(cls=opt.PlainCommand)
 def observability(
-    dive: Annotated[str, typer.Argument(metavar="LOG|SCENARIO", help="A log, or the name of a scenario.")],
+    dive: Annotated[
+        str, typer.Argument(metavar="LOG|SCENARIO", help="A log, or the name of a scenario.")
+    ],
     start: opt.Start = None,
     end: opt.End = None,
     no_earth_rate: Annotated[
@@ -454,7 +549,9 @@ def observability(
     from insdvl_replay.core.dive_record import dive_name
     from insdvl_replay.studies.observability import study_observability
 
-    resolved = load_config(preset, config, [*settings, *opt.span_settings(start, end)], allow_code=True).without_code()
+    resolved = load_config(
+        preset, config, [*settings, *opt.span_settings(start, end)], allow_code=True
+    ).without_code()
     target = output / f"observability-{dive_name(Path(dive))}"
     _keep(
         lambda: study_observability(dive, resolved, earth_rate=not no_earth_rate),
@@ -463,7 +560,14 @@ def observability(
 
 
 def _keep(
-    work: Callable[[], "Result"], text: str, target: Path, format_: opt.Format, verbose: int, *, force: bool, png: bool
+    work: Callable[[], "Result"],
+    text: str,
+    target: Path,
+    format_: opt.Format,
+    verbose: int,
+    *,
+    force: bool,
+    png: bool,
 ) -> "Result":
     """Run a study, write its files, and print the result, its notes and its folder."""
     from insdvl_replay.cli.screen import compiling, progress, written

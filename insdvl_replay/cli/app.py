@@ -19,7 +19,19 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (run, compare, check, plan, inspect, calibrate, figure, simulate, config, schema, explain):
+for command in (
+    run,
+    compare,
+    check,
+    plan,
+    inspect,
+    calibrate,
+    figure,
+    simulate,
+    config,
+    schema,
+    explain,
+):
     app.command(cls=opt.PlainCommand)(command)
 app.command("compile", cls=opt.PlainCommand)(compile_)
 app.add_typer(study, name="study")
@@ -34,7 +46,10 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def insdvl_replay(
     version: Annotated[
-        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+        bool,
+        typer.Option(
+            "--version", help="Print the version and exit.", callback=_print_version, is_eager=True
+        ),
     ] = False,
 ) -> None:
     """Replay a dive through navigation filters and measure whether a change really helped.

@@ -19,7 +19,14 @@ from insdvl_replay.cli.messages import (
     log_to_stderr,
     write_stdout,
 )
-from insdvl_replay.core.errors import ConfigError, LimitError, Note, error_context, looked_for, visible
+from insdvl_replay.core.errors import (
+    ConfigError,
+    LimitError,
+    Note,
+    error_context,
+    looked_for,
+    visible,
+)
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
@@ -31,29 +38,47 @@ GATE_FAILED = 1
 
 
 def compare(
-    old: Annotated[Path, typer.Argument(metavar="OLD", help="Result folder, report.json, or folder of results.")],
-    new: Annotated[Path, typer.Argument(metavar="NEW", help="The same kind of result, after the change.")],
+    old: Annotated[
+        Path,
+        typer.Argument(metavar="OLD", help="Result folder, report.json, or folder of results."),
+    ],
+    new: Annotated[
+        Path, typer.Argument(metavar="NEW", help="The same kind of result, after the change.")
+    ],
     dives: Annotated[
-        list[str], typer.Option("--dive", metavar="NAME", help="Compare only this dive. May be repeated.")
+        list[str],
+        typer.Option("--dive", metavar="NAME", help="Compare only this dive. May be repeated."),
     ] = [],
     tables: Annotated[
-        list[str], typer.Option("--table", metavar="NAME", help="Compare only this table. May be repeated.")
+        list[str],
+        typer.Option("--table", metavar="NAME", help="Compare only this table. May be repeated."),
     ] = [],
     columns: Annotated[
-        list[str], typer.Option("--column", metavar="NAME", help="Compare only this column. May be repeated.")
+        list[str],
+        typer.Option("--column", metavar="NAME", help="Compare only this column. May be repeated."),
     ] = [],
     pairs: Annotated[
         list[str],
-        typer.Option("--pair", metavar="OLD=NEW", help="Compare filters with different names. May be repeated."),
+        typer.Option(
+            "--pair",
+            metavar="OLD=NEW",
+            help="Compare filters with different names. May be repeated.",
+        ),
     ] = [],
     tolerance: Annotated[
         str | None,
-        typer.Option(metavar="P%", help="Changes up to this count as the same (default: the last printed digit)."),
+        typer.Option(
+            metavar="P%",
+            help="Changes up to this count as the same (default: the last printed digit).",
+        ),
     ] = None,
     only_changed: Annotated[
-        bool, typer.Option("--only-changed", help="Show all values that changed, not only the evidence.")
+        bool,
+        typer.Option("--only-changed", help="Show all values that changed, not only the evidence."),
     ] = False,
-    everything: Annotated[bool, typer.Option("--all", help="Show all values, also unchanged ones.")] = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Show all values, also unchanged ones.")
+    ] = False,
     fail_on: opt.FailOn = None,
     format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
     verbose: opt.Verbose = 0,
@@ -100,7 +125,9 @@ def compare(
 
 
 def plan(
-    folder: Annotated[Path, typer.Argument(metavar="RESULTS", help="A result folder, or a folder of results.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="A result folder, or a folder of results.")
+    ],
     format_: opt.PrintedAs = "table",
     verbose: opt.Verbose = 0,
     color: opt.Colored = "auto",
@@ -138,7 +165,9 @@ def _print_comparison(
     from insdvl_replay.cli.screen import written
 
     if quiet and format_ == "table":
-        write_stdout("".join(f"{visible(line.text)}\n" for line in documents.answer_lines(found.answers)))
+        write_stdout(
+            "".join(f"{visible(line.text)}\n" for line in documents.answer_lines(found.answers))
+        )
     else:
         document = documents.comparison_document(
             shown, values=all_values or format_ == "latex", every_row=verbose > 0, command=command
@@ -183,7 +212,13 @@ def answer_against(
         found = changes.compare_results(old, new, dives=both)
         command = f"{shlex.join(['insdvl-replay', 'compare', str(old), str(new)])} "
         _print_comparison(
-            found, changes.only_changed(found), format_, verbose, quiet=quiet, all_values=False, command=command
+            found,
+            changes.only_changed(found),
+            format_,
+            verbose,
+            quiet=quiet,
+            all_values=False,
+            command=command,
         )
         if worse := changes.find_violation(found, limit):
             failures[worse] = log_failure(LimitError(worse), verbose)
@@ -207,22 +242,29 @@ def check(
     dives: Annotated[
         list[str],
         typer.Argument(
-            metavar="[DIVE]...", help="Logs, bags, result folders, patterns, .txt lists; left out: those in GATES."
+            metavar="[DIVE]...",
+            help="Logs, bags, result folders, patterns, .txt lists; left out: those in GATES.",
         ),
     ] = [],
     update: Annotated[
-        bool, typer.Option("--update", help="Show what changed, then store the new values as expected.")
+        bool,
+        typer.Option("--update", help="Show what changed, then store the new values as expected."),
     ] = False,
     results: Annotated[
         Path,
         typer.Option(
-            "--results", metavar="DIR", help="Output folder; each replayed dive gets a subfolder with its name."
+            "--results",
+            metavar="DIR",
+            help="Output folder; each replayed dive gets a subfolder with its name.",
         ),
     ] = Path("checked"),
     config: Annotated[
         list[Path],
         typer.Option(
-            "-c", "--config", metavar="FILE", help="Settings that replace those named in GATES. May be repeated."
+            "-c",
+            "--config",
+            metavar="FILE",
+            help="Settings that replace those named in GATES. May be repeated.",
         ),
     ] = [],
     preset: opt.Preset = None,
@@ -232,22 +274,37 @@ def check(
     allow_code: opt.AllowCode = False,
     format_: Annotated[opt.CheckFormat, typer.Option("--format", help="Output format.")] = "text",
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="FILE", help="Write the output to this file, and text to stdout.")
+        Path | None,
+        typer.Option(
+            "--output", metavar="FILE", help="Write the output to this file, and text to stdout."
+        ),
     ] = None,
     summary: Annotated[
-        Path | None, typer.Option("--summary-file", metavar="FILE", help="Append the output to this file as Markdown.")
+        Path | None,
+        typer.Option(
+            "--summary-file", metavar="FILE", help="Append the output to this file as Markdown."
+        ),
     ] = None,
     only: Annotated[
-        list[str], typer.Option("--only", metavar="GATE", help="Only gates with this name or pattern. May be repeated.")
+        list[str],
+        typer.Option(
+            "--only", metavar="GATE", help="Only gates with this name or pattern. May be repeated."
+        ),
     ] = [],
     skip: Annotated[
-        list[str], typer.Option("--skip", metavar="GATE", help="Skip gates with this name or pattern. May be repeated.")
+        list[str],
+        typer.Option(
+            "--skip", metavar="GATE", help="Skip gates with this name or pattern. May be repeated."
+        ),
     ] = [],
     shard: Annotated[
         str, typer.Option("--shard", metavar="I/N", help="Every N-th dive, starting at the I-th.")
     ] = "1/1",
     histories: Annotated[
-        bool, typer.Option("--keep-histories", help="Also write replay.mcap, the largest file of a result.")
+        bool,
+        typer.Option(
+            "--keep-histories", help="Also write replay.mcap, the largest file of a result."
+        ),
     ] = False,
     jobs: opt.Jobs = 1,
     scheduler: opt.Scheduler = None,
@@ -283,18 +340,25 @@ def check(
     # Arguments
     part, slash, parts = shard.partition("/")
     if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
-        raise ConfigError(f"--shard {shard}: is not a part such as 1/4", "--shard 1/4, --shard 2/4 and so on")
+        raise ConfigError(
+            f"--shard {shard}: is not a part such as 1/4", "--shard 1/4, --shard 2/4 and so on"
+        )
     chosen = chosen_gates(load_gates(gates), only, skip)
     content = chosen.content
     if not (dives or content.dives):
-        raise ConfigError(f"{gates}: names no dives", f'`insdvl-replay check {gates} DIVE...`, or dives = ["*.mcap"]')
+        raise ConfigError(
+            f"{gates}: names no dives",
+            f'`insdvl-replay check {gates} DIVE...`, or dives = ["*.mcap"]',
+        )
     names, folder = (dives, Path()) if dives else (content.dives, gates.parent)
     found_dives = find_dives(names, folder, results=True)[int(part) - 1 :: int(parts)]
     for option, file in (("--output", output), ("--summary-file", summary)):
         if file is not None:
             with error_context(option):
                 require_replaceable_file(file, force=True)
-                if file.resolve() in {read.resolve() for read in (gates, *(dive.path for dive in found_dives))}:
+                if file.resolve() in {
+                    read.resolve() for read in (gates, *(dive.path for dive in found_dives))
+                }:
                     raise ConfigError(f"{file}: is an input of this check", "give it another name")
     if not config and content.config is not None:
         named = gates.parent / content.config
@@ -306,7 +370,9 @@ def check(
 
     def load(own: Path | None = None) -> "Config":
         files = opt.settings_files(own, config)
-        return load_config(preset or content.preset, files, settings, allow_code=allow_code, report=log_info)
+        return load_config(
+            preset or content.preset, files, settings, allow_code=allow_code, report=log_info
+        )
 
     configs = {file: load(file) for file in {dive.settings for dive in found_dives}}
     options = ReplayOptions(
@@ -316,14 +382,21 @@ def check(
     )
     replayed = partial(outcomes, jobs=jobs, scheduler=scheduler, force=True, rerun=rerun)
     checked = checked_dives(
-        chosen, fetch_with_progress(found_dives, offline=offline), results, options, replayed, configs
+        chosen,
+        fetch_with_progress(found_dives, offline=offline),
+        results,
+        options,
+        replayed,
+        configs,
     )
     codes = [log_failure(result, verbose) for result, _ in checked if isinstance(result, Exception)]
     if not quiet:
         _log_fitted_noise(checked)
     if update:
         if all(gate.expected is None for gate in chosen.gates):
-            raise ConfigError(f"{gates}: no gate has expected values", 'expected = "expected/{log}.json"')
+            raise ConfigError(
+                f"{gates}: no gate has expected values", 'expected = "expected/{log}.json"'
+            )
         write_stdout(formats.update_text(gating.compare_with_expected(chosen, checked)))
         for file in write_expected(chosen, checked):
             log_to_stderr(f"wrote {file}")
@@ -340,7 +413,9 @@ def check(
         write_stdout(formats.check_text(found))
     if summary is not None:
         try:
-            with summary.open("a", encoding="utf-8") as stream:  # other steps of a job also write to it
+            with summary.open(
+                "a", encoding="utf-8"
+            ) as stream:  # other steps of a job also write to it
                 stream.write(formats.in_format(found, "md"))
         except OSError as error:
             hint = "check the path of --summary-file"
@@ -348,5 +423,7 @@ def check(
     codes += [GATE_FAILED] * found.count(GateStatus.FAILED)
     if codes:
         first = found.outcomes[0]
-        log_to_stderr(f"error: {sentence}; the first: {first.dive}: {first.gate}: {'; '.join(first.explained)}")
+        log_to_stderr(
+            f"error: {sentence}; the first: {first.dive}: {first.gate}: {'; '.join(first.explained)}"
+        )
     return max(codes, default=0)

@@ -80,7 +80,12 @@ def log_failure(error: Exception, verbosity: int) -> int:
     if verbosity >= 2:
         trace = "".join(traceback.format_exception(error))
         with suppress(OSError):
-            print(without_commands(visible_lines(as_shown(trace))), end="", file=sys.stderr, flush=True)
+            print(
+                without_commands(visible_lines(as_shown(trace))),
+                end="",
+                file=sys.stderr,
+                flush=True,
+            )
     code, message, hint = _explained(error)
     log_to_stderr(f"error: {message}{_hinted(hint)}")
     return code
@@ -102,7 +107,9 @@ def log_findings(notes: Iterable[Note], file: Path) -> None:
     for note in findings[:MOST_FINDINGS]:
         log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
     if more := findings[MOST_FINDINGS:]:
-        log_to_stderr(f"found: {counted(len(more), 'more setting')}, in the report and in {file.name}")
+        log_to_stderr(
+            f"found: {counted(len(more), 'more setting')}, in the report and in {file.name}"
+        )
     if findings and file.is_file():
         log_to_stderr(f"to repeat it: -c {shlex.quote(str(file))}")
 
@@ -127,7 +134,9 @@ def _explained(error: Exception) -> tuple[int, str, str]:
     if is_out_of_memory(error):
         return LogError.exit_code, *_not_enough_memory(str(error))
     if isinstance(error, OSError):
-        found = f"{error.filename or 'stdout'}: cannot be read or written: {error.strerror or error}"
+        found = (
+            f"{error.filename or 'stdout'}: cannot be read or written: {error.strerror or error}"
+        )
         return USAGE, found, "check the path, its permissions and the free disk space"
     return (
         INTERNAL_ERROR,
@@ -145,7 +154,9 @@ def _option_meant(option: str, context: Any) -> str:
         if word in _allowed_words(kinds.get(parameter.name)):
             return f"{max(parameter.opts, key=len)} {word}"
     names = {
-        name.lstrip("-"): name for parameter in parameters for name in (*parameter.opts, *parameter.secondary_opts)
+        name.lstrip("-"): name
+        for parameter in parameters
+        for name in (*parameter.opts, *parameter.secondary_opts)
     }
     # Of short words many are alike by chance, as json and geojson are.
     found = most_like(word, [name for name in names if len(name) > 1], most=1, least=_ALIKE_OPTIONS)
@@ -163,7 +174,11 @@ def _not_enough_memory(reason: str = "") -> tuple[str, str]:
     """Return the sentence and the hint for a lack of memory."""
     limit = memory_limit()
     within = "" if limit is None else f" within the limit of {limit / 1e6:.0f} MB"
-    hint = "use a machine with more memory" if limit is None else "raise the limit of this shell with `ulimit -v`"
+    hint = (
+        "use a machine with more memory"
+        if limit is None
+        else "raise the limit of this shell with `ulimit -v`"
+    )
     return f"there is not enough memory{within}{f': {reason}' if reason else ''}", hint
 
 

@@ -92,26 +92,38 @@ Logs = Annotated[
     ),
 ]
 Start = Annotated[
-    float | None, typer.Option("--start", metavar="T", help="Start here, in seconds from the first IMU sample.")
+    float | None,
+    typer.Option("--start", metavar="T", help="Start here, in seconds from the first IMU sample."),
 ]
 End = Annotated[
-    float | None, typer.Option("--end", metavar="T", help="End here, in seconds from the first IMU sample.")
+    float | None,
+    typer.Option("--end", metavar="T", help="End here, in seconds from the first IMU sample."),
 ]
 Offline = Annotated[
     bool,
-    typer.Option("--offline", help="Fetch nothing: of URLs, use the logs that earlier commands have fetched."),
+    typer.Option(
+        "--offline", help="Fetch nothing: of URLs, use the logs that earlier commands have fetched."
+    ),
 ]
 AllowDamaged = Annotated[
-    bool, typer.Option("--allow-damaged", help="Use the readable part of a damaged log; a note counts what is lost.")
+    bool,
+    typer.Option(
+        "--allow-damaged",
+        help="Use the readable part of a damaged log; a note counts what is lost.",
+    ),
 ]
 AllowCode = Annotated[
     bool,
-    typer.Option("--allow-code", help="Run the code that the settings name (module:Class), with your permissions."),
+    typer.Option(
+        "--allow-code",
+        help="Run the code that the settings name (module:Class), with your permissions.",
+    ),
 ]
 OneDive = Annotated[
     bool,
     typer.Option(
-        "--one-dive", help="Read all files as one dive. Its name is that of the first file in alphabetical order."
+        "--one-dive",
+        help="Read all files as one dive. Its name is that of the first file in alphabetical order.",
     ),
 ]
 Scenario = Annotated[
@@ -124,7 +136,11 @@ Scenario = Annotated[
 ]
 Settings = Annotated[
     list[str],
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting, such as dvl.scale=1.01. May be repeated."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change one setting, such as dvl.scale=1.01. May be repeated.",
+    ),
 ]
 ConfigFiles = Annotated[
     list[Path],
@@ -137,13 +153,24 @@ ConfigFiles = Annotated[
 ]
 Outages = Annotated[
     list[str],
-    typer.Option("--outage", metavar="START:END", help="Time span in seconds without bottom track. May be repeated."),
+    typer.Option(
+        "--outage",
+        metavar="START:END",
+        help="Time span in seconds without bottom track. May be repeated.",
+    ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace what an earlier run wrote.")]
-Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Number of parallel processes, one dive each.")]
+Jobs = Annotated[
+    int,
+    typer.Option("--jobs", metavar="N", min=1, help="Number of parallel processes, one dive each."),
+]
 Scheduler = Annotated[
     str | None,
-    typer.Option("--scheduler", metavar="ADDR", help="Replay on the dask.distributed cluster at this address."),
+    typer.Option(
+        "--scheduler",
+        metavar="ADDR",
+        help="Replay on the dask.distributed cluster at this address.",
+    ),
 ]
 FailOn = Annotated[
     str | None,
@@ -154,7 +181,9 @@ FailOn = Annotated[
         "than P%.",
     ),
 ]
-Rerun = Annotated[bool, typer.Option("--rerun", help="Replay all dives, also those whose result is up to date.")]
+Rerun = Annotated[
+    bool, typer.Option("--rerun", help="Replay all dives, also those whose result is up to date.")
+]
 Verbose = Annotated[
     int,
     typer.Option(
@@ -167,7 +196,9 @@ Verbose = Annotated[
 ]
 
 
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print less: the verdict in one line, and errors.")]
+Quiet = Annotated[
+    bool, typer.Option("-q", "--quiet", help="Print less: the verdict in one line, and errors.")
+]
 
 
 def _choose_color(color: Color) -> Color:
@@ -213,6 +244,8 @@ def outage_spans(texts: list[str]) -> list[tuple[float, float]]:
         try:
             start_s, end_s = (float(part) for part in text.split(":"))
         except ValueError as error:
-            raise ConfigError(f"--outage {text}: is not of the form START:END", "for example --outage 60:90") from error
+            raise ConfigError(
+                f"--outage {text}: is not of the form START:END", "for example --outage 60:90"
+            ) from error
         spans.append((start_s, end_s))
     return spans

@@ -31,7 +31,12 @@ def run(
     logs: opt.Logs,
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", metavar="DIR", help="Output folder; each log gets a subfolder with its name."),
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR",
+            help="Output folder; each log gets a subfolder with its name.",
+        ),
     ] = Path("replay"),
     config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
@@ -40,12 +45,17 @@ def run(
     settings: opt.Settings = [],
     auto: Annotated[
         bool,
-        typer.Option("--auto/--no-auto", help="If a log needs settings and none are given, find them, or stop."),
+        typer.Option(
+            "--auto/--no-auto",
+            help="If a log needs settings and none are given, find them, or stop.",
+        ),
     ] = True,
     starts: Annotated[
         int | None,
         typer.Option(
-            metavar="K", min=1, help="Drawn starts of each filter, for convergence (default: evaluation.starts, 16)."
+            metavar="K",
+            min=1,
+            help="Drawn starts of each filter, for convergence (default: evaluation.starts, 16).",
         ),
     ] = None,
     format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
@@ -57,21 +67,34 @@ def run(
     assay: Annotated[
         bool,
         typer.Option(
-            "--assay", help="Also replay the baseline with planted faults: what could these dives have shown?"
+            "--assay",
+            help="Also replay the baseline with planted faults: what could these dives have shown?",
         ),
     ] = False,
     control: Annotated[
-        bool, typer.Option("--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log.")
+        bool,
+        typer.Option(
+            "--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log."
+        ),
     ] = False,
     tum: Annotated[
-        bool, typer.Option("--tum", help="Also write trajectories for evo: filter_NAME.tum and reference.tum.")
+        bool,
+        typer.Option(
+            "--tum", help="Also write trajectories for evo: filter_NAME.tum and reference.tum."
+        ),
     ] = False,
-    kml: Annotated[bool, typer.Option("--kml", help="Also write all tracks as tracks.kml, for Google Earth.")] = False,
+    kml: Annotated[
+        bool, typer.Option("--kml", help="Also write all tracks as tracks.kml, for Google Earth.")
+    ] = False,
     geojson: Annotated[
-        bool, typer.Option("--geojson", help="Also write all tracks as tracks.geojson, for QGIS and web maps.")
+        bool,
+        typer.Option(
+            "--geojson", help="Also write all tracks as tracks.geojson, for QGIS and web maps."
+        ),
     ] = False,
     history: Annotated[
-        Literal["csv", "parquet"] | None, typer.Option("--history", help="Also write the full history of each filter.")
+        Literal["csv", "parquet"] | None,
+        typer.Option("--history", help="Also write the full history of each filter."),
     ] = None,
     lake: Annotated[
         Path | None,
@@ -90,7 +113,9 @@ def run(
         ),
     ] = [],
     fail_on: opt.FailOn = None,
-    strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")
+    ] = False,
     jobs: opt.Jobs = 1,
     scheduler: opt.Scheduler = None,
     rerun: opt.Rerun = False,
@@ -151,7 +176,13 @@ def run(
     from insdvl_replay.results.folder import PAGE, VEHICLE_FILE, require_parquet, result_file
     from insdvl_replay.results.stored_results import earlier_results
     from insdvl_replay.show.answers import Failure
-    from insdvl_replay.show.dive import TOGETHER, dive_document, replay_result, require_tables, tables_named
+    from insdvl_replay.show.dive import (
+        TOGETHER,
+        dive_document,
+        replay_result,
+        require_tables,
+        tables_named,
+    )
     from insdvl_replay.show.dives import INDEX, OVERVIEWS, overview_parts
     from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 
@@ -161,7 +192,9 @@ def run(
     given = [*settings, *opt.span_settings(start, end, starts)]
     load = partial(_settings, preset, config, given, allow_code)
     # One of these options keeps a run without settings from searching for some.
-    blocked_by = "--against" if against else "--control" if control else "--scheduler" if scheduler else ""
+    blocked_by = (
+        "--against" if against else "--control" if control else "--scheduler" if scheduler else ""
+    )
     is_free = auto and not config
     options = ReplayOptions(
         load(report=log_info),
@@ -183,7 +216,11 @@ def run(
 
         both = options, replace(options, config=changed.get(None, options.config))
         sides = plan_both_sides(
-            fetch_with_progress(found, offline=offline), output, both, (configs, changed), one_dive=one_dive
+            fetch_with_progress(found, offline=offline),
+            output,
+            both,
+            (configs, changed),
+            one_dive=one_dive,
         )
         (old, before), (new, after) = sides
         before, after = with_same_noise(
@@ -197,10 +234,15 @@ def run(
         sides, dives = ((old, before), (new, after)), [*before, *after]
         replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
         return answer_against(sides, replays, fail_on, format_, verbose, quiet=quiet)
-    dives = plan_jobs(fetch_with_progress(found, offline=offline), output, options, configs, one_dive=one_dive)
+    dives = plan_jobs(
+        fetch_with_progress(found, offline=offline), output, options, configs, one_dive=one_dive
+    )
     alone = len(dives) == 1
     # Tables over all dives are printed once all are done, and so is what cannot be printed dive by dive.
-    at_the_end = format_ in ("json", "csv", "html") or set(tables) in ({*TOGETHER}, *({name} for name in TOGETHER))
+    at_the_end = format_ in ("json", "csv", "html") or set(tables) in (
+        {*TOGETHER},
+        *({name} for name in TOGETHER),
+    )
     _require_overviews(dives, output, tables, force=force)
     # With the screen, stderr names each result and warning only if it is not the same terminal.
     shows_screen = format_ == "table" and not (tables or verbose or quiet)
@@ -213,7 +255,9 @@ def run(
     def shown(report: Report, target: Path) -> str:
         parts: Sequence[Part] = tables_named(report, *tables)
         if not tables:
-            parts = dive_screen(report, str(target / PAGE)) if shows_screen else dive_document(report)
+            parts = (
+                dive_screen(report, str(target / PAGE)) if shows_screen else dive_document(report)
+            )
         return written(replay_result(report, parts, tables), format_)
 
     reports: list[Report | Failure] = []
@@ -221,7 +265,9 @@ def run(
     unchanged, explained = 0, False
     said = set[tuple[Note, ...]]()  # what was found of the vehicle, or of several
     replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
-    with closing(replays):  # an interrupt may come here, and the workers must end before this process
+    with closing(
+        replays
+    ):  # an interrupt may come here, and the workers must end before this process
         for outcome in replays:
             name, target, report = outcome.job.target.name, outcome.job.target, outcome.result
             if isinstance(report, Exception):
@@ -263,12 +309,21 @@ def run(
     if unchanged and not (quiet or talks):
         log_to_stderr(f"unchanged: {unchanged} of {len(dives)} dives")
     if not tables and (not quiet or format_ in ("json", "csv", "html")):
-        last = dives_screen(reports, str(output / INDEX)) if format_ == "table" else overview_parts(reports)
+        last = (
+            dives_screen(reports, str(output / INDEX))
+            if format_ == "table"
+            else overview_parts(reports)
+        )
         done = [report for report in reports if isinstance(report, Report)]
         write_stdout(written(replay_result(done, last), format_))
     if failed := [name for name, code in codes.items() if code]:
-        first = next((f"; the first: {report.reason}" for report in reports if isinstance(report, Failure)), "")
-        log_to_stderr(f"error: {len(failed)} of {len(codes)} logs failed: {', '.join(failed)}{first}")
+        first = next(
+            (f"; the first: {report.reason}" for report in reports if isinstance(report, Failure)),
+            "",
+        )
+        log_to_stderr(
+            f"error: {len(failed)} of {len(codes)} logs failed: {', '.join(failed)}{first}"
+        )
     return max(codes.values())
 
 
@@ -289,7 +344,9 @@ def _strict_code(name: str, report: "Report", verbose: int) -> int:
     if not warnings:
         return 0
     found = f"{name}: --strict allows no warnings, found {', '.join(warnings)}"
-    return log_failure(LogError(found, "the result was written; leave --strict out to accept it"), verbose)
+    return log_failure(
+        LogError(found, "the result was written; leave --strict out to accept it"), verbose
+    )
 
 
 def _settings(
@@ -303,7 +360,9 @@ def _settings(
     """Resolve the settings, or those of a dive that has some of its own."""
     from insdvl_replay.core.config_file import load_config
 
-    return load_config(preset, opt.settings_files(own, config), given, allow_code=allow_code, **options)
+    return load_config(
+        preset, opt.settings_files(own, config), given, allow_code=allow_code, **options
+    )
 
 
 def _changed_settings(
@@ -320,9 +379,14 @@ def _changed_settings(
 
     if not against:
         if fail_on is not None:
-            raise ConfigError("--fail-on: works with --against only", "`insdvl-replay compare OLD NEW --fail-on worse`")
+            raise ConfigError(
+                "--fail-on: works with --against only",
+                "`insdvl-replay compare OLD NEW --fail-on worse`",
+            )
         return {}
-    changed = {file: load(file, against=against) for file in configs}  # whose noise is not fitted yet
+    changed = {
+        file: load(file, against=against) for file in configs
+    }  # whose noise is not fitted yet
     if changed == configs:
         raise ConfigError(f"--against {against[-1]}: is the setting already", "give another value")
     unheeded = [
@@ -336,7 +400,9 @@ def _changed_settings(
         raise ConfigError(text, "change dvl.beam_sd_mps, or add --against dvl.beam_sd_mps=none")
     if tables or strict:
         option = "--table" if tables else "--strict"
-        raise ConfigError(f"--against: does not work with {option}", "use `insdvl-replay compare` afterwards")
+        raise ConfigError(
+            f"--against: does not work with {option}", "use `insdvl-replay compare` afterwards"
+        )
     return changed
 
 
@@ -347,7 +413,9 @@ def _while_fitting() -> "AbstractContextManager[object]":
     return progress("fitting the noise", REPLAY, compiling())
 
 
-def _tables_of_all(reports: "Sequence[Report | Failure]", tables: list[str], format_: str, *, at_the_end: bool) -> str:
+def _tables_of_all(
+    reports: "Sequence[Report | Failure]", tables: list[str], format_: str, *, at_the_end: bool
+) -> str:
     """Return the named tables over all dives, after those of each dive if these are printed at the end, too."""
     from insdvl_replay.cli.screen import written
     from insdvl_replay.core.result import Heading, Part, Report
@@ -362,26 +430,35 @@ def _tables_of_all(reports: "Sequence[Report | Failure]", tables: list[str], for
     return written(named_result(reports, tables, parts), format_) if is_wanted else ""
 
 
-def _require_overviews(dives: "Sequence[ReplayJob]", output: Path, tables: list[str], *, force: bool) -> None:
+def _require_overviews(
+    dives: "Sequence[ReplayJob]", output: Path, tables: list[str], *, force: bool
+) -> None:
     """Raise if an overview cannot be written. A file with its name that is no overview is not replaced."""
     from insdvl_replay.results.folder import require_replaceable_file
     from insdvl_replay.show.dives import OVERVIEWS
 
     if len(dives) == 1:
         if "pooled" in tables:
-            raise ConfigError(f"--table pooled: {dives[0].name} is one dive", "name two dives or more")
+            raise ConfigError(
+                f"--table pooled: {dives[0].name} is one dive", "name two dives or more"
+            )
         return
     for name, (_, beginning) in OVERVIEWS.items():
         path = output / name
         for dive in dives:
             if dive.target == path:
                 raise ConfigError(
-                    f"{dive.name}: its results would have the name of an overview", "rename it, or replay it alone"
+                    f"{dive.name}: its results would have the name of an overview",
+                    "rename it, or replay it alone",
                 )
         if os.path.lexists(path):
             if path.is_symlink() or not path.is_file():
-                raise ConfigError(f"{path}: is a link or a folder, and is not replaced", f"rm {path}")
-            require_replaceable_file(path, force=force or beginning in path.read_bytes()[:_BEGINNING])
+                raise ConfigError(
+                    f"{path}: is a link or a folder, and is not replaced", f"rm {path}"
+                )
+            require_replaceable_file(
+                path, force=force or beginning in path.read_bytes()[:_BEGINNING]
+            )
 
 
 def outcomes_without_settings(
@@ -421,16 +498,24 @@ def outcomes_without_settings(
         yield from outcomes_as_planned(same, jobs, None, force=force, rerun=rerun)
         return
     unknown = [dive for dive, report in zip(dives, reports, strict=True) if report is None]
-    known_reports(unknown, force=force, rerun=rerun)  # results that may not be replaced stop it before any work is done
+    known_reports(
+        unknown, force=force, rerun=rerun
+    )  # results that may not be replaced stop it before any work is done
     # Settings that were found for other dives than these are found again, and replace those.
-    force = force or all(not dive.target.exists() or report for dive, report in zip(dives, reports, strict=True))
+    force = force or all(
+        not dive.target.exists() or report for dive, report in zip(dives, reports, strict=True)
+    )
     unfitted = dives
     dives = with_fitted_noise(dives, force=force, rerun=rerun, while_fitting=_while_fitting)
     (first,) = outcomes_as_planned(dives[:1], 1, None, force=force, rerun=rerun)
     if not _needs_settings(first):
         yield first
         others = list["ReplayJob"]()
-        for outcome in outcomes_as_planned(dives[1:], jobs, None, force=force, rerun=rerun) if dives[1:] else ():
+        for outcome in (
+            outcomes_as_planned(dives[1:], jobs, None, force=force, rerun=rerun)
+            if dives[1:]
+            else ()
+        ):
             if _needs_settings(outcome):
                 others += [dive for dive in unfitted if dive.target == outcome.job.target]
             else:
@@ -440,7 +525,9 @@ def outcomes_without_settings(
         return
     try:
         with progress("finding the settings", REPLAY, compiling()):
-            found = find_settings([dive.logs for dive in dives], given, allow_damaged=options.allow_damaged)
+            found = find_settings(
+                [dive.logs for dive in dives], given, allow_damaged=options.allow_damaged
+            )
     except UserError as error:
         if isinstance(first.result, MisfitError):
             text = f"no settings were found: {error.message}. The default settings are used, which nobody has chosen"
@@ -470,7 +557,13 @@ def _are_known(stored: "Sequence[Config | None]", reports: "Sequence[Report | No
 
 
 def _outcomes_by_groups(
-    dives: "Sequence[ReplayJob]", given: "Given", common: "Config", jobs: int, *, force: bool, rerun: bool
+    dives: "Sequence[ReplayJob]",
+    given: "Given",
+    common: "Config",
+    jobs: int,
+    *,
+    force: bool,
+    rerun: bool,
 ) -> "Generator[Outcome, None, None]":
     """Replay the dives of a vehicle; those that contradict the first one's settings get some of their own together."""
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
@@ -492,14 +585,18 @@ def _outcomes_by_groups(
     try:
         with progress("finding the settings of single dives", REPLAY, compiling()):
             allow_damaged = dives[0].options.allow_damaged
-            found = find_settings([dive.logs for dive in others], given, allow_damaged=allow_damaged)
+            found = find_settings(
+                [dive.logs for dive in others], given, allow_damaged=allow_damaged
+            )
     except UserError:
         yield from contradicting
         return
     own = list["ReplayJob"]()
     for dive in others:
         of_dive = settings_of_one(found, dive.target.name, common)
-        options = replace(dive.options, config=of_dive.config, found=of_dive.notes, vehicle=of_dive.text)
+        options = replace(
+            dive.options, config=of_dive.config, found=of_dive.notes, vehicle=of_dive.text
+        )
         own.append(replace(dive, options=options))
     # What the common settings gave is replaced.
     yield from _outcomes_by_groups(own, given, common, jobs, force=True, rerun=rerun)
@@ -515,10 +612,15 @@ def _contradicts(outcome: "Outcome", first: "Outcome") -> bool:
         return False
     if not isinstance(outcome.result, Report):
         return _needs_settings(outcome)
-    codes, known = ({note.code for note in report.notes} & MISREAD for report in (outcome.result, first.result))
+    codes, known = (
+        {note.code for note in report.notes} & MISREAD for report in (outcome.result, first.result)
+    )
     if codes - known:
         return True
-    size, usual = (values_of(report, report.baseline)["nis_per_dof"] for report in (outcome.result, first.result))
+    size, usual = (
+        values_of(report, report.baseline)["nis_per_dof"]
+        for report in (outcome.result, first.result)
+    )
     return size > MOST_NIS >= usual
 
 
@@ -550,7 +652,11 @@ def _with_search_hint(outcome: "Outcome", hint: str) -> "tuple[Outcome, str]":
         # As `require_fit_of`: nobody has chosen the noise of the sensors of a dive that is not simulated.
         is_simulated = any(channel.role == "truth" for channel in found.log.channels)
         is_misread = not MISREAD.isdisjoint(note.code for note in found.notes)
-        if is_misread or not is_simulated or values_of(found, found.baseline)["nis_per_dof"] > MOST_NIS:
+        if (
+            is_misread
+            or not is_simulated
+            or values_of(found, found.baseline)["nis_per_dof"] > MOST_NIS
+        ):
             return outcome, f"hint: these settings may not fit {found.log.name}: {hint}"
     return outcome, ""
 
@@ -573,7 +679,9 @@ def outcomes(
         require_lake(lake, {dive.target.parent for dive in dives})
     needing = [dive for dive in dives if dive.options.require_fit and dive.error is None]
     settled = [dive for dive in dives if dive not in needing]
-    parts = [outcomes_as_planned(settled, jobs, scheduler, force=force, rerun=rerun)] if settled else []
+    parts = (
+        [outcomes_as_planned(settled, jobs, scheduler, force=force, rerun=rerun)] if settled else []
+    )
     parts += [outcomes_without_settings(needing, jobs, force=force, rerun=rerun)] if needing else []
     is_said = quiet
     for replays in parts:
@@ -601,7 +709,9 @@ def outcomes_as_planned(
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
 
     dives = with_fitted_noise(dives, force=force, rerun=rerun, while_fitting=_while_fitting)
-    known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
+    known = known_reports(
+        dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True)
+    )
     changed = [dive for dive in dives if dive.target not in known]
     if scheduler is None:
         runs_code = any(dive.options.config.code for dive in changed)

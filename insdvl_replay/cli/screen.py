@@ -34,7 +34,9 @@ PIPED_COLUMNS = 10_000
 
 def written(result: Result, format_: str) -> str:
     """Return a result in the ``--format`` asked for."""
-    return printed(for_terminal(parts_of(result))) if format_ == "table" else render(result, format_)
+    return (
+        printed(for_terminal(parts_of(result))) if format_ == "table" else render(result, format_)
+    )
 
 
 class Colors:
@@ -77,7 +79,10 @@ CALIBRATION: Final[Plan] = {
     "reading": 0.0, "trying mountings": 0.05, "trying mountings with arm and delay": 0.1, "searching the delay": 0.15,
     "fitting the innovations": 0.25, "fitting the reference": 0.7, "testing on held-out dives": 0.9,
 }  # fmt: skip
-COUNTED: Final = {"dive": "{text} {number} of {total} dives", "run": "{text}, run {number} of {total}"}
+COUNTED: Final = {
+    "dive": "{text} {number} of {total} dives",
+    "run": "{text}, run {number} of {total}",
+}
 """Stages that contain the others, and how they are counted."""
 SHORT_S: Final = 3.0
 """After it, percent and time left are shown."""
@@ -86,8 +91,16 @@ SHORT_S: Final = 3.0
 class Meter:
     """How far a work is, by the stages that it reports."""
 
-    def __init__(self, text: str, plan: Plan, remark: str = "", clock: Callable[[], float] = time.monotonic) -> None:
-        self._text, self._plan, self._remark, self._clock, self._start_s = text, plan, remark, clock, clock()
+    def __init__(
+        self, text: str, plan: Plan, remark: str = "", clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._text, self._plan, self._remark, self._clock, self._start_s = (
+            text,
+            plan,
+            remark,
+            clock,
+            clock(),
+        )
         self._head, self._stage, self._done, self._total, self._share = text, "", 0, 1, 0.0
 
     def report(self, stage: str, done: int, total: int) -> None:
@@ -96,7 +109,9 @@ class Meter:
         if stage in COUNTED:
             self._done, self._total, self._stage = done, total, ""
             if total > 1:
-                self._head = COUNTED[stage].format(text=self._text, number=min(done + 1, total), total=total)
+                self._head = COUNTED[stage].format(
+                    text=self._text, number=min(done + 1, total), total=total
+                )
         else:
             self._stage = f": {stage} {done} of {total}" if total else f": {stage}"
             if stage in self._plan or not self._plan:
@@ -110,7 +125,10 @@ class Meter:
         elapsed_s, rest = self._clock() - self._start_s, ""
         if elapsed_s >= SHORT_S and 0.0 < self._share < 1.0:
             left_s = round(elapsed_s * (1.0 - self._share) / self._share)
-            hours, minutes = f"{left_s // 3600}:{left_s // 60 % 60:02d}" if left_s >= 3600 else "", f"{left_s // 60}"
+            hours, minutes = (
+                f"{left_s // 3600}:{left_s // 60 % 60:02d}" if left_s >= 3600 else "",
+                f"{left_s // 60}",
+            )
             rest = f"  {100.0 * self._share:.0f} %  {hours or minutes}:{left_s % 60:02d} left"
         return f"{visible(f'{self._head}{self._remark}{self._stage}')[: max(columns - len(rest) - 1, 0)]}{rest}"
 
@@ -139,11 +157,16 @@ def progress(
         yield
         live.start()
 
-    with Live(get_renderable=line, console=console, transient=True) as live, progress_listener(show):
+    with (
+        Live(get_renderable=line, console=console, transient=True) as live,
+        progress_listener(show),
+    ):
         yield paused
 
 
-def fetch_with_progress(dives: "Sequence[FoundDive]", *, offline: bool = False) -> "list[FoundDive]":
+def fetch_with_progress(
+    dives: "Sequence[FoundDive]", *, offline: bool = False
+) -> "list[FoundDive]":
     """Fetch the remote logs of dives, and show the progress; each dive that cannot be had has its error."""
     from insdvl_replay.batch.manifest import fetch_dives
 

@@ -27,14 +27,23 @@ of the other commands."""
 
 def simulate(
     scenario: opt.Scenario,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="LOG", help="The MCAP file to write.")],
-    seed: Annotated[int, typer.Option(metavar="N", help="Random seed; the same seed gives the same bytes.")] = 1,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="LOG", help="The MCAP file to write.")
+    ],
+    seed: Annotated[
+        int, typer.Option(metavar="N", help="Random seed; the same seed gives the same bytes.")
+    ] = 1,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help="Duration in s (default: that of the scenario).")
+        float | None,
+        typer.Option(metavar="S", help="Duration in s (default: that of the scenario)."),
     ] = None,
     imu: Annotated[
         str,
-        typer.Option(metavar="GRADE", help="IMU grade: fog, tactical or mems.", autocompletion=opt.grade_names),
+        typer.Option(
+            metavar="GRADE",
+            help="IMU grade: fog, tactical or mems.",
+            autocompletion=opt.grade_names,
+        ),
     ] = "fog",
     outage: opt.Outages = [],
     lost_beam: Annotated[
@@ -52,12 +61,17 @@ def simulate(
         ),
     ] = [],
     lever_arm: Annotated[
-        str, typer.Option(metavar="X,Y,Z", help="Lever arm from IMU to DVL: forward, starboard, down, m.")
+        str,
+        typer.Option(
+            metavar="X,Y,Z", help="Lever arm from IMU to DVL: forward, starboard, down, m."
+        ),
     ] = "0,0,0",
     mounting: Annotated[
         str, typer.Option(metavar="R,P,H", help="Mounting of the DVL: roll, pitch, heading, deg.")
     ] = "0,0,0",
-    dvl_delay: Annotated[float, typer.Option(metavar="S", help="Delay of the ping stamps in s.")] = 0.0,
+    dvl_delay: Annotated[
+        float, typer.Option(metavar="S", help="Delay of the ping stamps in s.")
+    ] = 0.0,
     dvl_scale: Annotated[
         float, typer.Option(metavar="TIMES", help="Scale of the DVL: measured over true velocity.")
     ] = 1.0,
@@ -93,7 +107,13 @@ def simulate(
             grade=imu,
             outages=opt.outage_spans(outage),
             lost_beams=[
-                _parsed(lost, f"--lost-beam {text}", text, "of the form BEAM:START:END", "--lost-beam 2:120:180")
+                _parsed(
+                    lost,
+                    f"--lost-beam {text}",
+                    text,
+                    "of the form BEAM:START:END",
+                    "--lost-beam 2:120:180",
+                )
                 for text in lost_beam
             ],
             sensors=_sensors(sensor),
@@ -106,7 +126,9 @@ def simulate(
     log_to_stderr(f"wrote {output}")
 
 
-def _parsed(parse: Callable[[str], _Value], option: str, text: str, form: str, example: str) -> _Value:
+def _parsed(
+    parse: Callable[[str], _Value], option: str, text: str, form: str, example: str
+) -> _Value:
     try:
         return parse(text)
     except ValueError as error:
@@ -136,10 +158,15 @@ def _sensors(texts: list[str]) -> "dict[str, SensorErrors]":
         try:
             errors = SensorErrors(float(sd), float(rate_hz or 1.0))
         except ValueError as error:
-            raise ConfigError(f"--sensor {text}: is not of the form NAME=SD[@HZ]", f"--sensor {name}=0.1@4") from error
+            raise ConfigError(
+                f"--sensor {text}: is not of the form NAME=SD[@HZ]", f"--sensor {name}=0.1@4"
+            ) from error
         if not (errors.sd > 0.0 and math.isfinite(errors.sd)):
             unit = SIMULATED[name].unit
-            raise ConfigError(f"--sensor {text}: the noise must be above 0 {unit}, found {sd}", f"--sensor {name}=0.1")
+            raise ConfigError(
+                f"--sensor {text}: the noise must be above 0 {unit}, found {sd}",
+                f"--sensor {name}=0.1",
+            )
         if name in found:
             raise ConfigError(f"--sensor {text}: {name} is given twice", "leave one of them out")
         found[name] = errors
@@ -151,7 +178,11 @@ def config(
     file: Annotated[
         list[Path],
         typer.Option(
-            "-c", "--config", "--from", metavar="FILE", help="TOML settings that override the preset. May be repeated."
+            "-c",
+            "--config",
+            "--from",
+            metavar="FILE",
+            help="TOML settings that override the preset. May be repeated.",
         ),
     ] = [],
     settings: opt.Settings = [],
@@ -201,7 +232,9 @@ def schema(
         try:
             write_stdout(definition_text(name))
         except LogError as error:
-            raise ConfigError(f"schema '{name}' is not known", hint_for(name, known, most=len(known))) from error
+            raise ConfigError(
+                f"schema '{name}' is not known", hint_for(name, known, most=len(known))
+            ) from error
 
 
 def json_schema(name: str) -> bytes:
@@ -238,14 +271,18 @@ def json_schema(name: str) -> bytes:
     }
     if name == "config":
         filters = described["$defs"]["Config"]["properties"]["filters"]
-        filters["additionalProperties"] = {"anyOf": [filters["additionalProperties"], {"const": False}]}
+        filters["additionalProperties"] = {
+            "anyOf": [filters["additionalProperties"], {"const": False}]
+        }
     return as_json(described)
 
 
 def _with_words(schema: dict[str, Any]) -> dict[str, Any]:
     """Put the allowed words of a value where it is described, not into separate definitions."""
     definitions = schema["$defs"]
-    words = {f"#/$defs/{name}": found["enum"] for name, found in definitions.items() if "enum" in found}
+    words = {
+        f"#/$defs/{name}": found["enum"] for name, found in definitions.items() if "enum" in found
+    }
 
     def listed(part: Any) -> Any:
         if isinstance(part, list):
@@ -263,7 +300,10 @@ def _with_words(schema: dict[str, Any]) -> dict[str, Any]:
 
 def explain(
     code: Annotated[
-        str | None, typer.Argument(metavar="CODE", help="The code of a note, such as imu_gaps (default: list all).")
+        str | None,
+        typer.Argument(
+            metavar="CODE", help="The code of a note, such as imu_gaps (default: list all)."
+        ),
     ] = None,
     verbose: opt.Verbose = 0,
 ) -> None:
@@ -278,13 +318,19 @@ def explain(
 
     if code is not None:
         found = explanation(code)
-        lines = (visible(code), f"  what happened:  {found.what}", f"  effect:         {found.effect}")
+        lines = (
+            visible(code),
+            f"  what happened:  {found.what}",
+            f"  effect:         {found.effect}",
+        )
         write_stdout("\n".join((*lines, f"  what to do:     {found.cure}\n")))
         return
     widest = max(len(code) for subject in explanations().values() for code in subject)
     for subject, entries in explanations().items():
         write_stdout(f"{subject}\n")
-        write_stdout("".join(f"  {code:{widest}}  {entry.what}\n" for code, entry in entries.items()))
+        write_stdout(
+            "".join(f"  {code:{widest}}  {entry.what}\n" for code, entry in entries.items())
+        )
     write_stdout(f"* stands for a source: {', '.join(SOURCES)}\n")
 
 
@@ -314,7 +360,8 @@ def compile_(verbose: opt.Verbose = 0) -> None:
         require_memory(LEAST_TO_COMPILE_BYTES)
     if problem := cache_problem():
         raise ConfigError(
-            f"compiled code cannot be stored: {problem}", "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile"
+            f"compiled code cannot be stored: {problem}",
+            "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile",
         )
     from insdvl_replay.logs import write_dive
     from insdvl_replay.replay import replay_log
@@ -334,15 +381,29 @@ PictureFormat = Literal["pdf", "svg", "png", "pgf"]
 
 def figure(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A result folder.")],
-    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="error, track, sigma, nis, outage or convergence.")],
+    kind: Annotated[
+        Kind,
+        typer.Argument(metavar="KIND", help="error, track, sigma, nis, outage or convergence."),
+    ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Default: KIND with the format as ending, in this folder."),
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Default: KIND with the format as ending, in this folder.",
+        ),
     ] = None,
     format_: Annotated[PictureFormat, typer.Option("--format", help="pgf needs LaTeX.")] = "pdf",
-    width: Annotated[str, typer.Option(metavar="MM", help="Width of the picture, such as 88mm for a column.")] = "88mm",
+    width: Annotated[
+        str, typer.Option(metavar="MM", help="Width of the picture, such as 88mm for a column.")
+    ] = "88mm",
     states: Annotated[
-        str, typer.Option(metavar="NAMES", help="For sigma only: states, or the start of their names, such as ba,bg.")
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="For sigma only: states, or the start of their names, such as ba,bg.",
+        ),
     ] = "",
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
@@ -362,13 +423,17 @@ def figure(
     from insdvl_replay.show.paper import drawn
 
     if states and kind != "sigma":
-        raise ConfigError(f"--states {states}: works with sigma only, not with {kind}", "leave it out")
+        raise ConfigError(
+            f"--states {states}: works with sigma only, not with {kind}", "leave it out"
+        )
     chosen_states(states)  # a wrong name is reported before anything is read
     width_mm = _width_mm(width)
     folder, report = read_one_result(result, StoredReport)
     trajectory = read_trajectory(folder / TRAJECTORY_FILE)
     if trajectory is None:
-        raise ConfigError(f"{folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again")
+        raise ConfigError(
+            f"{folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again"
+        )
     reference = None
     if kind == "track" and (folder / REPLAY_LOG).is_file():
         from insdvl_replay.results.frames import read_reference
@@ -379,7 +444,9 @@ def figure(
     if target.suffix != f".{format_}":
         ending = target.suffix.lstrip(".")
         known = get_args(PictureFormat)
-        hint = f"--format {ending}" if ending in known else f"-o {target.with_suffix(f'.{format_}')}"
+        hint = (
+            f"--format {ending}" if ending in known else f"-o {target.with_suffix(f'.{format_}')}"
+        )
         raise ConfigError(f"{target}: does not end in .{format_}", hint)
     with result_file(target, force=force) as path:
         path.write_bytes(drawn(drawing, format_, width_mm))

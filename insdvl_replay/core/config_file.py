@@ -51,11 +51,15 @@ from insdvl_replay.core.path_kinds import looks_like_log, require_kind_of_toml
 from insdvl_replay.core.quantities import DECIDERS
 from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
 
-KeyPath = tuple[str | int, ...]  # Names of tables and keys from the top, and places in arrays among them.
+KeyPath = tuple[
+    str | int, ...
+]  # Names of tables and keys from the top, and places in arrays among them.
 S = TypeVar("S", bound=Struct)
 
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
-FITTED_LIKE: Final = "fog"  # whose filters a fitted noise belongs to; those of the other classes are the same
+FITTED_LIKE: Final = (
+    "fog"  # whose filters a fitted noise belongs to; those of the other classes are the same
+)
 # The keys of filters that are not the tool's own, by kind.
 CANDIDATE_KEYS: Final = (
     ("solution",),
@@ -72,7 +76,9 @@ _ALSO_CALLED: Final[Mapping[str, str]] = {
     "offset": "lever arm", "mount": "mounting", "misalignment": "mounting", "gps": "position", "gnss": "position",
     "usbl": "position", "compass": "heading", "ahrs": "heading", "pressure": "depth",
 }  # fmt: skip
-_UNITS: Final = frozenset(["m", "s", "deg", "rad", "pct", "hz", "mg", "mps", "mps2", "radps", "degph", "degps", "rts"])
+_UNITS: Final = frozenset(
+    ["m", "s", "deg", "rad", "pct", "hz", "mg", "mps", "mps2", "radps", "degph", "degps", "rts"]
+)
 _KINDS: Final = {
     "float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "array": "a list",
     "object": "a section",
@@ -134,7 +140,9 @@ def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> 
         if looks_like_log(path):
             hint = f"a log needs no option: `insdvl-replay run {path}`"
             raise ConfigError(f"{path}: is a log, where a TOML file is expected", hint) from error
-        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})", "use a TOML file") from error
+        raise ConfigError(
+            f"{path}: is not UTF-8 text (byte {error.start})", "use a TOML file"
+        ) from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: is not valid TOML: {error}", if_invalid) from error
 
@@ -155,7 +163,9 @@ def _explained(
     error: msgspec.ValidationError, table: Any, kind: type[Struct], source: TomlSource, at: KeyPath
 ) -> ConfigError:
     """Return the error for a wrong key or value in a table."""
-    reason, place = re.fullmatch(r"(.*?)(?: - at `\$\.?([^`]*)`)?", str(error), re.DOTALL).groups("")  # type: ignore[union-attr]
+    message = str(error)
+    found = re.fullmatch(r"(.*?)(?: - at `\$\.?([^`]*)`)?", message, re.DOTALL)
+    reason, place = (message, "") if found is None else found.groups("")
     keys = tuple(int(part) if part.isdigit() else part for part in re.findall(r"\w+", place))
     value, wanted = table, kind
     for key in keys:
@@ -163,9 +173,17 @@ def _explained(
         if isinstance(key, str) and (structure := _structure(wanted)) is not None:
             wanted = get_type_hints(structure)[key]
     name = _dotted(*at, *keys)
-    if (unknown := re.fullmatch(r"Object contains unknown field `(.*)`", reason, re.DOTALL)) is not None:
+    if (
+        unknown := re.fullmatch(r"Object contains unknown field `(.*)`", reason, re.DOTALL)
+    ) is not None:
         known = structure.__struct_fields__ if (structure := _structure(wanted)) is not None else ()
-        return _unknown_key(unknown[1], known, name, [f"{_dotted(*at)}.{path}" for path in _known_paths(kind)], source)
+        return _unknown_key(
+            unknown[1],
+            known,
+            name,
+            [f"{_dotted(*at)}.{path}" for path in _known_paths(kind)],
+            source,
+        )
     if isinstance(value, str) and (words := tuple(_words(wanted))) and value not in words:
         return ConfigError(f"{name} '{value}' is not known", hint_for(value, words))
     shown = repr(value) if len(repr(value)) <= 80 else f"{repr(value)[:80]}..."
@@ -184,11 +202,17 @@ def _unknown_key(
     """Return the error for an unknown key, with similar known keys, here or in other tables."""
     inside = f"{within}.".removeprefix(".")
     near = nearest(key, known)
-    meant = most_like(key, known, most=1, least=_MISSPELLED) or _with_words(key, known, 1) or ([near] if near else [])
+    meant = (
+        most_like(key, known, most=1, least=_MISSPELLED)
+        or _with_words(key, known, 1)
+        or ([near] if near else [])
+    )
     meant = [inside + name for name in meant]
     if not meant:
         paths = [path.removeprefix(".") for path in elsewhere]
-        meant = [path for path in paths if path.rpartition(".")[2] == key][:3] or _with_words(key, paths, 2)
+        meant = [path for path in paths if path.rpartition(".")[2] == key][:3] or _with_words(
+            key, paths, 2
+        )
     hint = f"known: {listed(known)}{f'; {source.hint}' if len(known) > LISTED else ''}"
     if meant:
         hint = f"did you mean {', '.join(meant[:-1])}{' or ' if meant[1:] else ''}{meant[-1]}?"
@@ -202,7 +226,11 @@ def value_wanted(reason: str) -> str:
     found = _EXPECTED.fullmatch(reason)
     if found is None:
         return reason[:1].lower() + reason[1:]
-    kinds = [_KINDS.get(kind.strip(), kind.strip()) for kind in found["kinds"].split("|") if kind.strip() != "null"]
+    kinds = [
+        _KINDS.get(kind.strip(), kind.strip())
+        for kind in found["kinds"].split("|")
+        if kind.strip() != "null"
+    ]
     if "a number" in kinds and "a whole number" in kinds:
         kinds.remove("a whole number")
     bound = f" {_BOUNDS[found['sign']]} {float(found['bound']):g}" if found["sign"] else ""
@@ -212,7 +240,11 @@ def value_wanted(reason: str) -> str:
 
 def _list_meant(value: object, kind: Any) -> str:
     """Return as TOML the list that a wrong value such as ``"[depth, position]"`` meant; empty if unclear."""
-    parts: list[Any] = [part.strip() for part in value.strip(" []").split(",")] if isinstance(value, str) else [value]
+    parts: list[Any] = (
+        [part.strip() for part in value.strip(" []").split(",")]
+        if isinstance(value, str)
+        else [value]
+    )
     with suppress(ValueError):
         parts = [float(part) if isinstance(part, str) else part for part in parts]
     for entries in (parts, [0.0, 0.0, 0.0]):
@@ -224,13 +256,17 @@ def _list_meant(value: object, kind: Any) -> str:
 
 def _dotted(*keys: str | int) -> str:
     """Write the path of a key as in TOML, with places in arrays in brackets."""
-    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).removeprefix(".")
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).removeprefix(
+        "."
+    )
 
 
 def _structure(hint: object) -> type[Struct] | None:
     """Return the structure that a field holds, if it is one."""
     kinds = () if get_origin(hint) in (dict, tuple) else (hint, *get_args(hint))
-    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Struct)), None)
+    return next(
+        (kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Struct)), None
+    )
 
 
 def _known_paths(kind: type[Struct], above: str = "") -> Iterator[str]:
@@ -259,7 +295,9 @@ def _with_words(name: str, known: Collection[str], least: int) -> list[str]:
     def words_of(text: str) -> set[str]:
         return {word for word in re.split(r"[_.]", text.lower()) if word and word not in _UNITS}
 
-    wanted = {word for part in words_of(name) for word in (part, *_ALSO_CALLED.get(part, "").split())}
+    wanted = {
+        word for part in words_of(name) for word in (part, *_ALSO_CALLED.get(part, "").split())
+    }
     shared = {other: len(wanted & words_of(other)) for other in known}
     most = max(shared.values(), default=0)
     similar = [other for other, count in shared.items() if count == most]
@@ -323,7 +361,9 @@ def load_config(
     config = _changed(settings, changes)
     _require_possible(config, [*layers, *changes], allow_code=allow_code)
     if not any(layer.has("noise", "fit") for layer in (*layers, *changes)):
-        noise = msgspec.structs.replace(config.noise, fit=_free_noise(config, preset, [*layers, *changes]))
+        noise = msgspec.structs.replace(
+            config.noise, fit=_free_noise(config, preset, [*layers, *changes])
+        )
         config = msgspec.structs.replace(config, noise=noise)
     return _with_digests(config)
 
@@ -342,7 +382,9 @@ def changed_by(config: Config, against: Sequence[str], *, allow_code: bool = Fal
     return _with_digests(changed)
 
 
-def _free_noise(config: Config, preset: str | None, layers: Sequence[TomlSource]) -> tuple[Any, ...]:
+def _free_noise(
+    config: Config, preset: str | None, layers: Sequence[TomlSource]
+) -> tuple[Any, ...]:
     """Name what is fitted to the dives: what nobody has given, and nothing where the noise of the IMU is given."""
     baseline = config.filters[config.baseline]
     own = {
@@ -378,14 +420,18 @@ def _require_possible(config: Config, layers: Sequence[TomlSource], *, allow_cod
         raise ConfigError(what, hint, places[-1] if places else "the configuration")
 
 
-def given_keys(preset: str | None, files: Sequence[Path], overrides: Sequence[str]) -> frozenset[str]:
+def given_keys(
+    preset: str | None, files: Sequence[Path], overrides: Sequence[str]
+) -> frozenset[str]:
     """Name the keys that are given, also those with the value of the default.
 
     A preset gives the keys that any preset sets.
     """
     given = [*map(_file, files), *(_parse_override("--set", override) for override in overrides)]
     given += map(_preset, PRESETS) if preset else []
-    return frozenset(key for source in given for key, value in flattened(source.content) if value is not None)
+    return frozenset(
+        key for source in given for key, value in flattened(source.content) if value is not None
+    )
 
 
 def _preset(name: str) -> TomlSource:
@@ -401,7 +447,10 @@ def _file(path: Path) -> TomlSource:
 
 
 def _with_place_for(
-    layer: TomlSource, settings: dict[str, Any], owners: dict[str, str], report: Callable[[str], None]
+    layer: TomlSource,
+    settings: dict[str, Any],
+    owners: dict[str, str],
+    report: Callable[[str], None],
 ) -> dict[str, Any]:
     """Empty the filters that a layer defines anew: of the first file all that were there, of later ones their own."""
     given, filters = layer.content.get("filters"), settings["filters"]
@@ -415,7 +464,9 @@ def _with_place_for(
             report(f"{layer.name} replaces the filter {name} of {owners[name]}")
     if layer.text:  # a file, not a preset
         owners.update(dict.fromkeys(defined, layer.name))
-    return settings | {"filters": {name: {} if name in defined else entry for name, entry in filters.items()}}
+    return settings | {
+        "filters": {name: {} if name in defined else entry for name, entry in filters.items()}
+    }
 
 
 def _overridden(settings: Mapping[str, Any], source: TomlSource) -> dict[str, Any]:
@@ -453,7 +504,11 @@ def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
         old = merged.get(key)
         if key == "solution" and isinstance(old, str):
             old = {key_of(old): old}
-        merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+        merged[key] = (
+            _merged(old, value)
+            if isinstance(old, Mapping) and isinstance(value, Mapping)
+            else value
+        )
     return merged
 
 
@@ -461,14 +516,23 @@ def _resolved(settings: Mapping[str, Any], source: TomlSource) -> Config:
     """Check kinds and ranges. Filters and topics are converted one by one, so that a message can name its own."""
     for section, kind in (("filters", Filter), ("topics", Topic)):
         if isinstance(entries := settings.get(section), Mapping):
-            of_each = {name: converted(entry, kind, source, section, name) for name, entry in entries.items()}
+            of_each = {
+                name: converted(entry, kind, source, section, name)
+                for name, entry in entries.items()
+            }
             settings = {**settings, section: of_each}
     config = converted(settings, Config, source)
     for path, number in _numbers(msgspec.to_builtins(config)):
         if not math.isfinite(number):
-            what, hint = f"must be a finite number, found {number}", "leave the key out if there is no limit"
+            what, hint = (
+                f"must be a finite number, found {number}",
+                "leave the key out if there is no limit",
+            )
         elif abs(number) > LARGEST:
-            what, hint = f"must be at most {LARGEST:.0e}, found {number}", "`insdvl-replay config` prints its unit"
+            what, hint = (
+                f"must be at most {LARGEST:.0e}, found {number}",
+                "`insdvl-replay config` prints its unit",
+            )
         else:
             continue
         raise ConfigError(f"{source.name}: {_dotted(*path)} {what}", hint)
@@ -499,7 +563,11 @@ def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _whole_path(word: Any, folder: Path) -> Any:
     """Make an argument absolute that begins with ``./`` or ``../``."""
-    return str((folder / word).absolute()) if isinstance(word, str) and word.startswith(("./", "../")) else word
+    return (
+        str((folder / word).absolute())
+        if isinstance(word, str) and word.startswith(("./", "../"))
+        else word
+    )
 
 
 def _with_digests(config: Config) -> Config:
@@ -525,7 +593,9 @@ def _with_digests(config: Config) -> Config:
                 f"{key}: {solution.file} is not the expected file: its SHA-256 is {sha256}",
                 f"leave {key}.sha256 out to accept it",
             )
-        whole = msgspec.structs.replace(solution, file=str(Path(solution.file).absolute()), sha256=sha256)
+        whole = msgspec.structs.replace(
+            solution, file=str(Path(solution.file).absolute()), sha256=sha256
+        )
         filters[name] = msgspec.structs.replace(filters[name], solution=whole)
     return msgspec.structs.replace(config, filters=filters)
 
@@ -542,7 +612,11 @@ def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
     yield from _wrong_words(held_out, SENSORS, "evaluation", "held_out")
     primary, candidate = config.evaluation.primary, config.evaluation.candidate
     if primary and primary not in DECIDERS:
-        yield ("evaluation", "primary"), f"evaluation.primary '{primary}' is not known", hint_for(primary, DECIDERS)
+        yield (
+            ("evaluation", "primary"),
+            f"evaluation.primary '{primary}' is not known",
+            hint_for(primary, DECIDERS),
+        )
     candidates = [*config.filters][1:]
     if candidate and candidate not in candidates:
         what = f"evaluation.candidate '{candidate}' is no candidate"
@@ -550,7 +624,11 @@ def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
     if config.evaluation.primary:
         yield from _wrong_words((config.evaluation.primary,), DECIDERS, "evaluation", "primary")
     if not config.filters:
-        yield ("filters",), "no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
+        yield (
+            ("filters",),
+            "no filter is configured",
+            'add [filters.baseline] with aiding = ["velocity"]',
+        )
     for name in config.topics:
         if not (name.isascii() and name.isidentifier()):
             what = f"topic name '{name}' must be a letter followed by letters, digits and _"
@@ -573,7 +651,9 @@ def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
             (("aiding", place), word) for place, word in enumerate(filter_.aiding) if ":" in word
         ]
         found += [
-            ((key,), word) for key in ("noise_factors", "candidate") if (word := getattr(filter_, key)) is not None
+            ((key,), word)
+            for key in ("noise_factors", "candidate")
+            if (word := getattr(filter_, key)) is not None
         ]
         found += [(("program",), " ".join(filter_.program))] if filter_.program is not None else []
         for path_of_key, word in found:
@@ -590,26 +670,42 @@ def _wrong_words(words: Sequence[str], known: Collection[str], *path: str) -> It
             yield path, f"{key} '{word}' is given twice", "leave one of them out"
 
 
-def _candidate_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tuple[bool, str, str]]:
+def _candidate_checks(
+    filter_: Filter, key: str, *, is_baseline: bool
+) -> list[tuple[bool, str, str]]:
     """Check that a solution, a program or a class is not the baseline, and has no keys of the tool's own filters."""
     own = next(keys for keys in CANDIDATE_KEYS if getattr(filter_, keys[0]) is not None)
     kind, default, program = own[0], Filter(), filter_.program
-    others = [name for name in Filter.__struct_fields__ if getattr(filter_, name) != getattr(default, name)]
+    others = [
+        name
+        for name in Filter.__struct_fields__
+        if getattr(filter_, name) != getattr(default, name)
+    ]
     names = " and ".join(f"{key}.{name}" for name in others if name not in own)
     what, not_run, why = "your code", "", "the tool judges it against one of its own filters"
     if kind == "solution":
         what, not_run, why = "read", " and not run", "all filters begin from the baseline's start"
-    lacking = [place for place in ("{dive}", "{solution}") if not any(place in word for word in program or ())]
+    lacking = [
+        place
+        for place in ("{dive}", "{solution}")
+        if not any(place in word for word in program or ())
+    ]
     example = 'program = ["./my_filter", "{dive}", "{start}", "{solution}"]'
     solution = spelled_out(filter_.solution or "")
-    of_topic = next((name for name in ("fix", *TOPIC_KEYS) if getattr(solution, name) is not None), "")
+    of_topic = next(
+        (name for name in ("fix", *TOPIC_KEYS) if getattr(solution, name) is not None), ""
+    )
     return [
         (
             is_baseline,
             f"{key}.{kind} is {what} and cannot be the baseline: {why}",
             'put a filter with aiding first, such as [filters.baseline] with aiding = ["velocity"]',
         ),
-        (names != "", f"{key}.{kind} is {what}{not_run}, so {names} has no use", "leave one of them out"),
+        (
+            names != "",
+            f"{key}.{kind} is {what}{not_run}, so {names} has no use",
+            "leave one of them out",
+        ),
         (
             kind == "solution" and (solution.topic is None) == (solution.file is None),
             f"{key}.solution {'names no topic and no file' if solution.topic is None else 'names a topic and a file'}",
@@ -621,7 +717,11 @@ def _candidate_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[t
             "leave it out. Each line has time x y z qx qy qz qw; solution.axes names the axes",
         ),
         (program == (), f"{key}.program is empty", example),
-        (bool(program and lacking), f"{key}.program has no argument with {' and '.join(lacking)}", example),
+        (
+            bool(program and lacking),
+            f"{key}.program has no argument with {' and '.join(lacking)}",
+            example,
+        ),
         (
             kind == "candidate" and not _is_class(filter_.candidate),
             f"{key}.candidate '{filter_.candidate}' is not of the form module:Class",
@@ -634,7 +734,9 @@ def _is_class(word: str | None) -> bool:
     return re.fullmatch(r"[^:]+:[^:]+", word or "") is not None
 
 
-def _filter_checks(filter_: Filter, held_out: Sequence[str], key: str) -> list[tuple[bool, str, str]]:
+def _filter_checks(
+    filter_: Filter, held_out: Sequence[str], key: str
+) -> list[tuple[bool, str, str]]:
     aiding, acceleration = set(filter_.aiding), filter_.acceleration
     order, window = (acceleration.order, acceleration.window) if acceleration else (0, 1)
     return [
@@ -696,14 +798,22 @@ def render_toml(config: Config, *, changed_only: bool = False) -> str:
 def _toml_lines(section: Struct, path: str, *, changed_only: bool) -> Iterator[str]:
     hints = get_type_hints(type(section), include_extras=True)
     usual = _AS_BY_DEFAULT.get(path.rstrip("."))  # of a section that is always there
-    default = {field.name: field.default for field in msgspec.structs.fields(section)} if path else _AS_BY_DEFAULT
+    default = (
+        {field.name: field.default for field in msgspec.structs.fields(section)}
+        if path
+        else _AS_BY_DEFAULT
+    )
     default = msgspec.structs.asdict(usual) if isinstance(usual, Struct) else default
     tables: list[tuple[str, Struct]] = []
     names = section.__struct_fields__
     if isinstance(section, Filter):
         # Of an onboard solution, a program or a class only its own keys.
-        others = tuple(name for name in names if name not in ("program", "timeout_s", "input", "candidate"))
-        names = next((keys for keys in CANDIDATE_KEYS if getattr(section, keys[0]) is not None), others)
+        others = tuple(
+            name for name in names if name not in ("program", "timeout_s", "input", "candidate")
+        )
+        names = next(
+            (keys for keys in CANDIDATE_KEYS if getattr(section, keys[0]) is not None), others
+        )
     for name in names:
         value = getattr(section, name)
         if changed_only and value == default[name]:
@@ -735,7 +845,12 @@ def toml_value(value: object) -> str:
 
 
 def check_start(
-    initial: Initial, *, has_reference: bool, has_position: bool, has_attitude: bool, has_heading: bool = False
+    initial: Initial,
+    *,
+    has_reference: bool,
+    has_position: bool,
+    has_attitude: bool,
+    has_heading: bool = False,
 ) -> None:
     """Raise if settings, reference and sensors do not determine the start of a filter."""
     from_reference = initial.source == "reference"

@@ -37,4 +37,8 @@ def _in_metres(length: float) -> str:
 def _angle_problem(key: tuple[str, str], angle_deg: float) -> Iterator[Problem]:
     if abs(angle_deg) > LARGEST_ANGLE_DEG:
         what = f"{'.'.join(key)} has {angle_deg:g} deg, more than a whole turn"
-        yield key, what, f"angles are in degrees, from -{LARGEST_ANGLE_DEG:g} to {LARGEST_ANGLE_DEG:g}"
+        yield (
+            key,
+            what,
+            f"angles are in degrees, from -{LARGEST_ANGLE_DEG:g} to {LARGEST_ANGLE_DEG:g}",
+        )

@@ -91,7 +91,11 @@ def is_same_dive(one: DiveReport, other: DiveReport) -> bool:
     if ours is None or theirs is None:
         return False
     known = dict(zip(ours.at_s, ours.digests, strict=True))
-    both = [(known[at_s], digest) for at_s, digest in zip(theirs.at_s, theirs.digests, strict=True) if at_s in known]
+    both = [
+        (known[at_s], digest)
+        for at_s, digest in zip(theirs.at_s, theirs.digests, strict=True)
+        if at_s in known
+    ]
     equal = sum(our_digest == their_digest for our_digest, their_digest in both)
     return bool(both) and equal >= LEAST_EQUAL * len(both)
 
@@ -105,7 +109,9 @@ def _same_note(group: Sequence[DiveReport], kept: DiveReport) -> Note:
     others = [report.log.name for report in group if report is not kept]
     are = "is" if len(others) == 1 else "are"
     text = f"{listed(others)} {are} the same dive as {kept.log.name}, which counts once"
-    return Note("dives_same", text, len(others), Severity.WARNING, "leave copies and parts of a dive out")
+    return Note(
+        "dives_same", text, len(others), Severity.WARNING, "leave copies and parts of a dive out"
+    )
 
 
 def _continued_notes(reports: Sequence[DiveReport]) -> list[Note]:

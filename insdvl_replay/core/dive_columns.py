@@ -65,7 +65,9 @@ def find_runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.in
     return edges[::2], edges[1::2]
 
 
-def in_pauses(from_ns: TimeNs, to_ns: TimeNs, sample_ns: TimeNs, longest_ns: float) -> NDArray[np.bool_]:
+def in_pauses(
+    from_ns: TimeNs, to_ns: TimeNs, sample_ns: TimeNs, longest_ns: float
+) -> NDArray[np.bool_]:
     """Return which spans, shape (k,), have a part in a pause: between samples that are further apart than longest."""
     begins = np.flatnonzero(np.diff(sample_ns) > longest_ns)
     # Such a pause begins before the span ends, and ends after the span begins.
@@ -79,7 +81,9 @@ def nothing(shape: tuple[int, ...]) -> Floats:
     return np.broadcast_to(np.nan, shape)
 
 
-def in_blocks(change: Callable[[NDArray[Scalar]], Floats], rows: NDArray[Scalar], into: Floats) -> Floats:
+def in_blocks(
+    change: Callable[[NDArray[Scalar]], Floats], rows: NDArray[Scalar], into: Floats
+) -> Floats:
     """Write changed rows, shape (k, ...), some at a time, into others or themselves, and return these.
 
     What numpy needs on the way can be several times as large.
@@ -117,17 +121,24 @@ class Columns:
     """Rows at times, all at once or some of them."""
 
     time_ns: TimeNs  # (k,) of validity, strictly increasing
-    per_row: ClassVar[tuple[str, ...]] = ()  # the other fields that have a row at each time, or are None
+    per_row: ClassVar[
+        tuple[str, ...]
+    ] = ()  # the other fields that have a row at each time, or are None
 
     def rows(self, keep: NDArray[np.bool_] | slice) -> Self:
         """Keep some of the rows, chosen by a mask of shape (k,) or, without copying them, by a slice."""
         columns = {name: getattr(self, name) for name in self.per_row}
-        kept: dict[str, Any] = {name: column if column is None else column[keep] for name, column in columns.items()}
+        kept: dict[str, Any] = {
+            name: column if column is None else column[keep] for name, column in columns.items()
+        }
         return replace(self, time_ns=self.time_ns[keep], **kept)
 
     def within(self, start_ns: int, end_ns: int) -> Self:
         """Keep the rows from the start to the end, both included, without copying them."""
-        first, last = np.searchsorted(self.time_ns, start_ns), np.searchsorted(self.time_ns, end_ns, side="right")
+        first, last = (
+            np.searchsorted(self.time_ns, start_ns),
+            np.searchsorted(self.time_ns, end_ns, side="right"),
+        )
         return self.rows(slice(int(first), int(last)))
 
 
@@ -147,16 +158,24 @@ class ImuColumns(Columns):
 
     def times_only(self) -> "ImuColumns":
         """Return the times with no rows of readings, which are the better part of a long dive's memory."""
-        return ImuColumns(self.time_ns, self.specific_force_b[:0].copy(), self.angular_rate_b[:0].copy())
+        return ImuColumns(
+            self.time_ns, self.specific_force_b[:0].copy(), self.angular_rate_b[:0].copy()
+        )
 
 
 @dataclass(frozen=True)
 class DvlColumns(Columns):
     """Pings of the DVL, either as beams or as velocities."""
 
-    beam_velocity_mps: Floats | None = None  # (k, beams) along the beams, towards the seabed; NaN where a beam is lost
-    beam_vectors_d: Floats | None = None  # (beams, 3) unit vectors towards the seabed; none with velocities: a Janus's
-    velocity_d: Floats | None = None  # (k, 3) over ground, m/s, NaN where invalid; of instruments without beams
+    beam_velocity_mps: Floats | None = (
+        None  # (k, beams) along the beams, towards the seabed; NaN where a beam is lost
+    )
+    beam_vectors_d: Floats | None = (
+        None  # (beams, 3) unit vectors towards the seabed; none with velocities: a Janus's
+    )
+    velocity_d: Floats | None = (
+        None  # (k, 3) over ground, m/s, NaN where invalid; of instruments without beams
+    )
     look_d: Floats | None = None  # (3,) where the beams look on average, if the messages tell it
     per_row = ("beam_velocity_mps", "velocity_d")
 
@@ -166,8 +185,12 @@ class SensorColumns(Columns):
     """Readings of a sensor beside IMU and DVL, see `states.SENSORS`."""
 
     values: Floats  # (k, s); of a depth m below the surface; of a position NaN for a height that a fix lacks
-    mat_nb: Floats | None = None  # (k, 3, 3); of a heading the attitude that it is part of, if its messages hold one
-    attitude_sd: Floats | None = None  # (k, 3) rad, of that attitude about three axes, the last one upright, if stated
+    mat_nb: Floats | None = (
+        None  # (k, 3, 3); of a heading the attitude that it is part of, if its messages hold one
+    )
+    attitude_sd: Floats | None = (
+        None  # (k, 3) rad, of that attitude about three axes, the last one upright, if stated
+    )
     per_row = ("values", "mat_nb", "attitude_sd")
 
 
@@ -198,7 +221,9 @@ class ReferenceColumns(Columns):
             "velocities": self.velocity_n,
             "attitudes": self.mat_nb.reshape(-1, 9),
         }
-        return {name: np.asarray(np.isfinite(values).all(axis=1)) for name, values in quantities.items()}
+        return {
+            name: np.asarray(np.isfinite(values).all(axis=1)) for name, values in quantities.items()
+        }
 
     @property
     def has_position(self) -> bool:
@@ -233,7 +258,9 @@ class SolutionColumns:
         """Keep the rows of some of the times, shape (k,), of which a mask says which."""
         rows, of_cov = keep(self.motion.time_ns), keep(self.cov_ns)
         moved_n = None if self.moved_n is None else self.moved_n[rows]
-        return SolutionColumns(self.motion.rows(rows), moved_n, self.cov_ns[of_cov], self.cov[of_cov])
+        return SolutionColumns(
+            self.motion.rows(rows), moved_n, self.cov_ns[of_cov], self.cov[of_cov]
+        )
 
 
 @dataclass(frozen=True)
@@ -254,13 +281,19 @@ class Dive:
     dvl: DvlColumns
     reference: ReferenceColumns | None = None
     truth: TruthColumns | None = None
-    sensors: Mapping[str, SensorColumns] = field(default_factory=dict)  # those of `states.SENSORS` that were asked for
+    sensors: Mapping[str, SensorColumns] = field(
+        default_factory=dict
+    )  # those of `states.SENSORS` that were asked for
     solutions: Mapping[str, SolutionColumns] = field(default_factory=dict)  # by filter
-    topics: Mapping[str, SensorColumns] = field(default_factory=dict)  # of ``[topics]``, as the log has them
+    topics: Mapping[str, SensorColumns] = field(
+        default_factory=dict
+    )  # of ``[topics]``, as the log has them
     sha256: str = ""  # of the log's bytes; empty for a dive that was never a file
     paths: tuple[Path, ...] = ()  # of the log's files
     channels: tuple[Channel, ...] = ()  # what the log holds
     reference_delay: ReferenceDelay | None = None  # None: nobody has looked
     imu_fingerprint: ImuFingerprint | None = None  # of all samples; None: not taken yet
     start_heading: StartHeading | None = None  # None: not replayed yet
-    notes: tuple[Note, ...] = field(default=())  # what was dropped, assumed or found odd while reading
+    notes: tuple[Note, ...] = field(
+        default=()
+    )  # what was dropped, assumed or found odd while reading

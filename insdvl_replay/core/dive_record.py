@@ -33,8 +33,12 @@ class Clock:
     spread_s: float  # from the 5th to the 95th percentile of log time minus stamp
     back_steps: int  # stamps that are before the one before in the file
     repeats: int  # stamps that equal it
-    rate_hz: float | None  # different stamps over the time between the first and the last; None where all repeat
-    latency_s: float = 0.0  # that the configuration takes off the stamps, and was not taken off here
+    rate_hz: (
+        float | None
+    )  # different stamps over the time between the first and the last; None where all repeat
+    latency_s: float = (
+        0.0  # that the configuration takes off the stamps, and was not taken off here
+    )
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,9 @@ class ImuFingerprint:
 
     first_ns: int  # of the IMU's samples, on the log's clock
     last_ns: int
-    at_s: tuple[int, ...] = ()  # whole seconds of the log's clock, at or after which the first sample is digested
+    at_s: tuple[
+        int, ...
+    ] = ()  # whole seconds of the log's clock, at or after which the first sample is digested
     digests: tuple[str, ...] = ()
 
 
@@ -104,7 +110,11 @@ def dive_name(path: Path) -> str:
 def is_dive_name(name: str) -> bool:
     """Return whether a name, which anybody may have written, can be that of a dive, and so of a file below a folder."""
     separators = {"/", os.sep, os.altsep or os.sep, "\0"}
-    return bool(name.strip(".")) and not separators & set(name) and len(os.fsencode(name)) <= LONGEST_NAME
+    return (
+        bool(name.strip("."))
+        and not separators & set(name)
+        and len(os.fsencode(name)) <= LONGEST_NAME
+    )
 
 
 def unique_names(paths: Sequence[Path]) -> list[str]:
@@ -119,11 +129,15 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     names = []
     for parts in whole:
         endings = [parts[-length:] for length in range(1, len(parts) + 1)]
-        alone = (ending for ending, count in zip(endings, times, strict=False) if count[ending] == 1)
+        alone = (
+            ending for ending, count in zip(endings, times, strict=False) if count[ending] == 1
+        )
         names.append(_writable("_".join(next(alone, parts))))
     for name, count in Counter(names).items():
         if count > 1:
-            both = " and ".join(str(path) for path, other in zip(paths, names, strict=True) if other == name)
+            both = " and ".join(
+                str(path) for path, other in zip(paths, names, strict=True) if other == name
+            )
             raise ConfigError(f"{both} would share the name {name}", "rename one of them")
     return names
 

@@ -129,7 +129,9 @@ def looked_for(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ConfigError(f"{path}: is not a usable path: {error.strerror}", "check the path") from error
+        raise ConfigError(
+            f"{path}: is not a usable path: {error.strerror}", "check the path"
+        ) from error
 
 
 # --- Names that were meant
@@ -147,8 +149,13 @@ def most_like(name: str, known: Iterable[str], most: int, least: float = 0.0) ->
     if len(starts) > _COMPARED:
         # To compare one takes a tenth of a millisecond: of thousands those with the same pairs of letters are enough.
         pairs = set(pairwise(name))
-        compared = heapq.nlargest(_COMPARED, starts, key=lambda start: len(pairs.intersection(pairwise(start))))
-    return [starts[start] for start in difflib.get_close_matches(name[:_LONGEST], compared, n=most, cutoff=least)]
+        compared = heapq.nlargest(
+            _COMPARED, starts, key=lambda start: len(pairs.intersection(pairwise(start)))
+        )
+    return [
+        starts[start]
+        for start in difflib.get_close_matches(name[:_LONGEST], compared, n=most, cutoff=least)
+    ]
 
 
 def listed(names: Iterable[str], most: int = LISTED) -> str:
@@ -163,7 +170,13 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-_SINGULAR: Final = {"are": "is", "have": "has", "repeat": "repeats", "overlap": "overlaps", "count": "counts"}
+_SINGULAR: Final = {
+    "are": "is",
+    "have": "has",
+    "repeat": "repeats",
+    "overlap": "overlaps",
+    "count": "counts",
+}
 
 
 def counted_clause(count: int, clause: str) -> str:
@@ -172,7 +185,13 @@ def counted_clause(count: int, clause: str) -> str:
         return f"{count} {clause}"
     end = re.search("[:;]|$", clause).start()  # type: ignore[union-attr]
     first, *words = clause[:end].split(" ")
-    first = f"{first[:-3]}y" if first.endswith("ies") else first.removesuffix("s") if first[-1:] == "s" else first
+    first = (
+        f"{first[:-3]}y"
+        if first.endswith("ies")
+        else first.removesuffix("s")
+        if first[-1:] == "s"
+        else first
+    )
     return f"1 {' '.join([first, *(_SINGULAR.get(word, word) for word in words)])}{clause[end:]}"
 
 
@@ -205,11 +224,15 @@ def read_text(path: Path) -> str:
 
 def read_regular(path: Path, most_bytes: int) -> bytes:
     """Read a file that others name. An OSError where it cannot be read, is no regular file, or has more bytes."""
-    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:  # a named pipe is not waited for
+    with os.fdopen(
+        os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb"
+    ) as file:  # a named pipe is not waited for
         state = os.fstat(file.fileno())
         if not stat.S_ISREG(state.st_mode):
             raise OSError(errno.EINVAL, "it is no regular file", str(path))
-        data = file.read(min(state.st_size, most_bytes) + 1)  # Python takes the memory before it reads
+        data = file.read(
+            min(state.st_size, most_bytes) + 1
+        )  # Python takes the memory before it reads
     if len(data) > most_bytes:
         raise OSError(errno.EFBIG, f"it has more than {most_bytes >> 20} MiB", str(path))
     return data
@@ -221,7 +244,9 @@ NaturalKey = tuple[tuple[bool, int, str], ...]
 def natural_key(text: str) -> NaturalKey:
     """Return a key that sorts names by their letters, and the numbers in them by size: dive 2 before dive 10."""
     words = re.findall(r"\d+|\D+", text)
-    return tuple((not word.isdecimal(), int(word) if word.isdecimal() else 0, word) for word in words)
+    return tuple(
+        (not word.isdecimal(), int(word) if word.isdecimal() else 0, word) for word in words
+    )
 
 
 def visible(text: str) -> str:

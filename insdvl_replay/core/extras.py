@@ -8,7 +8,9 @@ from importlib import metadata
 from typing import Final, Literal
 
 Extra = Literal["cluster", "figures", "remote", "tables"]
-_WITHOUT_METADATA: Final = "install insdvl-replay with its extra [{extra}], in its checkout: pip install '.[{extra}]'"
+_WITHOUT_METADATA: Final = (
+    "install insdvl-replay with its extra [{extra}], in its checkout: pip install '.[{extra}]'"
+)
 
 
 def install_hint(extra: Extra) -> str:

@@ -31,10 +31,14 @@ def explanations() -> dict[str, dict[str, Explanation]]:
 
 def explanation(code: str) -> Explanation:
     """Return what a code means; ConfigError, with the nearest code, where it is not known."""
-    known = {pattern: found for subject in explanations().values() for pattern, found in subject.items()}
+    known = {
+        pattern: found for subject in explanations().values() for pattern, found in subject.items()
+    }
     patterns = [pattern for pattern in known if fnmatchcase(code, pattern)]
     if code in known or patterns:
         return known[code if code in known else max(patterns, key=len)]
-    meant = nearest(code, dict.fromkeys(pattern.replace("*", source) for pattern in known for source in SOURCES))
+    meant = nearest(
+        code, dict.fromkeys(pattern.replace("*", source) for pattern in known for source in SOURCES)
+    )
     hint = f"did you mean {meant}?" if meant else "`insdvl-replay explain` lists all codes"
     raise ConfigError(f"code '{code}' is not known", hint)

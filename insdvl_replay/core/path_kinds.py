@@ -11,12 +11,18 @@ from insdvl_replay.core.dive_record import LOG_SUFFIXES
 from insdvl_replay.core.errors import ConfigError
 
 REPORT: Final = "report.json"  # the file that identifies a result folder
-SUMMARY: Final = "summary.csv"  # of a run of several dives, beside their folders, which its column `log` names
+SUMMARY: Final = (
+    "summary.csv"  # of a run of several dives, beside their folders, which its column `log` names
+)
 PAGES: Final = ("report.html", "index.html")
 TomlKind = Literal["settings", "gates", "dives"]
 
 # What each kind of TOML file is for: its words in a sentence, and the command that takes it.
-_CONTENT: Final[Mapping[TomlKind, str]] = {"settings": "settings", "gates": "gates", "dives": "a list of dives"}
+_CONTENT: Final[Mapping[TomlKind, str]] = {
+    "settings": "settings",
+    "gates": "gates",
+    "dives": "a list of dives",
+}
 _USE: Final[Mapping[TomlKind, str]] = {
     "settings": "settings are given with -c: `insdvl-replay run LOG -c {path}`",
     "gates": "gates are checked by `insdvl-replay check {path}`",
@@ -47,12 +53,15 @@ def replay_hint(path: str | Path) -> str:
 
 def result_hint(folder: Path) -> str:
     """Return the hint for a result where a log is expected."""
-    return f"name the log that was replayed. To see the result: {folder / PAGES[0]}. To compare results: " + (
-        f"`insdvl-replay compare OLD {folder}`"
+    return (
+        f"name the log that was replayed. To see the result: {folder / PAGES[0]}. To compare results: "
+        + (f"`insdvl-replay compare OLD {folder}`")
     )
 
 
-def require_kind_of_toml(path: Path, content: Mapping[str, Any], wanted: TomlKind, sections: frozenset[str]) -> None:
+def require_kind_of_toml(
+    path: Path, content: Mapping[str, Any], wanted: TomlKind, sections: frozenset[str]
+) -> None:
     """Raise a ConfigError if a TOML file clearly is of another kind, by its top keys.
 
     Parameters
@@ -63,7 +72,9 @@ def require_kind_of_toml(path: Path, content: Mapping[str, Any], wanted: TomlKin
     found = _kind_of_toml(content, sections)
     if found is None or found == wanted:
         return
-    raise ConfigError(f"{path}: holds {_CONTENT[found]}, not {_CONTENT[wanted]}", _USE[found].format(path=path))
+    raise ConfigError(
+        f"{path}: holds {_CONTENT[found]}, not {_CONTENT[wanted]}", _USE[found].format(path=path)
+    )
 
 
 def _kind_of_toml(content: Mapping[str, Any], sections: frozenset[str]) -> TomlKind | None:
@@ -71,5 +82,7 @@ def _kind_of_toml(content: Mapping[str, Any], sections: frozenset[str]) -> TomlK
         return "gates"
     if isinstance(content.get("dive"), list):
         return "dives"
-    is_settings = bool(content) and all(key in sections and isinstance(content[key], dict) for key in content)
+    is_settings = bool(content) and all(
+        key in sections and isinstance(content[key], dict) for key in content
+    )
     return "settings" if is_settings else None

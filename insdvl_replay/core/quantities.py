@@ -33,14 +33,24 @@ CREDIBILITY_QUANTITIES: Final = (
     "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", *(state.id for state in STATES[BA.start :]),
 )  # fmt: skip
 # Rows of states that are judged together, with their block of P; the gravest of them stands for the filter.
-CREDIBILITY_GROUPS: Final = {"velocity": DV, "attitude": PHI, "accelerometer_bias": BA, "gyro_bias": BG}
+CREDIBILITY_GROUPS: Final = {
+    "velocity": DV,
+    "attitude": PHI,
+    "accelerometer_bias": BA,
+    "gyro_bias": BG,
+}
 # Further rows of a filter that estimates its position.
 POSITION_QUANTITIES: Final = ("position_n", "position_e", "position_d")
 ALL_CREDIBILITY_GROUPS: Final = {**CREDIBILITY_GROUPS, "position": POSITION}
 # The row of all compared states together, in which small errors of some may hide large ones of others.
 JOINT: Final = "all"
 AXES: Final = ("x", "y", "z")  # Axes of a measurement in b.
-COMPONENTS: Final = ("c1", "c2", "c3", "c4")  # Of a measurement of the user's own, which may be along no axes.
+COMPONENTS: Final = (
+    "c1",
+    "c2",
+    "c3",
+    "c4",
+)  # Of a measurement of the user's own, which may be along no axes.
 
 
 def axis_of(measurement: str, axis: str) -> str:
@@ -50,10 +60,14 @@ def axis_of(measurement: str, axis: str) -> str:
 
 def is_whole(measurement: str) -> bool:
     """Distinguish a whole measurement, which stands for a filter's verdict, from one of its axes, which say where."""
-    return not measurement.endswith(tuple(axis_of("", axis) for axis in (*AXES, *AXES_N, *COMPONENTS)))
+    return not measurement.endswith(
+        tuple(axis_of("", axis) for axis in (*AXES, *AXES_N, *COMPONENTS))
+    )
 
 
-PARITY: Final = "parity"  # How the four beams of a ping agree: noise that is measured without a filter.
+PARITY: Final = (
+    "parity"  # How the four beams of a ping agree: noise that is measured without a filter.
+)
 _BEAM: Final = "beam_"
 HELD_OUT: Final = "held_out_"  # So begins the name of a sensor of whose readings no filter is told.
 
@@ -106,7 +120,10 @@ DRIFT_QUANTITIES: Final = {
     "velocity_along": "m/s",
     "velocity_across": "m/s",
 }
-TRACK_FIT_QUANTITIES: Final = {"scale": "%", "turn": "deg"}  # Rows of the track fit and their units.
+TRACK_FIT_QUANTITIES: Final = {
+    "scale": "%",
+    "turn": "deg",
+}  # Rows of the track fit and their units.
 OUTAGE_WINDOWS_S: Final = ("30", "60", "120", "300")  # Lengths for which the DVL is withheld.
 _OUTAGE: Final = tuple(f"outage_{window}s" for window in OUTAGE_WINDOWS_S)
 # Errors whose convergence is measured, and how `reference_errors.squared_errors` names them.
@@ -144,7 +161,16 @@ SECONDARIES: Final = {
 FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
 # Rows of evidence, each name once, those that may decide in front.
 EVIDENCE_QUANTITIES: Final = (
-    *(*TRACK, DRAWN_HEADING, *_OUTAGE, *ACCURACY, *HELD_OUT_QUANTITIES, PREDICTION, "position_crps", *_CONVERGENCE),
+    *(
+        *TRACK,
+        DRAWN_HEADING,
+        *_OUTAGE,
+        *ACCURACY,
+        *HELD_OUT_QUANTITIES,
+        PREDICTION,
+        "position_crps",
+        *_CONVERGENCE,
+    ),
     *("nis", "nees"),
 )
 _LABELS: Final = {

@@ -72,8 +72,12 @@ class Curve:
     style: str  # class in the style sheet
     points: bool = False
     label: str = ""  # text at the end of the line
-    band: "tuple[Floats, Floats] | None" = None  # (k,), lower and upper edge of the area about the line
-    name: str | None = None  # at the cursor; None: the label, or that of the style in the legend; empty: not read
+    band: "tuple[Floats, Floats] | None" = (
+        None  # (k,), lower and upper edge of the area about the line
+    )
+    name: str | None = (
+        None  # at the cursor; None: the label, or that of the style in the legend; empty: not read
+    )
     time: "Floats | None" = None  # (k,), of each point of a track, in seconds
 
 
@@ -134,7 +138,9 @@ class DisplayTable:
     alignment: str  # a letter for each column: l for words, r for numbers
     rows: tuple[tuple[CellText, ...], ...]
     footnote: str = ""
-    spare: tuple[int | tuple[int, ...], ...] = ()  # columns that a narrow terminal leaves out, in this order
+    spare: tuple[
+        int | tuple[int, ...], ...
+    ] = ()  # columns that a narrow terminal leaves out, in this order
     folds: int = 0  # letters that may be folded before a column is left out
     links: tuple[str, ...] | None = None  # link target of the first cell of each row; "" for none
     folded: bool = False  # in HTML folded under its title; left out in print
@@ -225,11 +231,14 @@ class Tool(Struct, frozen=True):
     name: str = "insdvl-replay"
     version: str = __version__
     sources: Annotated[
-        str | None, Meta(description="digest of the package's files, which change without its version")
+        str | None,
+        Meta(description="digest of the package's files, which change without its version"),
     ] = None
     started_at: Annotated[str | None, Meta(description="UTC, ISO 8601")] = None
     elapsed_s: float | None = None
-    cpu_s: Annotated[dict[str, float], Meta(description="processor seconds of one run over the dive, by filter")] = {}
+    cpu_s: Annotated[
+        dict[str, float], Meta(description="processor seconds of one run over the dive, by filter")
+    ] = {}
 
 
 def this_tool() -> Tool:
@@ -261,7 +270,9 @@ class Block:
 class Result:
     """The result of a command."""
 
-    kind: str  # montecarlo, window, observability, calibration, inspection, comparison, check, replay
+    kind: (
+        str  # montecarlo, window, observability, calibration, inspection, comparison, check, replay
+    )
     title: str
     sentences: Sequence[Sentence] = ()
     tables: "Mapping[str, Sequence[Struct] | Block | pd.DataFrame]" = field(default_factory=dict)
@@ -269,8 +280,12 @@ class Result:
     notes: Sequence[Note] = ()
     config: Config | None = None  # resolved settings
     arguments: Mapping[str, Any] = field(default_factory=dict)  # of the command
-    facts: Mapping[str, Any] = field(default_factory=dict)  # other results, neither sentence nor table
-    series: "Mapping[str, Sequence[Struct] | pd.DataFrame]" = field(default_factory=dict)  # long tables: CSV files only
+    facts: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # other results, neither sentence nor table
+    series: "Mapping[str, Sequence[Struct] | pd.DataFrame]" = field(
+        default_factory=dict
+    )  # long tables: CSV files only
     block: str = "table"  # name of the CSV column with the table's name; empty for one table
     display: Sequence[Part] = ()  # the tables as shown; empty: by their row types
     document: Sequence[Part] | None = None  # all parts in another order; None: in the usual order
@@ -283,18 +298,24 @@ class ResultJson(Struct, frozen=True):
 
     tool: Tool
     versions: Annotated[
-        dict[str, str], Meta(description="versions of Python and of the packages that may affect numbers")
+        dict[str, str],
+        Meta(description="versions of Python and of the packages that may affect numbers"),
     ]
     kind: Annotated[str, Meta(description="the command or study of this result")]
     title: str
     arguments: Annotated[dict[str, Any], Meta(description="what it was asked")]
-    facts: Annotated[dict[str, Any], Meta(description="what was found that is neither sentence nor table")]
+    facts: Annotated[
+        dict[str, Any], Meta(description="what was found that is neither sentence nor table")
+    ]
     sentences: Annotated[list[str], Meta(description="what it found, in words")]
     tables: Annotated[
-        dict[str, list[dict[str, Any]]], Meta(description="row for row as in the CSV files; null for what is missing")
+        dict[str, list[dict[str, Any]]],
+        Meta(description="row for row as in the CSV files; null for what is missing"),
     ]
     notes: Annotated[list[Note], Meta(description="notes: dropped data, assumptions and anomalies")]
-    config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
+    config: Annotated[
+        dict[str, Any], Meta(description="resolved settings, as in config.schema.json")
+    ]
     files: "Files" = {}
 
 
@@ -315,7 +336,9 @@ class Log(Struct, frozen=True):
     """The log that was replayed."""
 
     name: str
-    sha256: Annotated[str, Meta(description="of the log's bytes; empty for a dive that was never a file")]
+    sha256: Annotated[
+        str, Meta(description="of the log's bytes; empty for a dive that was never a file")
+    ]
     start_ns: Annotated[int, Meta(description="on the log's own clock")]
     end_ns: int
     duration_s: float
@@ -334,15 +357,25 @@ class Report(Struct, frozen=True):
 
     tool: Tool
     versions: Annotated[
-        dict[str, str], Meta(description="versions of Python and of the packages that may affect numbers")
+        dict[str, str],
+        Meta(description="versions of Python and of the packages that may affect numbers"),
     ]
     log: Log
-    baseline: Annotated[str, Meta(description="name of the filter that the candidates are compared with")]
-    filters: Annotated[dict[str, CandidateVerdict], Meta(description="verdict and mean improvements of each candidate")]
+    baseline: Annotated[
+        str, Meta(description="name of the filter that the candidates are compared with")
+    ]
+    filters: Annotated[
+        dict[str, CandidateVerdict],
+        Meta(description="verdict and mean improvements of each candidate"),
+    ]
     tables: Tables
     notes: Annotated[list[Note], Meta(description="notes: dropped data, assumptions and anomalies")]
-    config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
-    code: Annotated[dict[str, CodeFile], Meta(description="user code that was run, by its name in the settings")] = {}
+    config: Annotated[
+        dict[str, Any], Meta(description="resolved settings, as in config.schema.json")
+    ]
+    code: Annotated[
+        dict[str, CodeFile], Meta(description="user code that was run, by its name in the settings")
+    ] = {}
     reference_delay: Annotated[
         ReferenceDelay | None,
         Meta(
@@ -351,15 +384,22 @@ class Report(Struct, frozen=True):
         ),
     ] = None
     vehicle: Annotated[
-        str, Meta(description="that made the dive, as its manifest or vehicle.name says; empty: nobody said")
+        str,
+        Meta(
+            description="that made the dive, as its manifest or vehicle.name says; empty: nobody said"
+        ),
     ] = ""
     imu_fingerprint: Annotated[
         ImuFingerprint | None,
-        Meta(description="digests of samples of the IMU, by which copies of a dive are known; null in early reports"),
+        Meta(
+            description="digests of samples of the IMU, by which copies of a dive are known; null in early reports"
+        ),
     ] = None
     start_heading: Annotated[
         StartHeading | None,
-        Meta(description="what the heading at the start comes from, and how well it is known; null in early reports"),
+        Meta(
+            description="what the heading at the start comes from, and how well it is known; null in early reports"
+        ),
     ] = None
     files: Files = {}
 
@@ -378,7 +418,14 @@ def build_report(
     return Report(
         tool=tool,
         versions=package_versions(),
-        log=Log(dive.name, dive.sha256, start_ns, end_ns, (end_ns - start_ns) * 1e-9, list(dive.channels)),
+        log=Log(
+            dive.name,
+            dive.sha256,
+            start_ns,
+            end_ns,
+            (end_ns - start_ns) * 1e-9,
+            list(dive.channels),
+        ),
         baseline=config.baseline,
         filters=_without_nan(dict(candidates), dict[str, CandidateVerdict]),
         tables=_without_nan(tables, Tables),
@@ -396,7 +443,9 @@ def _code_file(word: str) -> CodeFile:
     """Return the file of a program, or of the module of a class."""
     module, is_class, _ = word.partition(":")
     file = getattr(sys.modules.get(module), "__file__", None) or shutil.which(word) or word
-    if is_class and "/" not in word and module not in sys.modules:  # a class is imported by a process of its own
+    if (
+        is_class and "/" not in word and module not in sys.modules
+    ):  # a class is imported by a process of its own
         try:
             file = getattr(importlib.util.find_spec(module), "origin", None) or ""
         except Exception:  # of a package that is imported on the way

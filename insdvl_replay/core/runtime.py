@@ -31,7 +31,11 @@ Listener = Callable[[str, int, int], None]
 _MANY_OBJECTS: Final = 200_000
 _COMPILED_SOURCES: Final = ("nav/*.py", "geometry/*.py", "core/runtime.py", "core/states.py")
 # No C code calls the compiled functions, so no C entry points are made.
-_NUMBA_OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+_NUMBA_OPTIONS: Final[dict[str, Any]] = {
+    "error_model": "numpy",
+    "nogil": True,
+    "no_cfunc_wrapper": True,
+}
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
@@ -40,7 +44,9 @@ LEAST_BYTES: Final = 640 << 20
 LEAST_TO_COMPILE_BYTES: Final = 832 << 20
 """Address space in which the filter can be compiled: with less, the compiler ends the process."""
 _FULL: Final = 0.5  # share of the limit that is taken when a library that needs a hundred megabytes finds no room
-_LITTLE: Final = 4 << 30  # address space in which one thread multiplies matrices: each needs a buffer
+_LITTLE: Final = (
+    4 << 30
+)  # address space in which one thread multiplies matrices: each needs a buffer
 _OF_LIBRARIES: Final = (ImportError, OSError, RuntimeError, SystemError)
 _COMPILER: Final = ("numba", "llvmlite")
 
@@ -82,7 +88,9 @@ def is_out_of_memory(error: BaseException) -> bool:
     if isinstance(error, MemoryError):
         return True
     limit = memory_limit()
-    is_of_library = isinstance(error, _OF_LIBRARIES) or type(error).__module__.partition(".")[0] in _COMPILER
+    is_of_library = (
+        isinstance(error, _OF_LIBRARIES) or type(error).__module__.partition(".")[0] in _COMPILER
+    )
     if limit is None or not is_of_library or getattr(error, "errno", None) is not None:
         return False
     return _most_taken() > _FULL * limit
@@ -162,7 +170,9 @@ def sources_digest(patterns: tuple[str, ...] = ("**/*",)) -> str:
     digest = hashlib.sha256()
     for path in sorted({path for pattern in patterns for path in package.glob(pattern)}):
         if path.is_file() and path.parent.name != "__pycache__":
-            digest.update(f"{path.relative_to(package).as_posix()}\0{path.stat().st_size}\0".encode())
+            digest.update(
+                f"{path.relative_to(package).as_posix()}\0{path.stat().st_size}\0".encode()
+            )
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -225,7 +235,9 @@ def _cache_class() -> Any:
         def load_overload(self: Any, sig: Any, target_context: Any) -> Any:
             try:
                 return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-            except Exception:  # a damaged pickle can raise anything; without its index it is written again
+            except (
+                Exception
+            ):  # a damaged pickle can raise anything; without its index it is written again
                 with suppress(OSError):
                     self.flush()
                 return None

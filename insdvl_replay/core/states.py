@@ -20,7 +20,9 @@ LARGEST_RATE_RADPS: Final = 35.0  # 2000 deg/s, the range of the quickest gyros 
 FASTEST_MPS: Final = 20.0  # over ground
 LOWEST_M: Final = -11_000.0  # the deepest trench, above the ellipsoid
 HIGHEST_M: Final = 9_000.0  # above any lake
-NO_HEIGHT_M: Final = 9_999.0  # with a minus it would be a depth of the sea, but programs write it for none
+NO_HEIGHT_M: Final = (
+    9_999.0  # with a minus it would be a depth of the sea, but programs write it for none
+)
 LARGEST_ANGLE_RAD: Final = 720.0 * DEG
 GRAVITY_MPS2: Final = 9.81  # near enough to tell a unit by
 
@@ -40,12 +42,17 @@ DV: Final = slice(0, 3)  # Velocity error, in n.
 PHI: Final = slice(3, 6)  # Misalignment, in n.
 BA: Final = slice(6, 9)  # Accelerometer bias, in b.
 BG: Final = slice(9, 12)  # Gyro bias, in b.
-POSITION: Final = slice(12, 15)  # Position error, in n, of a filter that estimates it: the first of `MORE_STATES`.
+POSITION: Final = slice(
+    12, 15
+)  # Position error, in n, of a filter that estimates it: the first of `MORE_STATES`.
 
 
 def _triplet(first: int, id_: str, label: str, axes: str, unit: str, factor: float) -> list[State]:
     words = {"n": "north", "e": "east", "d": "down", "x": "x", "y": "y", "z": "z"}
-    return [State(first + i, f"{id_}_{axis}", f"{label}, {words[axis]}", unit, factor) for i, axis in enumerate(axes)]
+    return [
+        State(first + i, f"{id_}_{axis}", f"{label}, {words[axis]}", unit, factor)
+        for i, axis in enumerate(axes)
+    ]
 
 
 STATES: Final[tuple[State, ...]] = (
@@ -68,7 +75,10 @@ MORE_STATES: Final[dict[str, tuple[State, ...]]] = {
 
 def states_with(more: Collection[str]) -> tuple[State, ...]:
     """Return the twelve states and those of some blocks of `MORE_STATES`, each with its row."""
-    states = [*STATES, *(state for name, block in MORE_STATES.items() if name in more for state in block)]
+    states = [
+        *STATES,
+        *(state for name, block in MORE_STATES.items() if name in more for state in block),
+    ]
     return tuple(replace(state, index=row) for row, state in enumerate(states))
 
 
@@ -115,12 +125,16 @@ SENSORS: Final[dict[str, Sensor]] = {
 }
 DVL_AIDING: Final = ("velocity", "acceleration", "beams")
 AIDING: Final = (*DVL_AIDING, *SENSORS)  # Words for what can aid a filter.
-BY_SENSOR: Final = "sensor"  # In place of the heading at the start, and as what the start comes from.
+BY_SENSOR: Final = (
+    "sensor"  # In place of the heading at the start, and as what the start comes from.
+)
 
 
 def states_for(aiding: Iterable[str]) -> tuple[str, ...]:
     """Return the blocks of states beside the twelve that a filter with this aiding needs."""
-    return tuple(dict.fromkeys(block for word in aiding if word in SENSORS for block in SENSORS[word].states))
+    return tuple(
+        dict.fromkeys(block for word in aiding if word in SENSORS for block in SENSORS[word].states)
+    )
 
 
 # Columns of a trajectory by groups: a difference is small if it is small compared with the largest of its group.
@@ -135,7 +149,18 @@ GROUPS: Final = {
     "accelerometer_bias_sd": tuple(f"{state.id}_sd" for state in STATES[BA]),
     "gyro_bias_sd": tuple(f"{state.id}_sd" for state in STATES[BG]),
     "nis": ("nis_velocity", "nis_acceleration"),
-    "error": ("position_error_m", "depth_error_m", "velocity_error_mps", "level_error_deg", "heading_error_deg"),
+    "error": (
+        "position_error_m",
+        "depth_error_m",
+        "velocity_error_mps",
+        "level_error_deg",
+        "heading_error_deg",
+    ),
 }
 COLUMNS: Final = tuple(column for group in GROUPS.values() for column in group)
-ANGLES: Final = ("roll_deg", "pitch_deg", "heading_deg", "heading_error_deg")  # Columns that wrap around at 360 deg.
+ANGLES: Final = (
+    "roll_deg",
+    "pitch_deg",
+    "heading_deg",
+    "heading_error_deg",
+)  # Columns that wrap around at 360 deg.

@@ -36,7 +36,12 @@ Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
 Kind = Literal["text", "count", "number"]
 # End of the name of a percentage column. Its changes are in percentage points.
 PERCENTAGE: Final = "_pct"
-UNITS: Final = {PERCENTAGE: "%", "_s": "s", "_mps": "m/s", "_m": "m"}  # Units by the end of a column's name.
+UNITS: Final = {
+    PERCENTAGE: "%",
+    "_s": "s",
+    "_mps": "m/s",
+    "_m": "m",
+}  # Units by the end of a column's name.
 RATIO: Final = "ratio"  # Columns whose names begin with this have no unit.
 
 
@@ -66,7 +71,9 @@ class Col:
         None  # possible names of a row, if the column names the row; empty if the user chooses them
     )
     best_first: tuple[str, ...] = ()  # the ranked words
-    head: str = ""  # heading of the shown column, with ``{filter}`` and ``{baseline}``; empty: not shown
+    head: str = (
+        ""  # heading of the shown column, with ``{filter}`` and ``{baseline}``; empty: not shown
+    )
     form: str = ""  # format, a key of `show.document.FORMS`
 
 
@@ -80,20 +87,36 @@ class TableLayout:
         self.columns: dict[str, Col] = {}
         self.kinds: dict[str, Kind] = {}
         for column in row.__struct_fields__:
-            kind, *parts = get_args(hints[column]) if get_origin(hints[column]) is Annotated else (hints[column],)
-            described = next((part.description or "" for part in parts if isinstance(part, Meta)), "")
+            kind, *parts = (
+                get_args(hints[column])
+                if get_origin(hints[column]) is Annotated
+                else (hints[column],)
+            )
+            described = next(
+                (part.description or "" for part in parts if isinstance(part, Meta)), ""
+            )
             self.columns[column] = next((part for part in parts if isinstance(part, Col)), Col())
             if described and not self.columns[column].comment:
-                self.columns[column] = replace(self.columns[column], comment=f"{described[0].upper()}{described[1:]}.")
+                self.columns[column] = replace(
+                    self.columns[column], comment=f"{described[0].upper()}{described[1:]}."
+                )
             self.kinds[column] = "text" if kind is str else "count" if kind is int else "number"
         # The column that names a row together with log and filter, and its possible names; empty if users choose them.
-        self.key = next((column for column, found in self.columns.items() if found.names is not None), "filter")
+        self.key = next(
+            (column for column, found in self.columns.items() if found.names is not None), "filter"
+        )
         self.rows = self.columns[self.key].names or () if self.key in self.columns else ()
-        self.better = {column: found.better for column, found in self.columns.items() if found.better}
+        self.better = {
+            column: found.better for column, found in self.columns.items() if found.better
+        }
         self.primary = next((column for column, found in self.columns.items() if found.primary), "")
-        self.words = {column: found.best_first for column, found in self.columns.items() if found.best_first}
+        self.words = {
+            column: found.best_first for column, found in self.columns.items() if found.best_first
+        }
         self.about: str = getattr(row, "about", row.__doc__ or "")  # meaning of a row
-        self.baseline_too: bool = getattr(row, "baseline_too", False)  # else it has a row for each candidate only
+        self.baseline_too: bool = getattr(
+            row, "baseline_too", False
+        )  # else it has a row for each candidate only
         self.title: str = getattr(row, "title", "")
         self.footnote: str = getattr(row, "footnote", "")
 
@@ -113,9 +136,16 @@ def layout_of(name: str, row: type[Struct]) -> TableLayout:
 _WHY: Final = Col("Reason, if the verdict differs from the interval.")
 _STATE: Final = Col(names=tuple(state.id for state in STATES), head="state", form="label")
 _MEASUREMENTS: Final = tuple(
-    row for name, axes in MEASUREMENTS.items() for row in (name, *(axis_of(name, axis) for axis in axes))
+    row
+    for name, axes in MEASUREMENTS.items()
+    for row in (name, *(axis_of(name, axis) for axis in axes))
 )
-_CREDIBILITY: Final = (*CREDIBILITY_QUANTITIES, *POSITION_QUANTITIES, *ALL_CREDIBILITY_GROUPS, JOINT)
+_CREDIBILITY: Final = (
+    *CREDIBILITY_QUANTITIES,
+    *POSITION_QUANTITIES,
+    *ALL_CREDIBILITY_GROUPS,
+    JOINT,
+)
 
 
 def _quantity(names: Sequence[str]) -> Col:
@@ -134,13 +164,17 @@ class ImprovementRow(Struct, frozen=True):
         " baseline's."
     )
 
-    title: ClassVar = "Predicted improvement: standard deviations at the end, {filter} against {baseline}"
+    title: ClassVar = (
+        "Predicted improvement: standard deviations at the end, {filter} against {baseline}"
+    )
 
     log: Annotated[str, Col("Dive, candidate and state.")]
     filter: str
     state: Annotated[str, _STATE]
     unit: Annotated[str, _unit("Unit of the standard deviations.")]
-    baseline_sd: Annotated[Number, Col("Predicted standard deviations at the end.", head="{baseline}", better="lower")]
+    baseline_sd: Annotated[
+        Number, Col("Predicted standard deviations at the end.", head="{baseline}", better="lower")
+    ]
     sd: Annotated[Number, Col(head="{filter}", better="lower", primary=True)]
     improvement_pct: Annotated[
         Number,
@@ -157,24 +191,41 @@ class ImprovementRow(Struct, frozen=True):
 class ConvergenceRow(Struct, frozen=True):
     """One state: when the candidate's standard deviation stays below the baseline's final one."""
 
-    title: ClassVar = "Predicted convergence: when sigma of {filter} stays below the final sigma of {baseline}"
+    title: ClassVar = (
+        "Predicted convergence: when sigma of {filter} stays below the final sigma of {baseline}"
+    )
 
     log: Annotated[str, Col("Dive, candidate and state.")]
     filter: str
     state: Annotated[str, _STATE]
     unit: Annotated[str, _unit("Unit of the target.")]
-    target_sd: Annotated[Number, Col("The baseline's final standard deviation.", head="target", better="lower")]
+    target_sd: Annotated[
+        Number, Col("The baseline's final standard deviation.", head="target", better="lower")
+    ]
     baseline_s: Annotated[
         Number,
-        Col("Times from the start at which the baseline and the candidate reach it; NaN for never.", better="lower"),
+        Col(
+            "Times from the start at which the baseline and the candidate reach it; NaN for never.",
+            better="lower",
+        ),
     ]
     reached_s: Annotated[Number, Col(head="{filter}\n[s]", better="lower", primary=True)]
     improvement_pct: Annotated[
-        Number, Col("How much sooner the candidate reaches it.", head="faster", form="percent", better="higher")
+        Number,
+        Col(
+            "How much sooner the candidate reaches it.",
+            head="faster",
+            form="percent",
+            better="higher",
+        ),
     ]
     status: Annotated[str, Col("reached, at_start or never.", head="status", form="words")]
     measured_target: Annotated[
-        Number, Col("Rms of the baseline's true errors at the end, over starts drawn from P0.", better="lower")
+        Number,
+        Col(
+            "Rms of the baseline's true errors at the end, over starts drawn from P0.",
+            better="lower",
+        ),
     ] = None
     measured_baseline_s: Annotated[
         Number,
@@ -186,7 +237,10 @@ class ConvergenceRow(Struct, frozen=True):
     measured_s: Annotated[Number, Col(better="lower")] = None
     measured_status: Annotated[str, Col("reached, at_start, never or not measured.")] = ""
     unchanged_s: Annotated[
-        Number, Col("Time from which the baseline stays at the target: the result of a candidate without any change.")
+        Number,
+        Col(
+            "Time from which the baseline stays at the target: the result of a candidate without any change."
+        ),
     ] = None
     nearest_approach_s: Annotated[
         Number,
@@ -197,7 +251,13 @@ class ConvergenceRow(Struct, frozen=True):
         ),
     ] = None
     nearest_approach_improvement_pct: Annotated[
-        Number, Col("How much sooner that is than the baseline's time.", head="faster", form="percent", better="higher")
+        Number,
+        Col(
+            "How much sooner that is than the baseline's time.",
+            head="faster",
+            form="percent",
+            better="higher",
+        ),
     ] = None
 
 
@@ -210,34 +270,60 @@ class ReferenceErrorRow(Struct, frozen=True):
     filter: str
     quantity: Annotated[str, _quantity(tuple(REFERENCE_QUANTITIES))]
     unit: Annotated[str, _unit("Unit of the errors.")]
-    baseline_rmse: Annotated[Number, Col("Root mean square over the dive.", head="{baseline}\nrms", better="lower")]
+    baseline_rmse: Annotated[
+        Number, Col("Root mean square over the dive.", head="{baseline}\nrms", better="lower")
+    ]
     rmse: Annotated[Number, Col(head="{filter}\nrms", better="lower", primary=True)]
     improvement_pct: Annotated[
-        Number, Col("How much smaller the candidate's rms is.", head="improvement", form="percent", better="higher")
+        Number,
+        Col(
+            "How much smaller the candidate's rms is.",
+            head="improvement",
+            form="percent",
+            better="higher",
+        ),
     ]
     baseline_final: Annotated[
-        Number, Col("At the last reference time, with its sign.", head="{baseline}\nfinal", better="nearer zero")
+        Number,
+        Col(
+            "At the last reference time, with its sign.",
+            head="{baseline}\nfinal",
+            better="nearer zero",
+        ),
     ]
     final: Annotated[Number, Col(head="{filter}\nfinal", better="nearer zero")]
     samples: Annotated[int, Col("Reference times that were compared.")]
-    status: Annotated[str, Col("compared, partly covered, no reference, not in reference, no distance or lost in gap.")]
+    status: Annotated[
+        str,
+        Col(
+            "compared, partly covered, no reference, not in reference, no distance or lost in gap."
+        ),
+    ]
 
 
 class ConsistencyRow(Struct, frozen=True):
     """Whether a filter's innovations are as large as it predicts."""
 
     about: ClassVar = (
-        "One measurement or one of its axes: are the innovations of a filter as large as the filter predicts?"
+        "One measurement or one of its axes: are the innovations of a filter "
+        "as large as the filter predicts?"
     )
 
     baseline_too: ClassVar = True
-    title: ClassVar = "Consistency: mean NIS, with the interval that holds 95 % of consistent filters"
+    title: ClassVar = (
+        "Consistency: mean NIS, with the interval that holds 95 % of consistent filters"
+    )
 
-    log: Annotated[str, Col("Dive, filter, and measurement such as velocity, or an axis of it such as velocity_x.")]
+    log: Annotated[
+        str,
+        Col("Dive, filter, and measurement such as velocity, or an axis of it such as velocity_x."),
+    ]
     filter: Annotated[str, Col(head="filter")]
     measurement: Annotated[str, Col(head="measurement", form="words", names=_MEASUREMENTS)]
     dof: Annotated[int, Col("Degrees of freedom of one innovation.")]
-    used: Annotated[int, Col("Innovations that were used, and that the gate rejected.", head="used")]
+    used: Annotated[
+        int, Col("Innovations that were used, and that the gate rejected.", head="used")
+    ]
     rejected: Annotated[int, Col(head="rejected", better="lower")]
     mean_nis: Annotated[
         Number,
@@ -269,7 +355,10 @@ class ConsistencyRow(Struct, frozen=True):
     autocorrelation_limit: Number = None
     whiteness: Annotated[
         str,
-        Col("white, correlated, insufficient data or not finite.", best_first=(Whiteness.WHITE, Whiteness.CORRELATED)),
+        Col(
+            "white, correlated, insufficient data or not finite.",
+            best_first=(Whiteness.WHITE, Whiteness.CORRELATED),
+        ),
     ] = ""
     why: Annotated[str, _WHY] = ""
 
@@ -278,14 +367,18 @@ class CredibilityRow(Struct, frozen=True):
     """Whether a filter's errors against the reference, or the truth, are as large as its sigma."""
 
     about: ClassVar = (
-        "One quantity: are the errors of a filter against the reference, or the truth, as large as its sigma?"
+        "One quantity: are the errors of a filter against the reference, or "
+        "the truth, as large as its sigma?"
     )
 
     baseline_too: ClassVar = True
     title: ClassVar = "Credibility: errors of {filter} in units of its own sigma"
 
     log: Annotated[
-        str, Col("Dive, filter, and a quantity or group of quantities; all is all compared states together.")
+        str,
+        Col(
+            "Dive, filter, and a quantity or group of quantities; all is all compared states together."
+        ),
     ]
     filter: str
     quantity: Annotated[str, Col(head="quantity", form="short", names=_CREDIBILITY)]
@@ -319,7 +412,9 @@ class CredibilityRow(Struct, frozen=True):
             best_first=VERDICTS_BEST_FIRST,
         ),
     ]
-    effective_samples: Annotated[Number, Col("Effective samples behind the mean.", head="effective\nsamples", form="0")]
+    effective_samples: Annotated[
+        Number, Col("Effective samples behind the mean.", head="effective\nsamples", form="0")
+    ]
     why: Annotated[str, _WHY] = ""
 
 
@@ -336,7 +431,9 @@ class EvidenceRow(Struct, frozen=True):
 
     log: Annotated[str, Col("Dive, candidate, kind of evidence and quantity.")]
     filter: str
-    evidence: Annotated[str, Col("accuracy, outage, held_out, track, prediction, convergence or consistency.")]
+    evidence: Annotated[
+        str, Col("accuracy, outage, held_out, track, prediction, convergence or consistency.")
+    ]
     quantity: Annotated[str, _quantity(EVIDENCE_QUANTITIES)]
     unit: Annotated[str, _unit("Unit of the two values, and of moves.")]
     baseline: Annotated[
@@ -349,8 +446,13 @@ class EvidenceRow(Struct, frozen=True):
         ),
     ]
     value: Annotated[Number, Col(head="{filter}", better="lower")]
-    ratio: Annotated[Number, Col("Candidate over baseline.", head="ratio", form="ratio", better="lower", primary=True)]
-    moves: Annotated[Number, Col("Root mean square of the difference of both runs.", head="moves")] = None
+    ratio: Annotated[
+        Number,
+        Col("Candidate over baseline.", head="ratio", form="ratio", better="lower", primary=True),
+    ]
+    moves: Annotated[
+        Number, Col("Root mean square of the difference of both runs.", head="moves")
+    ] = None
     acts: Annotated[
         Number,
         Col(
@@ -365,9 +467,14 @@ class EvidenceRow(Struct, frozen=True):
     samples: Annotated[int, Col("Compared times, stretches or windows, and starts.", head="n")] = 0
     starts: int = 1
     from_s: Annotated[
-        Number, Col("Time after the start up to which the sigma of the baseline settles, which is left out.")
+        Number,
+        Col(
+            "Time after the start up to which the sigma of the baseline settles, which is left out."
+        ),
     ] = None
-    role: Annotated[str, Col("primary (it may decide), secondary, veto, settling or shown.")] = Role.SHOWN
+    role: Annotated[str, Col("primary (it may decide), secondary, veto, settling or shown.")] = (
+        Role.SHOWN
+    )
 
 
 class LakeRow(EvidenceRow, frozen=True, kw_only=True):
@@ -391,14 +498,19 @@ class OutageRow(Struct, frozen=True):
     baseline_too: ClassVar = True
     title: ClassVar = "DVL outage test: drift without the DVL"
     footnote: ClassVar = (
-        "Drift by a wrong heading, scale or mounting about down cannot be seen, since the DVL shares it."
+        "Drift by a wrong heading, scale or mounting about down cannot be "
+        "seen, since the DVL shares it."
     )
 
     log: Annotated[str, Col("Dive, filter and length of the windows.")]
     filter: Annotated[str, Col(head="filter")]
     window_s: Annotated[str, Col(head="outage\n[s]", names=OUTAGE_WINDOWS_S)]
     windows: Annotated[
-        int, Col("Windows that do not overlap, and windows left out because of a gap of DVL or IMU.", head="windows")
+        int,
+        Col(
+            "Windows that do not overlap, and windows left out because of a gap of DVL or IMU.",
+            head="windows",
+        ),
     ]
     left_out: int
     drift_median_m: Annotated[
@@ -422,8 +534,12 @@ class OutageRow(Struct, frozen=True):
             better="lower",
         ),
     ]
-    end_velocity_mps: Annotated[Number, Col("Median horizontal velocity error at the end.", better="lower")]
-    vertical_median_m: Annotated[Number, Col("Median vertical drift, absolute.", head="depth\n[m]", better="lower")]
+    end_velocity_mps: Annotated[
+        Number, Col("Median horizontal velocity error at the end.", better="lower")
+    ]
+    vertical_median_m: Annotated[
+        Number, Col("Median vertical drift, absolute.", head="depth\n[m]", better="lower")
+    ]
     ratio_to_baseline: Annotated[
         Number,
         Col(
@@ -462,7 +578,10 @@ class DriftRow(Struct, frozen=True):
         "CEP95. Drift: change of the horizontal position error over a time or distance."
     )
 
-    log: Annotated[str, Col("Dive, filter and quantity: the position, its drift over stretches, or the velocity.")]
+    log: Annotated[
+        str,
+        Col("Dive, filter and quantity: the position, its drift over stretches, or the velocity."),
+    ]
     filter: Annotated[str, Col(head="filter")]
     quantity: Annotated[str, _quantity(tuple(DRIFT_QUANTITIES))]
     unit: Annotated[str, _unit("Unit of the errors.")]
@@ -493,12 +612,19 @@ class DriftRow(Struct, frozen=True):
     final_of_distance_pct: Annotated[
         Number, Col("Final position error in percent of that distance.", better="lower")
     ] = None
-    two_drms: Annotated[Number, Col("Twice the rms of the horizontal position error (2DRMS).", better="lower")] = None
+    two_drms: Annotated[
+        Number, Col("Twice the rms of the horizontal position error (2DRMS).", better="lower")
+    ] = None
     per_hour: Annotated[
-        Number, Col("Final position error over the hours of the replay; of dives of an hour or more.", better="lower")
+        Number,
+        Col(
+            "Final position error over the hours of the replay; of dives of an hour or more.",
+            better="lower",
+        ),
     ] = None
     lost_pct: Annotated[
-        Number, Col("Share of the time with a position error above evaluation.lost_m.", better="lower")
+        Number,
+        Col("Share of the time with a position error above evaluation.lost_m.", better="lower"),
     ] = None
 
 
@@ -513,7 +639,9 @@ class JumpRow(Struct, frozen=True):
         "integrate their velocity have none."
     )
 
-    log: Annotated[str, Col("Dive and filter: an onboard solution, or a filter that estimates its position.")]
+    log: Annotated[
+        str, Col("Dive and filter: an onboard solution, or a filter that estimates its position.")
+    ]
     filter: Annotated[str, Col(head="filter")]
     steps: Annotated[int, Col("Number of examined horizontal position steps.", head="steps")]
     jumps: Annotated[
@@ -525,8 +653,12 @@ class JumpRow(Struct, frozen=True):
             primary=True,
         ),
     ]
-    largest_m: Annotated[Number, Col("Largest unexplained part of a step.", head="largest\n[m]", better="lower")]
-    largest_at_s: Annotated[Number, Col("End of that step, from the start.", head="at\n[s]", form="1")]
+    largest_m: Annotated[
+        Number, Col("Largest unexplained part of a step.", head="largest\n[m]", better="lower")
+    ]
+    largest_at_s: Annotated[
+        Number, Col("End of that step, from the start.", head="at\n[s]", form="1")
+    ]
 
 
 class TrackFitRow(Struct, frozen=True):
@@ -554,7 +686,12 @@ class TrackFitRow(Struct, frozen=True):
         ),
     ]
     fitted_sd: Annotated[
-        Number, Col("Standard error by noise, without heading drift; NaN for a short dive.", head="sd", form="3")
+        Number,
+        Col(
+            "Standard error by noise, without heading drift; NaN for a short dive.",
+            head="sd",
+            form="3",
+        ),
     ]
 
 
@@ -571,7 +708,9 @@ class PooledRow(Struct, frozen=True):
     filter: str
     evidence: str
     quantity: Annotated[str, _quantity(EVIDENCE_QUANTITIES)]
-    unit: Annotated[str, Col("Unit of the values of baseline and candidate, which are medians over the dives.")]
+    unit: Annotated[
+        str, Col("Unit of the values of baseline and candidate, which are medians over the dives.")
+    ]
     baseline: Number
     value: Number
     ratio: Annotated[
@@ -588,13 +727,25 @@ class PooledRow(Struct, frozen=True):
     high: Annotated[Number, Col(head="high", form="ratio")]
     level_pct: Annotated[
         Number,
-        Col("Confidence of the interval: 95 %, more where several candidates or secondary rows share it.", form="1"),
+        Col(
+            "Confidence of the interval: 95 %, more where several candidates or secondary rows share it.",
+            form="1",
+        ),
     ]
-    low_always: Annotated[Number, Col("The 95 % interval that may be looked at after every dive.", form="ratio")]
+    low_always: Annotated[
+        Number, Col("The 95 % interval that may be looked at after every dive.", form="ratio")
+    ]
     high_always: Annotated[Number, Col(form="ratio")]
-    dives: Annotated[int, Col("Dives with a ratio, and those of them in which the candidate is better.", head="dives")]
+    dives: Annotated[
+        int,
+        Col(
+            "Dives with a ratio, and those of them in which the candidate is better.", head="dives"
+        ),
+    ]
     dives_won: Annotated[int, Col(head="won")]
-    scatter: Annotated[Number, Col("Standard deviation of the logarithm of the ratio over dives.", form="3")]
+    scatter: Annotated[
+        Number, Col("Standard deviation of the logarithm of the ratio over dives.", form="3")
+    ]
     p: Annotated[
         Number,
         Col(
@@ -603,7 +754,9 @@ class PooledRow(Struct, frozen=True):
             form="4",
         ),
     ]
-    moves: Annotated[Number, Col("Root mean square of the difference of both runs, median over the dives.")]
+    moves: Annotated[
+        Number, Col("Root mean square of the difference of both runs, median over the dives.")
+    ]
     acts: Annotated[
         Number,
         Col(
@@ -615,7 +768,10 @@ class PooledRow(Struct, frozen=True):
     ]
     acts_most: Number
     reference_noise: Annotated[
-        Number, Col("Share of the reference's noise in the squared error of the baseline, median over the dives.")
+        Number,
+        Col(
+            "Share of the reference's noise in the squared error of the baseline, median over the dives."
+        ),
     ]
     role: Annotated[str, _ROLE]
     verdict: Annotated[
@@ -624,13 +780,21 @@ class PooledRow(Struct, frozen=True):
             "better, worse, equivalent or undecided; of convergence sooner, later, same or undecided.",
             head="verdict",
             best_first=(
-                *(EvidenceVerdict.BETTER, Settling.SOONER, EvidenceVerdict.EQUIVALENT, Settling.SAME),
+                *(
+                    EvidenceVerdict.BETTER,
+                    Settling.SOONER,
+                    EvidenceVerdict.EQUIVALENT,
+                    Settling.SAME,
+                ),
                 *(EvidenceVerdict.UNDECIDED, Settling.LATER, EvidenceVerdict.WORSE),
             ),
         ),
     ]
     verdict_always: Annotated[
-        str, Col("The same word by low_always and high_always, which may be asked for after every dive.")
+        str,
+        Col(
+            "The same word by low_always and high_always, which may be asked for after every dive."
+        ),
     ] = EvidenceVerdict.UNDECIDED
 
 
@@ -644,9 +808,13 @@ class AssayRow(Struct, frozen=True):
     filter: Annotated[str, Col("Name of the control, such as gyro_noise_x3.", head="control")]
     quantity: Annotated[str, _quantity(EVIDENCE_QUANTITIES)]
     unit: Annotated[str, _unit("Unit of the two values.")]
-    baseline: Annotated[Number, Col("Errors without and with the fault.", head="baseline", better="lower")]
+    baseline: Annotated[
+        Number, Col("Errors without and with the fault.", head="baseline", better="lower")
+    ]
     value: Annotated[Number, Col(head="with fault", better="lower")]
-    ratio: Annotated[Number, Col("With the fault over without it.", head="ratio", form="ratio", primary=True)]
+    ratio: Annotated[
+        Number, Col("With the fault over without it.", head="ratio", form="ratio", primary=True)
+    ]
     role: Annotated[str, Col("primary (it may decide), secondary or shown.")] = Role.SHOWN
 
 
@@ -669,7 +837,9 @@ class Tables(Struct, frozen=True):
 class CandidateVerdict(Struct, frozen=True):
     """One candidate: its verdict, its consistency and its mean predicted improvement."""
 
-    sentence: Annotated[str, Meta(description="one paragraph for people: measured, predicted, consistency")]
+    sentence: Annotated[
+        str, Meta(description="one paragraph for people: measured, predicted, consistency")
+    ]
     verdict: Annotated[
         str,
         Meta(
@@ -679,7 +849,9 @@ class CandidateVerdict(Struct, frozen=True):
         Col(best_first=tuple(Verdict)),
     ]
     consistency: Annotated[
-        str, Meta(description="worst consistency of its measurements (NIS)"), Col(best_first=VERDICTS_BEST_FIRST)
+        str,
+        Meta(description="worst consistency of its measurements (NIS)"),
+        Col(best_first=VERDICTS_BEST_FIRST),
     ]
     mean_improvement_pct: Annotated[
         Number,
@@ -697,25 +869,36 @@ class CandidateVerdict(Struct, frozen=True):
     ]
     reference_improvement_pct: Annotated[
         Number,
-        Meta(description="how much smaller its error against the reference is, median over the compared quantities"),
+        Meta(
+            description="how much smaller its error against the reference is, median over the compared quantities"
+        ),
         Col(better="higher", primary=True),
     ]
     credibility: Annotated[
-        str, Meta(description="worst consistency of its errors against the reference, over the groups of states (NEES)")
+        str,
+        Meta(
+            description="worst consistency of its errors against the reference, over the groups of states (NEES)"
+        ),
     ] = ""
     prediction: Annotated[
         str,
-        Meta(description="whether the predicted improvement was measured: confirmed, not confirmed or undecided"),
+        Meta(
+            description="whether the predicted improvement was measured: confirmed, not confirmed or undecided"
+        ),
         Col(best_first=tuple(Prediction)),
     ] = ""
     mean_convergence_unchanged_pct: Annotated[
         Number, Meta(description="mean convergence improvement of a candidate without any change")
     ] = None
     reason: Annotated[str, Meta(description="why it is not evaluated; empty if it is")] = ""
-    primary: Annotated[str, Meta(description="the quantity that decides, by what the log has; empty: none")] = ""
+    primary: Annotated[
+        str, Meta(description="the quantity that decides, by what the log has; empty: none")
+    ] = ""
     mean_nearest_approach_improvement_pct: Annotated[
         Number,
-        Meta(description="as mean_convergence_improvement_pct, by the nearest approach, as Levy and Klein count"),
+        Meta(
+            description="as mean_convergence_improvement_pct, by the nearest approach, as Levy and Klein count"
+        ),
         Col(better="higher"),
     ] = None
 
@@ -726,7 +909,10 @@ TABLES: Final[tuple[TableLayout, ...]] = tuple(
 # The block ``filters`` of a report as a table with one row for each candidate.
 CANDIDATES: Final = layout_of("filters", CandidateVerdict)
 LAKE: Final = layout_of("lake", LakeRow)
-LAYOUTS: Final = (CANDIDATES, *TABLES)  # All tables that results are compared by, most important first.
+LAYOUTS: Final = (
+    CANDIDATES,
+    *TABLES,
+)  # All tables that results are compared by, most important first.
 
 
 def each_table(tables: Tables) -> Iterator[tuple[TableLayout, Sequence[Struct]]]:

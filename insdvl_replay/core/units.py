@@ -29,7 +29,9 @@ TIME_UNITS_NS: Final = {
     "s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1, "min": 60 * 10**9, "h": 3600 * 10**9, "d": 86_400 * 10**9,
 }  # fmt: skip
 # Units that the size of a reading can tell from one another; the others are read where a title or a setting has them.
-SPECIFIC_FORCE_BY_SIZE: Final = {unit: SPECIFIC_FORCE_UNITS[unit] for unit in ("m/s2", "g", "mg", "ug")}
+SPECIFIC_FORCE_BY_SIZE: Final = {
+    unit: SPECIFIC_FORCE_UNITS[unit] for unit in ("m/s2", "g", "mg", "ug")
+}
 VELOCITY_BY_SIZE: Final = {unit: VELOCITY_UNITS[unit] for unit in ("m/s", "mm/s", "cm/s")}
 
 UNITS_BY_KIND: Final[dict[str, Mapping[str, float]]] = {
@@ -73,7 +75,9 @@ _NO_UNIT: Final = re.compile(
     r"since .*|\d*|-|none|bool|flag|0/1|1/0"
 )
 _BRACKETS: Final = re.compile(r"[\[(]([^\[\]()]*)[\])]")
-_ENDINGS: Final = re.compile(r"_(mps|mmps|cmps|kn|kts|knots|fps|kmh|mps2|mg|ug|dps|degps|degph|radps|deg|rad)$")
+_ENDINGS: Final = re.compile(
+    r"_(mps|mmps|cmps|kn|kts|knots|fps|kmh|mps2|mg|ug|dps|degps|degph|radps|deg|rad)$"
+)
 
 
 def spelled(text: str) -> str:

@@ -18,8 +18,14 @@ def url_parts(url: str) -> SplitResult | None:
         _ = parts.port  # a password with a slash looks like one
     except ValueError:
         return None
-    is_chain = "::" in url.replace(parts.netloc, "", 1) or ("::" in parts.netloc and "[" not in parts.netloc)
-    return None if is_chain or parts.scheme not in FETCHED or not (parts.netloc or parts.path) else parts
+    is_chain = "::" in url.replace(parts.netloc, "", 1) or (
+        "::" in parts.netloc and "[" not in parts.netloc
+    )
+    return (
+        None
+        if is_chain or parts.scheme not in FETCHED or not (parts.netloc or parts.path)
+        else parts
+    )
 
 
 def shown_url(url: str) -> str:

@@ -40,7 +40,9 @@ CONFIRMED: Final = 0.5  # Share of the predicted improvement that has to be meas
 NO_EFFECT: Final = 0.01  # A candidate that moves every error by less has no effect.
 # A candidate that moves an error by less cannot leave the band, on whatever dives.
 PROVED: Final = 1.0 - 1.0 / BAND
-NOISY: Final = 0.5  # Share of the reference's noise above which equality of filters is that of the noise.
+NOISY: Final = (
+    0.5  # Share of the reference's noise above which equality of filters is that of the noise.
+)
 EVERY_DIVE: Final = "*"  # Instead of a dive's name.
 CONTROL: Final = "tuned"  # The filter that `--control` adds.
 DECIDED: Final = (EvidenceVerdict.BETTER, EvidenceVerdict.WORSE)
@@ -78,16 +80,26 @@ class Answer(Struct, frozen=True, kw_only=True):
     filter: str
     baseline: str
     verdict: Verdict
-    dives: Annotated[int, Meta(description="dives that have the filter; of a comparison, on both sides")]
-    evaluated: Annotated[int, Meta(description="of them, those in which it is evaluated; of a comparison, on a side")]
+    dives: Annotated[
+        int, Meta(description="dives that have the filter; of a comparison, on both sides")
+    ]
+    evaluated: Annotated[
+        int, Meta(description="of them, those in which it is evaluated; of a comparison, on a side")
+    ]
     rows: tuple[PooledRow, ...]  # the primary row, those that can warn, convergence, and the others
     primary: Annotated[str, Meta(description="the quantity that decides; empty for none")] = ""
-    settling: Annotated[str, Meta(description="the second answer: sooner, later, same or undecided; empty: not known")]
-    undecided: Annotated[Undecided, Meta(description="why the verdict is undecided; empty where it is not")] = (
-        Undecided.NONE
-    )
+    settling: Annotated[
+        str,
+        Meta(description="the second answer: sooner, later, same or undecided; empty: not known"),
+    ]
+    undecided: Annotated[
+        Undecided, Meta(description="why the verdict is undecided; empty where it is not")
+    ] = Undecided.NONE
     reason: Annotated[
-        str, Meta(description="why it is not evaluated, or has no evidence, on a dive: the most common reason")
+        str,
+        Meta(
+            description="why it is not evaluated, or has no evidence, on a dive: the most common reason"
+        ),
     ] = ""
 
     @property
@@ -108,11 +120,21 @@ class Answer(Struct, frozen=True, kw_only=True):
             EvidenceVerdict.WORSE: (EvidenceVerdict.BETTER,),
         }
         primary = self.decisive
-        wanted = opposite.get(EvidenceVerdict(primary.verdict), DECIDED) if primary is not None else DECIDED
-        secondary = [row for row in self.rows if row.role == Role.SECONDARY and row.verdict in wanted]
+        wanted = (
+            opposite.get(EvidenceVerdict(primary.verdict), DECIDED)
+            if primary is not None
+            else DECIDED
+        )
+        secondary = [
+            row for row in self.rows if row.role == Role.SECONDARY and row.verdict in wanted
+        ]
         # The prediction only vetoes.
         is_better = primary is not None and primary.verdict == EvidenceVerdict.BETTER
-        veto = [row for row in self.rows if row.role == Role.VETO and row.verdict == EvidenceVerdict.WORSE]
+        veto = [
+            row
+            for row in self.rows
+            if row.role == Role.VETO and row.verdict == EvidenceVerdict.WORSE
+        ]
         return [*secondary, *(veto if is_better else [])]
 
     @property
@@ -161,7 +183,11 @@ def primary_of(dives: Sequence[Sequence[EvidenceRow]], named: str = "") -> str:
         return named
     having = Counter(row.quantity for rows in dives for row in rows if row.role == Role.PRIMARY)
     for quantity in PRIMARIES:
-        needed = max(min(len(dives), FEWEST_DIVES), math.ceil(len(dives) / 2)) if quantity == "position" else len(dives)
+        needed = (
+            max(min(len(dives), FEWEST_DIVES), math.ceil(len(dives) / 2))
+            if quantity == "position"
+            else len(dives)
+        )
         if dives and having[quantity] >= needed:
             return quantity
     return ""
@@ -172,7 +198,9 @@ def primary_of(dives: Sequence[Sequence[EvidenceRow]], named: str = "") -> str:
 
 def pooled_evidence(
     candidate: str,
-    dives: Sequence[Sequence[EvidenceRow]],  # the candidate's rows of each dive in which it is evaluated
+    dives: Sequence[
+        Sequence[EvidenceRow]
+    ],  # the candidate's rows of each dive in which it is evaluated
     *,
     primary: str | None = None,  # the quantity that decides; None: by `primary_of`
     level: float = LEVEL,
@@ -242,7 +270,9 @@ def _pooled_row(
     noise_share = median_of(finite(row.reference_noise) for row in rows)
     is_settling = rows[0].evidence == "convergence"
     # On some dive one of the filters never settled. Only dives on which both settled have a ratio.
-    is_unsettled = is_settling and any((row.baseline is None) != (row.value is None) for row in rows)
+    is_unsettled = is_settling and any(
+        (row.baseline is None) != (row.value is None) for row in rows
+    )
     words = [
         word_of_interval(interval.low, interval.high),
         word_of_interval(interval.low_always, interval.high_always),
@@ -349,7 +379,9 @@ def verdict_of(rows: Sequence[PooledRow], dives: int) -> tuple[Verdict, Undecide
         return Verdict.UNDECIDED, Undecided.ONE_DIVE
     if primary is None or not math.isfinite(finite(primary.ratio)):
         return Verdict.UNDECIDED, Undecided.NO_PRIMARY
-    if starts_contradict(primary, next((row for row in rows if row.quantity == DRAWN_HEADING), None)):
+    if starts_contradict(
+        primary, next((row for row in rows if row.quantity == DRAWN_HEADING), None)
+    ):
         return Verdict.MIXED, Undecided.NONE
     word = EvidenceVerdict(primary.verdict)
     if word == EvidenceVerdict.UNDECIDED:
@@ -363,7 +395,9 @@ def verdict_of(rows: Sequence[PooledRow], dives: int) -> tuple[Verdict, Undecide
 
 def largest_acts(rows: Sequence[PooledRow]) -> float:
     """Return how far the candidate moves an error at most; NaN where that is not known of all errors that it moves."""
-    moved = [row for row in rows if math.isfinite(finite(row.moves)) or math.isfinite(finite(row.acts))]
+    moved = [
+        row for row in rows if math.isfinite(finite(row.moves)) or math.isfinite(finite(row.acts))
+    ]
     return _largest(row.acts_most for row in moved)
 
 
@@ -373,7 +407,12 @@ def starts_contradict(primary: PooledRow | None, drawn: PooledRow | None) -> boo
     One of the two rows is better or worse. The other has another word, or it is undecided and lies on the other side:
     its ratio beyond the band, or its interval beyond 1.
     """
-    if primary is None or drawn is None or primary.evidence != "track" or not primary.quantity.startswith("position"):
+    if (
+        primary is None
+        or drawn is None
+        or primary.evidence != "track"
+        or not primary.quantity.startswith("position")
+    ):
         return False
     return _denies(primary, drawn) or _denies(drawn, primary)
 
@@ -457,13 +496,21 @@ def levels_of(answers: Sequence[Answer], named: str = "") -> dict[str, float]:
     ``named`` is the candidate that the settings name. Controls, and candidates without any effect, do not count.
     """
     levels = dict.fromkeys((answer.filter for answer in answers), LEVEL)
-    sharing = [answer.filter for answer in answers if answer.filter != CONTROL and answer.verdict != Verdict.NO_EFFECT]
+    sharing = [
+        answer.filter
+        for answer in answers
+        if answer.filter != CONTROL and answer.verdict != Verdict.NO_EFFECT
+    ]
     for name in sharing:
-        levels[name] = level_of_candidates(len(sharing), named=named in sharing, is_named=name == named)
+        levels[name] = level_of_candidates(
+            len(sharing), named=named in sharing, is_named=name == named
+        )
     return levels
 
 
-def answers_together(names: Iterable[str], answer_at: Callable[[str, float], A], named: str = "") -> dict[str, A]:
+def answers_together(
+    names: Iterable[str], answer_at: Callable[[str, float], A], named: str = ""
+) -> dict[str, A]:
     """Answer for several candidates, each with its share of the error rate.
 
     Parameters
@@ -477,10 +524,15 @@ def answers_together(names: Iterable[str], answer_at: Callable[[str, float], A],
     """
     alone = {name: answer_at(name, LEVEL) for name in names}
     levels = levels_of(list(alone.values()), named)
-    return {name: answer if levels[name] == LEVEL else answer_at(name, levels[name]) for name, answer in alone.items()}
+    return {
+        name: answer if levels[name] == LEVEL else answer_at(name, levels[name])
+        for name, answer in alone.items()
+    }
 
 
-def _contradict(evidence: Sequence[Sequence[EvidenceRow]], primary: str, level: float, vehicles: Sequence[str]) -> bool:
+def _contradict(
+    evidence: Sequence[Sequence[EvidenceRow]], primary: str, level: float, vehicles: Sequence[str]
+) -> bool:
     """Return whether there are two vehicles, on one of which the candidate is better and on the other worse."""
     names = set(vehicles)
     if len(names) != 2:
@@ -503,6 +555,9 @@ def prediction_of(predicted_pct: float, rows: Sequence[PooledRow]) -> Prediction
     if least_pct >= CONFIRMED * predicted_pct:
         return Prediction.CONFIRMED
     # A proof that the candidate does nearly nothing refutes it, too.
-    if most_pct < CONFIRMED * predicted_pct or 100.0 * finite(primary.acts_most) < CONFIRMED * predicted_pct:
+    if (
+        most_pct < CONFIRMED * predicted_pct
+        or 100.0 * finite(primary.acts_most) < CONFIRMED * predicted_pct
+    ):
         return Prediction.NOT_CONFIRMED
     return Prediction.UNDECIDED

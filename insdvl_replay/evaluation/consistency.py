@@ -47,11 +47,15 @@ def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tup
     depend on each other the count is the number of effective samples, which need not be whole.
     """
     tail = (1.0 - confidence) / 2.0
-    low, high = (chi_square_quantile(probability, count * dof) / count for probability in (tail, 1.0 - tail))
+    low, high = (
+        chi_square_quantile(probability, count * dof) / count for probability in (tail, 1.0 - tail)
+    )
     return low, high
 
 
-def consistency_verdict(mean: float, low: float, high: float, dof: int) -> tuple[Consistency, Reason]:
+def consistency_verdict(
+    mean: float, low: float, high: float, dof: int
+) -> tuple[Consistency, Reason]:
     """Return the verdict on a mean NIS or NEES, with the reason if it differs from the interval."""
     if not np.isfinite(mean):
         return Consistency.NOT_FINITE, Reason.NONE
@@ -70,7 +74,11 @@ def probability_beyond_3_sd(share: float, independent: float) -> float:
     """
     expected = 1.0 - float(chdtr(1, 9.0))
     count = share * independent
-    return expected / share if count < 1.0 else float(betainc(count, independent - count + 1.0, expected))
+    return (
+        expected / share
+        if count < 1.0
+        else float(betainc(count, independent - count + 1.0, expected))
+    )
 
 
 class MeanVerdict(NamedTuple):
@@ -90,7 +98,10 @@ def mean_verdict(squared: Floats, dof: int, samples: float) -> MeanVerdict:
     """
     mean, (low, high) = float(squared.mean()), mean_interval(dof, samples)
     word, why = consistency_verdict(mean, low, high, dof)
-    if dof * samples < FEWEST_UPDATES and word in (Consistency.CONSISTENT, Consistency.CONSERVATIVE):
+    if dof * samples < FEWEST_UPDATES and word in (
+        Consistency.CONSISTENT,
+        Consistency.CONSERVATIVE,
+    ):
         word, why = Consistency.INSUFFICIENT, Reason.NONE
     return MeanVerdict(mean, low, high, word, why)
 
@@ -111,22 +122,36 @@ def consistency_table(
     independent innovations; a filter without the states that the sensor needs does not tell how far off it may be.
     """
     rows = []
-    for history, innovations in [(met_by, met) for met_by in histories for met in met_by.innovations]:
+    for history, innovations in [
+        (met_by, met) for met_by in histories for met in met_by.innovations
+    ]:
         measurement, held_out = innovations.measurement, innovations.is_held_out
         sensor = measurement.removeprefix(HELD_OUT)
-        needed = {state.id for block in SENSORS[sensor].states for state in MORE_STATES[block]} if held_out else set()
+        needed = (
+            {state.id for block in SENSORS[sensor].states for state in MORE_STATES[block]}
+            if held_out
+            else set()
+        )
         has_states = needed <= {state.id for state in history.states}
         # Readings whose user-defined prediction is not a number are not used.
         goes_on = not is_reserved(measurement) and np.isfinite(history.velocity_n[-1]).all()
         met = np.isfinite(innovations.nis) | (not goes_on)
-        standardised, used, weight = innovations.standardised[met], innovations.used[met], innovations.weight[met]
-        axes = {axis_of(measurement, axis): slice(i, i + 1) for i, axis in enumerate(innovations.axes)}
+        standardised, used, weight = (
+            innovations.standardised[met],
+            innovations.used[met],
+            innovations.weight[met],
+        )
+        axes = {
+            axis_of(measurement, axis): slice(i, i + 1) for i, axis in enumerate(innovations.axes)
+        }
         for name, components in ({measurement: slice(None)} | axes).items():
             part = standardised[:, components]
             dof, correlation = part.shape[1], autocorrelation(part, used | held_out)
             nis = (innovations.nis[met] if name == measurement else part[:, 0] ** 2) * weight
             # The errors of a held-out sensor last, so fewer innovations are independent.
-            mean = _nis_verdict(nis, dof, part if held_out else None) if has_states else MeanVerdict()
+            mean = (
+                _nis_verdict(nis, dof, part if held_out else None) if has_states else MeanVerdict()
+            )
             if mean.verdict == Consistency.CONSERVATIVE:
                 # A lasting error is one sample. If it is small by chance, or zero after an exact start, the data do not
                 # show that it lasts. By a held-out sensor a filter is conservative only if the differences are too
@@ -164,7 +189,11 @@ def _nis_verdict(nis: Floats, dof: int, components: Floats | None) -> MeanVerdic
     if len(nis) < FEWEST_UPDATES:
         return MeanVerdict(verdict=Consistency.INSUFFICIENT)
     repeated = components is not None and np.isfinite(components).all()
-    samples = samples_in_mean_square(components) if components is not None and repeated else float(len(nis))
+    samples = (
+        samples_in_mean_square(components)
+        if components is not None and repeated
+        else float(len(nis))
+    )
     return mean_verdict(nis, dof, samples)
 
 
@@ -204,7 +233,9 @@ def whiteness(value: float, limit: float) -> Whiteness:
         return Whiteness.INSUFFICIENT
     if not np.isfinite(value):
         return Whiteness.NOT_FINITE
-    return Whiteness.CORRELATED if abs(value) > max(limit, SMALL_AUTOCORRELATION) else Whiteness.WHITE
+    return (
+        Whiteness.CORRELATED if abs(value) > max(limit, SMALL_AUTOCORRELATION) else Whiteness.WHITE
+    )
 
 
 def log_likelihood(innovations: Innovations) -> float:

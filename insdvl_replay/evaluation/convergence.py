@@ -42,7 +42,9 @@ class MeasuredConvergence(NamedTuple):
     status: ConvergenceStatus  # of the baseline if its errors do not fall, else of the candidate
 
 
-def measured_convergences(baseline: DrawnErrors, candidate: DrawnErrors) -> dict[str, MeasuredConvergence]:
+def measured_convergences(
+    baseline: DrawnErrors, candidate: DrawnErrors
+) -> dict[str, MeasuredConvergence]:
     """Compare the convergence of two filters from the same starts, by quantity of `reference_errors.squared_errors`.
 
     Empty where fewer than two starts were drawn. The dive's own start
@@ -72,7 +74,9 @@ def measured_convergence(
     filter that is there at once but not for good is as good at the start, and has nothing to bring down.
     """
     known = np.isfinite(baseline_sq).any(axis=0) & np.isfinite(candidate_sq).any(axis=0)
-    at_s, before, after = over_last_part(time_s[known], baseline_sq[:, known], candidate_sq[:, known])
+    at_s, before, after = over_last_part(
+        time_s[known], baseline_sq[:, known], candidate_sq[:, known]
+    )
     starts = len(before)
 
     mean_squares = before.mean(axis=0), after.mean(axis=0)
@@ -80,7 +84,9 @@ def measured_convergence(
     baseline_s, candidate_s = (_reached_s(at_s, mean_sq, limit_sq) for mean_sq in mean_squares)
     falls = _status(baseline_s) == ConvergenceStatus.REACHED
     status = _status(candidate_s if falls else baseline_s)
-    baseline_s, candidate_s = (time_s if 0.0 < time_s < np.inf else math.nan for time_s in (baseline_s, candidate_s))
+    baseline_s, candidate_s = (
+        time_s if 0.0 < time_s < np.inf else math.nan for time_s in (baseline_s, candidate_s)
+    )
     return MeasuredConvergence(float(np.sqrt(mean_squares[0][-1])), baseline_s, candidate_s, status)
 
 
@@ -108,7 +114,8 @@ def over_last_part(time_s: Floats, *squares: Floats) -> tuple[Floats, ...]:
     # Not by differences of running sums: what errors begin with may be a billion times what they end with.
     ends = np.column_stack([first, last]).ravel()
     sums = (
-        np.add.reduceat(np.pad(np.fmin(square, BEYOND), ((0, 0), (0, 1))), ends, axis=1)[:, ::2] for square in squares
+        np.add.reduceat(np.pad(np.fmin(square, BEYOND), ((0, 0), (0, 1))), ends, axis=1)[:, ::2]
+        for square in squares
     )
     return at_s, *(total / (last - first) for total in sums)
 
@@ -128,7 +135,9 @@ class ConvergenceCurves(NamedTuple):
     """Errors of all filters from random starts in one quantity, at g times with growing steps."""
 
     time_s: Floats  # (g,), after the start
-    rms: Mapping[str, Floats]  # (g,) by filter, SI units: true errors over the starts, over the last part of the time
+    rms: Mapping[
+        str, Floats
+    ]  # (g,) by filter, SI units: true errors over the starts, over the last part of the time
     predicted: Mapping[str, Floats]  # (g,) by filter: what it predicts of them from its own start
     limit: float  # below which a filter has converged
 
@@ -137,8 +146,14 @@ def convergence_curves(drawn: Sequence[DrawnErrors]) -> dict[str, ConvergenceCur
     """Return the rms of each filter's true errors over its random starts, without the dive's own, by quantity."""
     drawn, curves = [errors for errors in drawn if len(errors.error) >= FEWEST_RUNS], {}
     squares = [squared_errors(errors) for errors in drawn]
-    as_predicted = [replace(errors, velocity_error_n=errors.sd[None, :, DV], error=errors.sd[None]) for errors in drawn]
-    predicted, names = [squared_errors(errors) for errors in as_predicted], [errors.filter for errors in drawn]
+    as_predicted = [
+        replace(errors, velocity_error_n=errors.sd[None, :, DV], error=errors.sd[None])
+        for errors in drawn
+    ]
+    predicted, names = (
+        [squared_errors(errors) for errors in as_predicted],
+        [errors.filter for errors in drawn],
+    )
     for quantity, name in CONVERGED.items():
         if not (drawn and all(name in square for square in squares)):
             continue
@@ -150,7 +165,9 @@ def convergence_curves(drawn: Sequence[DrawnErrors]) -> dict[str, ConvergenceCur
             at_s, *means = over_last_part(time_s, *(square[:, known] for square in found))
             rms, expected = np.split(np.sqrt([mean.mean(axis=0) for mean in means]), 2)
             limit = float(limit_of(rms[0][-1], len(found[0])))
-            rms_of, expected_of = (dict(zip(names, errors, strict=True)) for errors in (rms, expected))
+            rms_of, expected_of = (
+                dict(zip(names, errors, strict=True)) for errors in (rms, expected)
+            )
             curves[quantity] = ConvergenceCurves(at_s, rms_of, expected_of, limit)
     return curves
 
@@ -164,7 +181,10 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> list[Improvem
     rows = []
     for candidate in candidates:
         for state in predicted_states(candidate):
-            ends = baseline.sd[last_row(baseline, candidate)], candidate.sd[last_row(candidate, candidate)]
+            ends = (
+                baseline.sd[last_row(baseline, candidate)],
+                candidate.sd[last_row(candidate, candidate)],
+            )
             before, after = (float(sd[state.index]) / state.factor for sd in ends)
             change_pct = improvement_pct(before, after)
             status = ImprovementStatus.IMPROVED if change_pct > 0.0 else ImprovementStatus.WORSE
@@ -189,14 +209,18 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> list[Improvem
 
 def predicted_states(history: History) -> list[State]:
     """List the states, of the twelve, for which a history has standard deviations."""
-    predicted = history.predicted if history.updated.any() else np.zeros(len(history.states), np.bool_)
+    predicted = (
+        history.predicted if history.updated.any() else np.zeros(len(history.states), np.bool_)
+    )
     return [state for state in STATES if predicted[state.index]]
 
 
 def last_row(history: History, candidate: History) -> int:
     """Return the row of the last ping; with a partial candidate, the last row that it covers."""
     shared = history.updated & candidate.updated
-    return int(np.flatnonzero(shared if candidate.is_partial and shared.any() else history.updated)[-1])
+    return int(
+        np.flatnonzero(shared if candidate.is_partial and shared.any() else history.updated)[-1]
+    )
 
 
 def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: str) -> float:
@@ -228,7 +252,9 @@ def _mean(improvements_pct: Iterable[float]) -> float:
 
 
 def convergence_table(
-    log: str, histories: tuple[History, ...], measured: Mapping[str, Mapping[str, MeasuredConvergence]]
+    log: str,
+    histories: tuple[History, ...],
+    measured: Mapping[str, Mapping[str, MeasuredConvergence]],
 ) -> list[ConvergenceRow]:
     """Return when the sigma of each candidate stays below the baseline's final one, and when it is nearest to it.
 
@@ -238,17 +264,33 @@ def convergence_table(
     rows = []
     baseline_time_s = seconds(baseline.time_ns, baseline.time_ns[0])
     for candidate in candidates:
-        last, pings = last_row(baseline, candidate), candidate.updated | (candidate.time_ns == candidate.time_ns[0])
+        last, pings = (
+            last_row(baseline, candidate),
+            candidate.updated | (candidate.time_ns == candidate.time_ns[0]),
+        )
         for state in predicted_states(candidate):
             # Final sigma of the baseline, and when it stays there.
             baseline_s, target = float(baseline_time_s[last]), float(baseline.sd[last, state.index])
-            seen = np.flatnonzero(baseline.updated[: last + 1] | (baseline_time_s[: last + 1] == 0.0))
-            unchanged_s, _ = time_to_stay_below(baseline_time_s[seen], baseline.sd[seen, state.index], target)
+            seen = np.flatnonzero(
+                baseline.updated[: last + 1] | (baseline_time_s[: last + 1] == 0.0)
+            )
+            unchanged_s, _ = time_to_stay_below(
+                baseline_time_s[seen], baseline.sd[seen, state.index], target
+            )
             # The time of the candidate.
-            known = pings & np.isfinite(candidate.sd[:, state.index]) if candidate.is_partial else pings
-            time_s, sd = seconds(candidate.time_ns[known], candidate.time_ns[0]), candidate.sd[known, state.index]
+            known = (
+                pings & np.isfinite(candidate.sd[:, state.index]) if candidate.is_partial else pings
+            )
+            time_s, sd = (
+                seconds(candidate.time_ns[known], candidate.time_ns[0]),
+                candidate.sd[known, state.index],
+            )
             reached_s, status = time_to_stay_below(time_s, sd, target)
-            faster_pct = improvement_pct(baseline_s, reached_s) if status == ConvergenceStatus.REACHED else math.nan
+            faster_pct = (
+                improvement_pct(baseline_s, reached_s)
+                if status == ConvergenceStatus.REACHED
+                else math.nan
+            )
             nearest_s = nearest_approach_s(time_s, sd, target)
             found = measured.get(candidate.filter, {}).get(state.id)
             rows.append(
@@ -283,7 +325,9 @@ def nearest_approach_s(time_s: Floats, sd: Floats, target: float) -> float:
     return float(time_s[np.nanargmin(distance)]) if np.isfinite(distance).any() else float("nan")
 
 
-def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float, ConvergenceStatus]:
+def time_to_stay_below(
+    time_s: Floats, sd: Floats, target: float
+) -> tuple[float, ConvergenceStatus]:
     """Find the first time after which a standard deviation stays at or below a target, between samples on a line.
 
     NaN unless reached: ``at_start`` is never above the target; ``never`` is above it, or not finite, at the end.
@@ -296,4 +340,6 @@ def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float
         return float("nan"), ConvergenceStatus.NEVER
     drop = sd[last] - sd[last + 1]
     fraction = (sd[last] - target) / drop if np.isfinite(drop) else 1.0
-    return float(time_s[last] + fraction * (time_s[last + 1] - time_s[last])), ConvergenceStatus.REACHED
+    return float(
+        time_s[last] + fraction * (time_s[last + 1] - time_s[last])
+    ), ConvergenceStatus.REACHED

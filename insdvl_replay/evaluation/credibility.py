@@ -60,7 +60,9 @@ class StateErrors:
     cov: Floats  # (k, n, n), P
     heading: Floats  # (k,), of the reference, rad
     has_sd: NDArray[np.bool_]  # (n,), states for which the filter has a standard deviation
-    exact_start: bool = True  # it starts on the reference, so its errors are below sigma for a while
+    exact_start: bool = (
+        True  # it starts on the reference, so its errors are below sigma for a while
+    )
 
     @property
     def sd(self) -> Floats:
@@ -75,9 +77,13 @@ class StateErrors:
         return replace(self, **kept)
 
 
-def state_errors(history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> StateErrors:
+def state_errors(
+    history: History, reference: ReferenceColumns, truth: TruthColumns | None
+) -> StateErrors:
     """Compare one filter with the reference, and its biases with the truth, the start included."""
-    time_ns, rows, theirs = np.intersect1d(history.cov_ns, reference.time_ns, assume_unique=True, return_indices=True)
+    time_ns, rows, theirs = np.intersect1d(
+        history.cov_ns, reference.time_ns, assume_unique=True, return_indices=True
+    )
     error = errors_at(time_ns, history, reference, truth)
     n = error.shape[1]
     cov = history.cov[rows, :n, :n]
@@ -85,7 +91,9 @@ def state_errors(history: History, reference: ReferenceColumns, truth: TruthColu
         error[~np.isfinite(np.diagonal(cov, axis1=1, axis2=2))] = np.nan
     heading = rpy_from_mat(reference.mat_nb[theirs])[:, 2]
     exact_start = not history.has_own_start
-    return StateErrors(history.filter, time_ns, error, cov, heading, history.predicted[:n], exact_start)
+    return StateErrors(
+        history.filter, time_ns, error, cov, heading, history.predicted[:n], exact_start
+    )
 
 
 def about_vehicle(errors: StateErrors) -> StateErrors:
@@ -138,14 +146,18 @@ def shared_variance(cov: Floats, states: States, others: States) -> Floats:
     between = whitened(cov[:, states[:, None], others], cov[:, states[:, None], states])
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         other_variance = np.diagonal(cov, axis1=1, axis2=2)[:, others]
-        share: Floats = np.mean(np.sum(between**2, axis=1) / other_variance, axis=0) / np.sqrt(len(states))
+        share: Floats = np.mean(np.sum(between**2, axis=1) / other_variance, axis=0) / np.sqrt(
+            len(states)
+        )
     return share
 
 
 # --- The table.
 
 
-def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, StateErrors]) -> list[CredibilityRow]:
+def credibility_table(
+    log: str, filters: Sequence[str], errors: Mapping[str, StateErrors]
+) -> list[CredibilityRow]:
     """Return the credibility of each filter by its errors against the reference; ``errors`` are empty without one.
 
     There are rows for velocity and attitude, about the vehicle's level axes, for the biases where the log carries the
@@ -155,7 +167,9 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
     rows = []
     for name in filters:
         if not errors:
-            groups = [group for group, states in CREDIBILITY_GROUPS.items() if states.stop <= BA.start]
+            groups = [
+                group for group, states in CREDIBILITY_GROUPS.items() if states.stop <= BA.start
+            ]
             nothing = MeanVerdict(verdict=Consistency.NO_REFERENCE)
             names = (*CREDIBILITY_QUANTITIES[: BA.start], *groups, JOINT)
             rows += [_row(log, name, quantity, 1, 0, nothing) for quantity in names]
@@ -165,14 +179,20 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
         ever: NDArray[np.bool_] = np.any(np.isfinite(in_n.error), axis=0)
         samples = np.array([_samples_of(in_n, state) for state in range(n)])
         samples_in_vehicle = samples.copy()
-        samples_in_vehicle[LEVEL] = [_samples_of(in_vehicle, state) for state in range(LEVEL.start, LEVEL.stop)]
+        samples_in_vehicle[LEVEL] = [
+            _samples_of(in_vehicle, state) for state in range(LEVEL.start, LEVEL.stop)
+        ]
         for state, quantity in enumerate((*CREDIBILITY_QUANTITIES, *POSITION_QUANTITIES)[:n]):
             if has_sd[state] and (state < BA.start or ever[state]):
-                rows.append(_compared_row(log, quantity, in_vehicle, np.array([state]), samples_in_vehicle))
+                rows.append(
+                    _compared_row(log, quantity, in_vehicle, np.array([state]), samples_in_vehicle)
+                )
         # A constant error in n moves from one body axis to another in turns; a group would hide it.
         for group, states in ALL_CREDIBILITY_GROUPS.items():
             if has_sd[states].any() and (states.stop <= BA.start or ever[states].any()):
-                rows.append(_compared_row(log, group, in_n, np.arange(states.start, states.stop), samples))
+                rows.append(
+                    _compared_row(log, group, in_n, np.arange(states.start, states.stop), samples)
+                )
         if has_sd.any():
             rows.append(_compared_row(log, JOINT, in_n, np.flatnonzero(ever), samples))
     return rows
@@ -188,7 +208,11 @@ def _standardised(errors: StateErrors, states: States) -> tuple[Floats, Floats]:
 def _samples_of(errors: StateErrors, state: int) -> float:
     """Return the effective samples of the errors of a state; NaN where unknown."""
     standardised, _ = _standardised(errors, np.array([state]))
-    return samples_in_mean_square(standardised) if len(standardised) and np.isfinite(standardised).all() else np.nan
+    return (
+        samples_in_mean_square(standardised)
+        if len(standardised) and np.isfinite(standardised).all()
+        else np.nan
+    )
 
 
 def _row(
@@ -236,19 +260,27 @@ def _compared_row(
     # the other state, which is constant within one of its samples. So s^2 of the squared correlations are those of the
     # other state, the rest those of the errors. P gives s. An unknown bias hardly changes, so it counts as slow as the
     # slowest known state.
-    independent = float(samples_of_each[states[0]]) if dof == 1 else samples_in_mean_square(standardised)
+    independent = (
+        float(samples_of_each[states[0]]) if dof == 1 else samples_in_mean_square(standardised)
+    )
     others = np.setdiff1d(np.arange(len(samples_of_each)), states)
     if len(others):
         slowest = np.nanmin(samples_of_each) if np.isfinite(samples_of_each).any() else 1.0
         share = shared_variance(cov, states, others) ** 2
-        repeated = share / np.nan_to_num(samples_of_each, nan=slowest)[others] + (1.0 - share) / independent
-        independent = float(1.0 / np.max(repeated, where=np.isfinite(repeated), initial=1.0 / independent))
+        repeated = (
+            share / np.nan_to_num(samples_of_each, nan=slowest)[others]
+            + (1.0 - share) / independent
+        )
+        independent = float(
+            1.0 / np.max(repeated, where=np.isfinite(repeated), initial=1.0 / independent)
+        )
 
     squared = np.sum(standardised**2, axis=1)
     mean = mean_verdict(squared, dof, independent)
     # The ellipsoids with the probabilities of one and three sigma of a normal variable.
     near_pct, far_pct = (
-        100.0 * float(np.mean(squared <= chi_square_quantile(float(chdtr(1, sigmas**2)), dof))) for sigmas in (1.0, 3.0)
+        100.0 * float(np.mean(squared <= chi_square_quantile(float(chdtr(1, sigmas**2)), dof)))
+        for sigmas in (1.0, 3.0)
     )
     if mean.verdict == Consistency.CONSERVATIVE and errors.exact_start:
         # A filter that starts on the reference has no misalignment, nor errors that depend on it: velocity across the
@@ -262,7 +294,9 @@ def _compared_row(
         if mean.mean >= FAR_SMALLER * (1.0 - shared) * dof:
             mean = mean._replace(verdict=Consistency.CONSISTENT, why=Reason.EXACT_START)
     beyond = 1.0 - far_pct / 100.0
-    many_far_off = beyond >= MANY_FAR_OFF and probability_beyond_3_sd(beyond, independent) < 1.0 - CONFIDENCE
+    many_far_off = (
+        beyond >= MANY_FAR_OFF and probability_beyond_3_sd(beyond, independent) < 1.0 - CONFIDENCE
+    )
     if mean.verdict != Consistency.OVERCONFIDENT and many_far_off:
         # More errors exceed 3 standard deviations than chance allows, and by enough to matter.
         mean = mean._replace(verdict=Consistency.OVERCONFIDENT, why=Reason.BEYOND_3_SD)

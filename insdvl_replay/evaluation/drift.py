@@ -21,7 +21,11 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import DRIFT_QUANTITIES, TRACK_FIT_QUANTITIES
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.tables import DriftRow, JumpRow, TrackFitRow
-from insdvl_replay.evaluation.reference_errors import SHORTEST_M, ReferenceErrors, reference_distance_m
+from insdvl_replay.evaluation.reference_errors import (
+    SHORTEST_M,
+    ReferenceErrors,
+    reference_distance_m,
+)
 from insdvl_replay.evaluation.series import samples_in_mean, thinned
 from insdvl_replay.geometry.frames import find_jumps, north_east_m, steps_of, unexplained_m
 
@@ -64,7 +68,9 @@ class CourseErrors(NamedTuple):
 
 def time_segments(time_ns: TimeNs, length_s: float = SEGMENT_S) -> Segments:
     """Choose overlapping segments of a length in time; none if the reference has a gap near the end."""
-    return distance_segments(time_ns, seconds(time_ns, time_ns[0]) if len(time_ns) else np.empty(0), length_s)
+    return distance_segments(
+        time_ns, seconds(time_ns, time_ns[0]) if len(time_ns) else np.empty(0), length_s
+    )
 
 
 def distance_segments(time_ns: TimeNs, travelled: Floats, length: float = SEGMENT_M) -> Segments:
@@ -98,10 +104,13 @@ def course_errors(errors: ReferenceErrors, reference: ReferenceColumns) -> Cours
     velocity_n = reference.velocity_n[np.searchsorted(reference.time_ns, errors.time_ns), :2]
     with np.errstate(invalid="ignore", divide="ignore"):
         speed_mps = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
-        course = np.where(speed_mps[:, None] >= SLOWEST_MPS, velocity_n / speed_mps[:, None], np.nan)
+        course = np.where(
+            speed_mps[:, None] >= SLOWEST_MPS, velocity_n / speed_mps[:, None], np.nan
+        )
     north_mps, east_mps = errors.velocity_error_n[..., 0], errors.velocity_error_n[..., 1]
     return CourseErrors(
-        course[:, 0] * north_mps + course[:, 1] * east_mps, course[:, 0] * east_mps - course[:, 1] * north_mps
+        course[:, 0] * north_mps + course[:, 1] * east_mps,
+        course[:, 0] * east_mps - course[:, 1] * north_mps,
     )
 
 
@@ -118,13 +127,21 @@ def drift_table(
 
     Each of `DRIFT_QUANTITIES` with numbers has a row.
     """
-    sizes: dict[str, dict[str, tuple[Floats, TimeNs, TimeNs]]] = {}  # each error with its begin and end times
+    sizes: dict[
+        str, dict[str, tuple[Floats, TimeNs, TimeNs]]
+    ] = {}  # each error with its begin and end times
     for name, found in errors.items():
         time_ns = found.time_ns
         distance_m = reference_distance_m(reference, time_ns) if len(time_ns) else np.empty(0)
         with np.errstate(over="ignore", invalid="ignore"):
-            course, position_m = course_errors(found, reference), np.hypot(*found.position_error_ned_m[:, :2].T)
-            segments_of = {"drift_60s": time_segments(time_ns), "drift_100m": distance_segments(time_ns, distance_m)}
+            course, position_m = (
+                course_errors(found, reference),
+                np.hypot(*found.position_error_ned_m[:, :2].T),
+            )
+            segments_of = {
+                "drift_60s": time_segments(time_ns),
+                "drift_100m": distance_segments(time_ns, distance_m),
+            }
             sizes[name] = {
                 "position_h": (position_m, time_ns, time_ns),
                 **{
@@ -159,11 +176,17 @@ def drift_table(
                 numbers |= _of_position(size[known], time_ns[known], start_ns, lost_m)
                 if travelled_m >= SHORTEST_M:
                     numbers["final_of_distance_pct"] = 100.0 * numbers["final"] / travelled_m
-        rows.append(DriftRow(log=log, filter=name, quantity=quantity, unit=unit, samples=len(known), **numbers))
+        rows.append(
+            DriftRow(
+                log=log, filter=name, quantity=quantity, unit=unit, samples=len(known), **numbers
+            )
+        )
     return rows
 
 
-def _of_position(error_m: Floats, time_ns: TimeNs, start_ns: int, lost_m: float) -> dict[str, float]:
+def _of_position(
+    error_m: Floats, time_ns: TimeNs, start_ns: int, lost_m: float
+) -> dict[str, float]:
     """Return 2DRMS, the final error for each hour of a long dive, and the share of the time in which it is lost."""
     hours = (int(time_ns[-1]) - start_ns) / NS_PER_S / SECONDS_PER_HOUR
     with np.errstate(over="ignore"):
@@ -190,13 +213,18 @@ class TrackFit(NamedTuple):
 UNKNOWN: Final = TrackFit(float("nan"), float("nan"), float("nan"), float("nan"))
 
 
-def track_fit_table(log: str, errors: Mapping[str, ReferenceErrors], reference: ReferenceColumns) -> list[TrackFitRow]:
+def track_fit_table(
+    log: str, errors: Mapping[str, ReferenceErrors], reference: ReferenceColumns
+) -> list[TrackFitRow]:
     """Return the scale and the turn of each filter's track; no rows if the reference's track is too short."""
     rows = []
     for name, found in errors.items():
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             fit = filter_track_fit(found, reference)
-        numbers = {"scale": (fit.scale_pct, fit.scale_sd_pct), "turn": (fit.turn_deg, fit.turn_sd_deg)}
+        numbers = {
+            "scale": (fit.scale_pct, fit.scale_sd_pct),
+            "turn": (fit.turn_deg, fit.turn_sd_deg),
+        }
         for quantity, unit in TRACK_FIT_QUANTITIES.items() if np.isfinite(fit.scale_pct) else ():
             rows.append(TrackFitRow(log, name, quantity, unit, *numbers[quantity]))
     return rows
@@ -205,12 +233,16 @@ def track_fit_table(log: str, errors: Mapping[str, ReferenceErrors], reference: 
 def filter_track_fit(errors: ReferenceErrors, reference: ReferenceColumns) -> TrackFit:
     """Fit a filter's track to the reference's at the times where they are compared."""
     position = reference.position[np.searchsorted(reference.time_ns, errors.time_ns)]
-    known = np.isfinite(position[:, :2]).all(axis=1) & np.isfinite(errors.position_error_ned_m[:, :2]).all(axis=1)
+    known = np.isfinite(position[:, :2]).all(axis=1) & np.isfinite(
+        errors.position_error_ned_m[:, :2]
+    ).all(axis=1)
     if not known.any():
         return UNKNOWN
     origin = position[known][0]
     track_m = np.stack(north_east_m(position[known], origin, origin), axis=1)
-    return track_fit(errors.time_ns[known], track_m + errors.position_error_ned_m[known, :2], track_m)
+    return track_fit(
+        errors.time_ns[known], track_m + errors.position_error_ned_m[known, :2], track_m
+    )
 
 
 def track_fit(
@@ -233,17 +265,24 @@ def track_fit(
     if similarity == 0.0:
         return UNKNOWN
     weights = estimated.conj() / (squares * similarity)
-    changes, scale_sd, turn_sd = _changes(time_ns, weights, reference - similarity * estimated), math.nan, math.nan
+    changes, scale_sd, turn_sd = (
+        _changes(time_ns, weights, reference - similarity * estimated),
+        math.nan,
+        math.nan,
+    )
     if len(changes) >= FEWEST_AVERAGES:
         # Variance of a sum of parts that may be correlated with their neighbours.
         scale_sd, turn_sd = (
-            float(np.sqrt(np.sum(part**2) * len(part) / samples_in_mean(part))) for part in (changes.real, changes.imag)
+            float(np.sqrt(np.sum(part**2) * len(part) / samples_in_mean(part)))
+            for part in (changes.real, changes.imag)
         )
     scale_pct, turn_deg = 100.0 * (abs(similarity) - 1.0), float(np.angle(similarity)) / DEG
     return TrackFit(scale_pct, 100.0 * scale_sd, turn_deg, turn_sd / DEG)
 
 
-def _changes(time_ns: TimeNs, weights: Complexes, residuals: Complexes, length_s: float = AVERAGED_S) -> Complexes:
+def _changes(
+    time_ns: TimeNs, weights: Complexes, residuals: Complexes, length_s: float = AVERAGED_S
+) -> Complexes:
     """Return the effect of each change between averaged residuals on the weighted fit, shape (..., k).
 
     Each change moves all that follows it, with the weight that the points behind it have in the fit.
@@ -270,7 +309,8 @@ def heading_fit(
     per_bias_m: Floats,  # (k, 2), m/(rad/s)
     reference_m: Floats,  # (k, 2)
     known_bias: tuple[float, float],  # the track's bias minus its prior, and the prior's sd, rad/s
-    piece: NDArray[np.int64] | None = None,  # (k,), number of the piece of the track that each time is in
+    piece: NDArray[np.int64]
+    | None = None,  # (k,), number of the piece of the track that each time is in
 ) -> HeadingFit | None:
     """Fit heading and gyro bias at the start by least squares, with a scale, which is the DVL's, and shifts.
 
@@ -280,8 +320,13 @@ def heading_fit(
     """
     if len(time_ns) < 2 or np.hypot(*np.ptp(reference_m, axis=0)) < SHORTEST_M:
         return None
-    columns, off_m = np.stack([per_heading_m, per_bias_m, estimated_m], axis=2), reference_m - estimated_m
-    for rows in [slice(None)] if piece is None else [piece == number for number in np.unique(piece)]:
+    columns, off_m = (
+        np.stack([per_heading_m, per_bias_m, estimated_m], axis=2),
+        reference_m - estimated_m,
+    )
+    for rows in (
+        [slice(None)] if piece is None else [piece == number for number in np.unique(piece)]
+    ):
         columns[rows] -= columns[rows].mean(axis=0)
         off_m[rows] -= off_m[rows].mean(axis=0)
     weights = np.linalg.pinv(columns.reshape(-1, 3)).reshape(3, -1, 2)
@@ -307,7 +352,9 @@ def heading_fit(
 # --- Jumps.
 
 
-def jump_table(log: str, histories: Iterable[History], motions: Mapping[str, ReferenceColumns]) -> list[JumpRow]:
+def jump_table(
+    log: str, histories: Iterable[History], motions: Mapping[str, ReferenceColumns]
+) -> list[JumpRow]:
     """Count the position steps that neither the velocity nor the neighbouring steps explain, see `geometry.frames`.
 
     Only a filter that estimates its position, or has a recorded motion in ``motions``, can jump and has a row.
@@ -332,5 +379,7 @@ def jump_table(log: str, histories: Iterable[History], motions: Mapping[str, Ref
             largest = int(known[np.argmax(unlike_m[known])])
             at_s = (int(motion.time_ns[motion.known["positions"]][largest + 1]) - start_ns) * 1e-9
             jumps = len(find_jumps(unlike_m, SMALLEST_JUMP_M))
-            rows.append(JumpRow(log, history.filter, len(known), jumps, float(unlike_m[largest]), at_s))
+            rows.append(
+                JumpRow(log, history.filter, len(known), jumps, float(unlike_m[largest]), at_s)
+            )
     return rows

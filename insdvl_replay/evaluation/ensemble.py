@@ -40,8 +40,14 @@ def run_errors(history: History, reference: ReferenceColumns, truth: TruthColumn
     errors = state_errors(history, reference, truth)
     if not len(errors.time_ns):
         raise ValueError("NEES needs all of P")
-    time_s, error, cov = seconds(errors.time_ns, history.time_ns[0]), errors.error[:, :DOF], errors.cov[:, :DOF, :DOF]
-    return RunErrors(history.filter, time_s, error, np.diagonal(cov, axis1=1, axis2=2).copy(), nees(error, cov))
+    time_s, error, cov = (
+        seconds(errors.time_ns, history.time_ns[0]),
+        errors.error[:, :DOF],
+        errors.cov[:, :DOF, :DOF],
+    )
+    return RunErrors(
+        history.filter, time_s, error, np.diagonal(cov, axis1=1, axis2=2).copy(), nees(error, cov)
+    )
 
 
 @dataclass(frozen=True)
@@ -111,7 +117,11 @@ def _stacked(tables: Iterable[Columns]) -> pd.DataFrame:
 def _states(name: str, **shown: Floats) -> Columns:
     """Return columns of a filter's states, each (12,) in SI units and shown in those of the states."""
     columns = {column: values / FACTORS for column, values in shown.items()}
-    return {"filter": name, "state": [state.id for state in STATES], "unit": [state.unit for state in STATES]} | columns
+    return {
+        "filter": name,
+        "state": [state.id for state in STATES],
+        "unit": [state.unit for state in STATES],
+    } | columns
 
 
 def montecarlo_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
@@ -127,9 +137,14 @@ def montecarlo_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
         for ensemble in ensembles
     )
     table["ratio"] = table["rms_error"] / table["final_sd"]
-    for name, column in ("predicted_improvement_pct", "final_sd"), ("true_improvement_pct", "rms_error"):
+    for name, column in (
+        ("predicted_improvement_pct", "final_sd"),
+        ("true_improvement_pct", "rms_error"),
+    ):
         before = np.tile(table[column][:DOF], len(ensembles)).tolist()
-        changes = [improvement_pct(*pair) for pair in zip(before, table[column].tolist(), strict=True)]
+        changes = [
+            improvement_pct(*pair) for pair in zip(before, table[column].tolist(), strict=True)
+        ]
         table[name] = [*np.full(DOF, np.nan), *changes[DOF:]]
     return table
 
@@ -164,7 +179,9 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def outage_table(ensembles: Sequence[Ensemble], outages: Sequence[tuple[float, float]]) -> pd.DataFrame:
+def outage_table(
+    ensembles: Sequence[Ensemble], outages: Sequence[tuple[float, float]]
+) -> pd.DataFrame:
     """Return the mean NEES around DVL outages, given by start and end in seconds.
 
     At the last time before the outage, its last time, `SOON_S` and `LATER_S` after it, and at the end; NaN beyond the
@@ -177,15 +194,28 @@ def outage_table(ensembles: Sequence[Ensemble], outages: Sequence[tuple[float, f
             found = np.searchsorted(ensemble.time_s, at_s) - 1
             reached = (found >= 0) & (at_s <= ensemble.time_s[-1] + SOON_S)
             sizes = np.where(reached, ensemble.nees[found], np.nan)
-            rows.append((ensemble.filter, start_s, end_s, *sizes.tolist(), float(ensemble.nees[-1])))
-    names = ["filter", "start_s", "end_s", "nees_before", "nees_last", "nees_soon", "nees_later", "nees_final"]
+            rows.append(
+                (ensemble.filter, start_s, end_s, *sizes.tolist(), float(ensemble.nees[-1]))
+            )
+    names = [
+        "filter",
+        "start_s",
+        "end_s",
+        "nees_before",
+        "nees_last",
+        "nees_soon",
+        "nees_later",
+        "nees_final",
+    ]
     return pd.DataFrame(rows, columns=names)
 
 
 def runs_table(seeds: Sequence[int], tallies: Sequence[Tally]) -> pd.DataFrame:
     """List the runs of each filter with their seeds, so that a single run can be repeated."""
     rows = [
-        (run, seed, tally.filter, *tally.nees_by_run[run - 1]) for run, seed in enumerate(seeds, 1) for tally in tallies
+        (run, seed, tally.filter, *tally.nees_by_run[run - 1])
+        for run, seed in enumerate(seeds, 1)
+        for tally in tallies
     ]
     return pd.DataFrame(rows, columns=["run", "seed", "filter", "mean_nees", "final_nees"])
 

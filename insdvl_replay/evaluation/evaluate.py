@@ -64,7 +64,9 @@ MOST_COVARIANCES: Final = 20_000
 FEWEST_ROWS: Final = 3  # of a reference whose acceleration is known
 
 
-def evaluated_times(reference: ReferenceColumns | None, start_ns: int, end_ns: int, *, filters: int) -> TimeNs:
+def evaluated_times(
+    reference: ReferenceColumns | None, start_ns: int, end_ns: int, *, filters: int
+) -> TimeNs:
     """Choose the times at which P is kept for the evaluation of errors: all of the reference, or evenly chosen ones."""
     if reference is None:
         return np.empty(0, dtype=np.int64)
@@ -79,15 +81,21 @@ def evaluated_times(reference: ReferenceColumns | None, start_ns: int, end_ns: i
 def tables_of_filters(
     dive: Dive,
     histories: tuple[History, ...],  # the first is the baseline
-    spread: tuple[History, ...],  # of those that were run here, from a start as uncertain as [initial]
+    spread: tuple[
+        History, ...
+    ],  # of those that were run here, from a start as uncertain as [initial]
     drawn: tuple[DrawnErrors, ...],  # of the filters, in the same order; empty without a reference
     outages: OutageRuns,
     user_outages: Mapping[str, OutageRuns],  # by filter of the user's, with the baseline's runs
     noise: ReferenceNoise,
-    sensor_sd: Mapping[str, Floats],  # (s,), noise of one reading of each sensor that may be held out
+    sensor_sd: Mapping[
+        str, Floats
+    ],  # (s,), noise of one reading of each sensor that may be held out
     jumps: list[JumpRow],  # from `drift.jump_table`
     *,
-    turned: tuple[History, ...] = (),  # of those that depend on the heading at the start, from a drawn one
+    turned: tuple[
+        History, ...
+    ] = (),  # of those that depend on the heading at the start, from a drawn one
     start_ns: int,
     bridged_gaps: bool,  # the filters went through long gaps of the IMU
     independent: bool,  # the reference shares no sensors with the filters
@@ -104,7 +112,9 @@ def tables_of_filters(
         for history in histories:
             errors[history.filter] = reference_errors(history, reference, baseline)
             in_states[history.filter] = state_errors(history, reference, dive.truth).after(start_ns)
-        drift = drift_table(log, errors, reference, start_ns, lost_m=lost_m, bridged_gaps=bridged_gaps)
+        drift = drift_table(
+            log, errors, reference, start_ns, lost_m=lost_m, bridged_gaps=bridged_gaps
+        )
         fits = [] if bridged_gaps else track_fit_table(log, errors, reference)
     convergence = {found.filter: measured_convergences(drawn[0], found) for found in drawn[1:]}
     reference_error = reference_error_table(log, histories, errors, bridged_gaps=bridged_gaps)
@@ -113,11 +123,17 @@ def tables_of_filters(
     held_out = {history.filter: held_out_errors(history, sensor_sd) for history in histories}
     held_out_tracks = {history.filter: held_out_track(history, sensor_sd) for history in histories}
     settled_s = settling_times(baseline, errors[baseline.filter].time_ns) if errors else {}
-    in_time = accuracy_series(histories, errors, reference, noise, settled_s, bridged_gaps=bridged_gaps)
+    in_time = accuracy_series(
+        histories, errors, reference, noise, settled_s, bridged_gaps=bridged_gaps
+    )
     tracks = track_series(histories, errors, noise, bridged_gaps=bridged_gaps)
     is_compared = any("position" in found for found in tracks.values())
-    track_pairs = pairs_of(baseline, candidates, {name: held_out_tracks[name] | tracks[name] for name in names})
-    for name, pair in turned_pairs(turned, reference, noise, sensor_sd, bridged_gaps=bridged_gaps).items():
+    track_pairs = pairs_of(
+        baseline, candidates, {name: held_out_tracks[name] | tracks[name] for name in names}
+    )
+    for name, pair in turned_pairs(
+        turned, reference, noise, sensor_sd, bridged_gaps=bridged_gaps
+    ).items():
         before, after = track_pairs[name]
         track_pairs[name] = {**before, **pair[0]}, {**after, **pair[1]}
     measured = Measured(
@@ -125,13 +141,19 @@ def tables_of_filters(
         outage=_outage_pairs(names, outages, user_outages),
         held_out=pairs_of(baseline, candidates, held_out),
         track=track_pairs,
-        ends={history.filter: _ends(history, reference_error) for history in candidates if not history.is_turned},
+        ends={
+            history.filter: _ends(history, reference_error)
+            for history in candidates
+            if not history.is_turned
+        },
         convergence=convergence,
         prediction=predictions(histories, outages, user_outages, settled_s),
         crps={
             history.filter: (position_crps(baseline, errors), position_crps(history, errors))
             for history in candidates
-            if history.estimates_position and baseline.estimates_position and history.filter in errors
+            if history.estimates_position
+            and baseline.estimates_position
+            and history.filter in errors
         },
         drawn=max((len(found.error) for found in drawn), default=0),
         partial=[history.filter for history in candidates if history.is_partial],
@@ -140,11 +162,15 @@ def tables_of_filters(
         independent=independent or not is_compared,
     )
     user_outage_rows = [
-        row for name, runs in user_outages.items() for row in outage_test_table(log, runs) if row.filter == name
+        row
+        for name, runs in user_outages.items()
+        for row in outage_test_table(log, runs)
+        if row.filter == name
     ]
     return errors, Tables(
         improvement=improvement_table(log, histories),
-        convergence=convergence_table(log, spread, convergence) + convergence_table(log, others, convergence),
+        convergence=convergence_table(log, spread, convergence)
+        + convergence_table(log, others, convergence),
         reference_error=reference_error,
         consistency=consistency,
         credibility=credibility,
@@ -175,10 +201,14 @@ def accuracy_series(
         own = errors[history.filter]
         covered = covered_errors(own, start_ns, end_ns) if history is baseline else own
         with np.errstate(over="ignore", invalid="ignore"):
-            series = accuracy_errors(covered, reference, noise, settled_s, start_ns=start_ns, bridged_gaps=bridged_gaps)
+            series = accuracy_errors(
+                covered, reference, noise, settled_s, start_ns=start_ns, bridged_gaps=bridged_gaps
+            )
         # A solution that was turned to the baseline's heading says nothing of it.
         found[history.filter] = {
-            name: one for name, one in series.items() if name in HEADING_FREE or not history.is_turned
+            name: one
+            for name, one in series.items()
+            if name in HEADING_FREE or not history.is_turned
         }
     return found
 
@@ -200,8 +230,13 @@ def track_series(
         return found
     time_ns = errors[baseline.filter].time_ns
     for quantity, axes in (("position", [0, 1]), ("depth", [2])):
-        known = np.asarray(np.isfinite(errors[baseline.filter].position_error_ned_m[:, axes]).all(axis=1))
-        if covered_share(time_ns, known, int(baseline.time_ns[0]), int(baseline.time_ns[-1])) < WELL_COVERED:
+        known = np.asarray(
+            np.isfinite(errors[baseline.filter].position_error_ned_m[:, axes]).all(axis=1)
+        )
+        if (
+            covered_share(time_ns, known, int(baseline.time_ns[0]), int(baseline.time_ns[-1]))
+            < WELL_COVERED
+        ):
             continue
         for history in histories:
             if not history.is_turned:
@@ -272,7 +307,9 @@ def pairs_of(
     baseline: History, candidates: Iterable[History], series: Mapping[str, Series]
 ) -> dict[str, tuple[Series, Series]]:
     """Pair the errors of the baseline and of each candidate, by candidate."""
-    return {history.filter: (series[baseline.filter], series[history.filter]) for history in candidates}
+    return {
+        history.filter: (series[baseline.filter], series[history.filter]) for history in candidates
+    }
 
 
 def _outage_pairs(
@@ -285,7 +322,10 @@ def _outage_pairs(
         drifts = window_drifts(user_outages.get(name, outages))
         if name in drifts:
             before, after = (
-                {f"outage_{window}": ErrorSeries("m", drift_m) for window, drift_m in drifts[one].items()}
+                {
+                    f"outage_{window}": ErrorSeries("m", drift_m)
+                    for window, drift_m in drifts[one].items()
+                }
                 for one in (baseline, name)
             )
             pairs[name] = before, after
@@ -294,7 +334,11 @@ def _outage_pairs(
 
 def _ends(candidate: History, rows: Sequence[ReferenceErrorRow]) -> dict[str, tuple[float, float]]:
     """Return the errors of both tracks at the end and in percent of the distance, where the reference covers it."""
-    compared = [row for row in rows if row.filter == candidate.filter and row.status == ReferenceStatus.COMPARED]
+    compared = [
+        row
+        for row in rows
+        if row.filter == candidate.filter and row.status == ReferenceStatus.COMPARED
+    ]
     known = {row.quantity: row for row in compared}
     found = {}
     for quantity, (_, name, column) in TRACK.items():
@@ -304,7 +348,9 @@ def _ends(candidate: History, rows: Sequence[ReferenceErrorRow]) -> dict[str, tu
     return found
 
 
-def with_solutions(drawn: Sequence[DrawnErrors], histories: Iterable[History], dive: Dive) -> tuple[DrawnErrors, ...]:
+def with_solutions(
+    drawn: Sequence[DrawnErrors], histories: Iterable[History], dive: Dive
+) -> tuple[DrawnErrors, ...]:
     """Add the errors of histories that were not run from random starts, at the times of those that were."""
     if dive.reference is None:
         return ()
@@ -332,7 +378,9 @@ class Curves:
     """The curves of the evidence on one dive."""
 
     outage: Mapping[str, OutageCurve]  # by filter; empty where the dive is too short
-    convergence: Mapping[str, ConvergenceCurves]  # by quantity; empty without a reference or random starts
+    convergence: Mapping[
+        str, ConvergenceCurves
+    ]  # by quantity; empty without a reference or random starts
     position: Mapping[str, PositionCurve]  # by filter; empty without positions of a reference
 
 
@@ -341,7 +389,9 @@ def curves_of(drawn: Sequence[DrawnErrors], outages: OutageRuns) -> Curves:
     position = {}
     for errors in drawn:
         with np.errstate(over="ignore", invalid="ignore"):
-            error_m = np.hypot(errors.position_error_ned_m[..., 0], errors.position_error_ned_m[..., 1])
+            error_m = np.hypot(
+                errors.position_error_ned_m[..., 0], errors.position_error_ned_m[..., 1]
+            )
         if np.isfinite(error_m).all(axis=0).any():
             shown = error_m[1:] if len(error_m) > 1 else error_m
             ends = np.median(shown, axis=0), shown.min(axis=0), shown.max(axis=0)

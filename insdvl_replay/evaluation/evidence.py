@@ -68,7 +68,10 @@ MOST_LEFT_OUT: Final = 0.5  # share of a dive, at most, that is left out until t
 # Squared errors of the baseline beyond the noise of the reference count for at least this share of all.
 LEAST_OWN_SHARE: Final = 0.1
 FEWEST_WINDOWS: Final = 2  # of an outage row that may decide
-ALONG: Final = {"depth": [2], "position": [0, 1]}  # Sensors that measure the position, with their axes of n.
+ALONG: Final = {
+    "depth": [2],
+    "position": [0, 1],
+}  # Sensors that measure the position, with their axes of n.
 
 
 # --- Errors against the reference, and against held-out sensors.
@@ -99,7 +102,9 @@ def accuracy_errors(
     errors: ReferenceErrors,
     reference: ReferenceColumns,
     noise: ReferenceNoise,
-    settled_s: Mapping[str, float],  # by quantity, time after the start up to which the baseline settles
+    settled_s: Mapping[
+        str, float
+    ],  # by quantity, time after the start up to which the baseline settles
     *,
     start_ns: int,
     bridged_gaps: bool,  # there were long IMU gaps, in which the position is lost
@@ -113,7 +118,9 @@ def accuracy_errors(
         segments_of.append(distance_segments(time_ns, travelled_m))
         for name, segments in zip(DRIFTS, segments_of, strict=True):
             change_m = segment_change(errors, segments)[:, :2]
-            found[name] = ErrorSeries("m", change_m, 2.0 * noise.position_m)  # of both ends, two axes
+            found[name] = ErrorSeries(
+                "m", change_m, 2.0 * noise.position_m
+            )  # of both ends, two axes
         down_m = segment_change(errors, segments_of[1])[:, 2:]
         found["depth_60s"] = ErrorSeries("m", down_m, math.sqrt(2.0) * noise.position_m)
     course = course_errors(errors, reference)
@@ -199,10 +206,15 @@ def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[st
                 apart_m = apart_m - corrected_m[:, along]
             first, counts, apart_m = _averaged(innovations, apart_m)
             since_ns = innovations.time_ns - innovations.time_ns[first].repeat(counts)
-            mean_ns = innovations.time_ns[first] + np.asarray(np.add.reduceat(since_ns, first), np.int64) // counts
+            mean_ns = (
+                innovations.time_ns[first]
+                + np.asarray(np.add.reduceat(since_ns, first), np.int64) // counts
+            )
             segments = time_segments(mean_ns)
             change_m = apart_m[segments.last] - apart_m[segments.first]
-            noise_m = math.sqrt(2.0 * len(along) / float(np.median(counts))) * float(noise_sd[sensor][0])
+            noise_m = math.sqrt(2.0 * len(along) / float(np.median(counts))) * float(
+                noise_sd[sensor][0]
+            )
             found[innovations.measurement] = ErrorSeries("m", change_m, noise_m)
     return {quantity: errors for quantity, errors in found.items() if len(errors.errors) > 1}
 
@@ -221,7 +233,9 @@ def held_out_track(history: History, noise_sd: Mapping[str, Floats]) -> dict[str
     """Return the difference of a filter's track from held-out fixes and depths, by quantity of `quantities.TRACK`."""
     found = {}
     start_ns, end_ns = int(history.time_ns[0]), int(history.time_ns[-1])
-    for innovations in (met for met in history.innovations if met.is_held_out and len(met.time_ns) > 1):
+    for innovations in (
+        met for met in history.innovations if met.is_held_out and len(met.time_ns) > 1
+    ):
         sensor = innovations.measurement.removeprefix(HELD_OUT)
         known = np.asarray(np.isfinite(innovations.innovation).all(axis=1))
         is_covered = covered_share(innovations.time_ns, known, start_ns, end_ns) >= WELL_COVERED
@@ -252,7 +266,9 @@ def compared(before: ErrorSeries, after: ErrorSeries) -> Compared:
     errors, new_errors = before.errors[known], after.errors[known]
     # The errors of a filter that diverged may overflow.
     with np.errstate(over="ignore", invalid="ignore"):
-        baseline, value, moves = (_rms(columns) for columns in (errors, new_errors, new_errors - errors))
+        baseline, value, moves = (
+            _rms(columns) for columns in (errors, new_errors, new_errors - errors)
+        )
     square, noise_square = baseline**2, before.noise**2
     share = min(noise_square / square, 1.0) if square > 0.0 else math.nan
     own = math.sqrt(max(square - noise_square, LEAST_OWN_SHARE * square))
@@ -274,20 +290,36 @@ def _rms(errors: Floats) -> float:
 class Measured:
     """All measured errors of the filters of a dive, as pairs of the baseline and of each candidate."""
 
-    accuracy: Mapping[str, Pair] = field(default_factory=dict)  # by candidate, against the reference
-    outage: Mapping[str, Pair] = field(default_factory=dict)  # by candidate and window: horizontal drifts
-    held_out: Mapping[str, Pair] = field(default_factory=dict)  # by candidate, against held-out sensors
-    track: Mapping[str, Pair] = field(default_factory=dict)  # by candidate: errors of position and depth
+    accuracy: Mapping[str, Pair] = field(
+        default_factory=dict
+    )  # by candidate, against the reference
+    outage: Mapping[str, Pair] = field(
+        default_factory=dict
+    )  # by candidate and window: horizontal drifts
+    held_out: Mapping[str, Pair] = field(
+        default_factory=dict
+    )  # by candidate, against held-out sensors
+    track: Mapping[str, Pair] = field(
+        default_factory=dict
+    )  # by candidate: errors of position and depth
     # by candidate and quantity: rows of the track that are not a root mean square of these errors
     ends: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
-    convergence: Mapping[str, Mapping[str, MeasuredConvergence]] = field(default_factory=dict)  # by candidate, quantity
+    convergence: Mapping[str, Mapping[str, MeasuredConvergence]] = field(
+        default_factory=dict
+    )  # by candidate, quantity
     prediction: Mapping[str, Score] = field(default_factory=dict)  # by candidate
-    crps: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # by candidate: of the position, m
+    crps: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict
+    )  # by candidate: of the position, m
     drawn: int = 0  # starts behind the convergence
-    partial: Collection[str] = ()  # candidates that are compared only in the quantities that they have
+    partial: Collection[
+        str
+    ] = ()  # candidates that are compared only in the quantities that they have
     # Differences of velocities below it are those of a late reference, m/s; None where its delay is not known.
     late_mps: float | None = 0.0
-    independent: bool = True  # whether the reference, or the held-out fixes, share no sensors with the filters
+    independent: bool = (
+        True  # whether the reference, or the held-out fixes, share no sensors with the filters
+    )
 
 
 def evidence_table(
@@ -370,7 +402,9 @@ def _role(quantity: str, samples: int, *, may_decide: bool = True) -> Role:
     return Role.SHOWN
 
 
-def _track_rows(new: Callable[..., EvidenceRow], measured: Measured, candidate: str) -> Iterator[EvidenceRow]:
+def _track_rows(
+    new: Callable[..., EvidenceRow], measured: Measured, candidate: str
+) -> Iterator[EvidenceRow]:
     """Compare the tracks of the whole dive. Position decides if what it is compared with is independent."""
     pair = measured.track.get(candidate, ({}, {}))
     rows = {row.quantity: row for row in _rows_of_pair(new, "track", pair)}
@@ -396,7 +430,9 @@ def _track_rows(new: Callable[..., EvidenceRow], measured: Measured, candidate: 
         yield rows[DRAWN_HEADING]
 
 
-def _prediction_rows(new: Callable[..., EvidenceRow], measured: Measured, candidate: str) -> Iterator[EvidenceRow]:
+def _prediction_rows(
+    new: Callable[..., EvidenceRow], measured: Measured, candidate: str
+) -> Iterator[EvidenceRow]:
     if (score := measured.prediction.get(candidate)) is not None:
         yield new(
             evidence=PREDICTION,
@@ -477,11 +513,18 @@ def _consistency_rows(
     sizes_of = _consistency_sizes(baseline, consistency, credibility, candidate, is_partial)
     for quantity, sizes in sizes_of.items():
         before, after = (
-            max((found for found in sizes if found.filter == name), key=lambda found: found.order, default=None)
+            max(
+                (found for found in sizes if found.filter == name),
+                key=lambda found: found.order,
+                default=None,
+            )
             for name in (baseline, candidate)
         )
         if before and after and math.isfinite(before.size) and math.isfinite(after.size):
-            off, new_off = (abs(math.log(found.size)) if found.size > 0.0 else math.inf for found in (before, after))
+            off, new_off = (
+                abs(math.log(found.size)) if found.size > 0.0 else math.inf
+                for found in (before, after)
+            )
             yield new(
                 evidence=CONSISTENCY,
                 quantity=quantity,
@@ -510,7 +553,10 @@ def _consistency_sizes(
         "nis": [
             _Size.of_mean(row, row.mean_nis)
             for row in consistency
-            if is_used(row.measurement) and (row.measurement in shared or row.verdict == Consistency.OVERCONFIDENT)
+            if is_used(row.measurement)
+            and (row.measurement in shared or row.verdict == Consistency.OVERCONFIDENT)
         ],
-        "nees": [_Size.of_mean(row, row.mean_nees) for row in credibility if row.quantity in groups],
+        "nees": [
+            _Size.of_mean(row, row.mean_nees) for row in credibility if row.quantity in groups
+        ],
     }

@@ -76,7 +76,9 @@ def log_ratio_interval(
     half_always = error * quantile_always(round(freedom) + 1)
     ends = (mean - half, mean + half, mean - half_always, mean + half_always)
     low, high, low_always, high_always = map(_exp, ends)
-    return Interval(ratio, low, high, low_always, high_always, n, len(groups), scatter, _p(mean, error, freedom))
+    return Interval(
+        ratio, low, high, low_always, high_always, n, len(groups), scatter, _p(mean, error, freedom)
+    )
 
 
 def _mean_and_error(groups: Sequence[Floats]) -> tuple[float, float, float, float]:

@@ -47,14 +47,14 @@ CERTAIN_SDS: Final = 5.0
 LEAST, MOST = 0.2, 5.0  # Mean NIS/dof outside which the noise settings are far off.
 NOISE_FAR_OFF: Final = "noise_far_off"
 _CALIBRATE: Final = (
-    "`insdvl-replay calibrate` with the same settings estimates arm, mounting, delay and scale of the DVL"
+    "`insdvl-replay calibrate` with the same settings estimates arm, "
+    "mounting, delay and scale of the DVL"
 )
 _CONTROL: Final = "`insdvl-replay run --control` adds a baseline whose noise is fitted to the dive"
 # An IMU that smooths its readings has up to this factor less noise from sample to sample than over a second.
 FILTERED: Final = 10.0
-RESTLESS: Final = (
-    2.0  # Vibration that comes and goes makes the scatter this many times larger than in the median block.
-)
+# Vibration that comes and goes makes the scatter this many times larger than in the median block.
+RESTLESS: Final = 2.0
 BLOCK: Final = 50  # Samples of a block; turns and outliers affect few blocks.
 
 
@@ -66,18 +66,26 @@ def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     a sensor that contradicts them.
     """
     warnings = (warning for history in histories for warning in _update_warnings(history))
-    return tuple(Note(code, text, count, Severity.WARNING, hint) for code, text, count, hint in warnings)
+    return tuple(
+        Note(code, text, count, Severity.WARNING, hint) for code, text, count, hint in warnings
+    )
 
 
 def _update_warnings(history: History) -> Iterator[tuple[str, str, int, str]]:
     """Yield code, text, count and hint of each."""
     name, settings = history.filter, f"filters.{history.filter}"
-    gate_hint = f"check lever arm and mounting, raise [noise], or --set {settings}.gate_probability=1.0"
+    gate_hint = (
+        f"check lever arm and mounting, raise [noise], or --set {settings}.gate_probability=1.0"
+    )
     for met in history.innovations:
         kind, total = met.measurement, len(met.used)
         lost, many = ~np.isfinite(met.nis), int(rejected(met).sum())
         if total == 0:
-            hint = f"{settings}.acceleration.max_window_gap_s or window" if kind == "acceleration" else ""
+            hint = (
+                f"{settings}.acceleration.max_window_gap_s or window"
+                if kind == "acceleration"
+                else ""
+            )
             yield "aiding_without_updates", f"filter {name} received no {kind}", 0, hint
         if total == 0 or met.is_held_out:
             continue
@@ -86,14 +94,24 @@ def _update_warnings(history: History) -> Iterator[tuple[str, str, int, str]]:
             are_lost = f"{count} of {total} {kind} innovations are not finite, from number {np.argmax(lost) + 1} on"
             if not is_reserved(kind) and np.isfinite(history.velocity_n[-1]).all():
                 text = f"filter {name} skipped some updates: {are_lost}"
-                yield "innovations_not_finite", text, count, "check the arithmetic of `predict` of this measurement"
+                yield (
+                    "innovations_not_finite",
+                    text,
+                    count,
+                    "check the arithmetic of `predict` of this measurement",
+                )
             else:
                 sizes = "check the units and sizes of [noise], [initial] and the aiding"
                 hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
                 yield "filter_not_finite", f"filter {name} diverged: {are_lost}", count, hint
             continue
         if many > MANY_REJECTED * total:
-            yield "gate_rejects_many", f"filter {name} rejected {many} of {total} {kind} innovations", many, gate_hint
+            yield (
+                "gate_rejects_many",
+                f"filter {name} rejected {many} of {total} {kind} innovations",
+                many,
+                gate_hint,
+            )
         # A sensor other than the DVL that contradicts all others. The median is used, since outliers are few and the
         # gate rejects them.
         size = float(np.median(met.nis)) / chi_square_quantile(0.5, met.dof)
@@ -106,7 +124,9 @@ def _update_warnings(history: History) -> Iterator[tuple[str, str, int, str]]:
             hint += f'; evaluation.held_out = ["{kind}"] only compares it'
             yield f"{kind}_disagrees", text, total, hint
         # With a slow heading error the innovations are small, since the filter follows the error.
-        may_be_slow = kind == "heading" and all(state.id != "heading_bias" for state in history.states)
+        may_be_slow = kind == "heading" and all(
+            state.id != "heading_bias" for state in history.states
+        )
         value, limit = autocorrelation(met.standardised, met.used) if may_be_slow else (0.0, 0.0)
         if value >= SLOW and repeats(value, limit):
             text = (
@@ -146,7 +166,13 @@ def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
             if innovations.noise_factor != 1.0
         ]
         if found:
-            notes.append(Note("constants_estimated", f"{history.filter} estimates: {'; '.join(found)}", len(found)))
+            notes.append(
+                Note(
+                    "constants_estimated",
+                    f"{history.filter} estimates: {'; '.join(found)}",
+                    len(found),
+                )
+            )
     return tuple(notes)
 
 
@@ -156,11 +182,17 @@ def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
 def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
     """Return hints on DVL geometry and noise, by the baseline's innovations and track."""
     name, notes = baseline.filter, []
-    nis = {row.measurement: finite(row.mean_nis) / row.dof for row in tables.consistency if row.filter == name}
+    nis = {
+        row.measurement: finite(row.mean_nis) / row.dof
+        for row in tables.consistency
+        if row.filter == name
+    }
 
     sizes = {axis: nis[part] for axis in AXES if (part := axis_of("velocity", axis)) in nis}
     high = max(sizes, key=sizes.__getitem__, default="")
-    compared = {axis: size for axis, size in sizes.items() if axis != AXES[-1] or sizes[high] > TOO_LARGE}
+    compared = {
+        axis: size for axis, size in sizes.items() if axis != AXES[-1] or sizes[high] > TOO_LARGE
+    }
     low = min(compared, key=compared.__getitem__, default="")
     if low and sizes[low] > 0.0 and sizes[high] > APART * sizes[low]:
         listed = ", ".join(f"{axis} {size:.2g}" for axis, size in sizes.items())
@@ -177,7 +209,9 @@ def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
         size, (least, known_sd) = abs(finite(row.fitted)), telling[row.quantity]
         sd = math.hypot(finite(row.fitted_sd), known_sd)
         if row.filter == name and size > least and size > CERTAIN_SDS * sd:
-            off.append(f"a {row.quantity} of {finite(row.fitted):+.2f} {row.unit} (sd {sd:.2g} {row.unit})")
+            off.append(
+                f"a {row.quantity} of {finite(row.fitted):+.2f} {row.unit} (sd {sd:.2g} {row.unit})"
+            )
             is_far |= size > FAR_OFF[row.quantity]
     if off:
         text = (
@@ -201,11 +235,20 @@ def is_noise_far_off(tables: Tables, baseline: str) -> bool:
 
     Small but correlated innovations do not show it: they are a lasting error, which less noise would make worse.
     """
-    row = next((row for row in tables.consistency if (row.filter, row.measurement) == (baseline, "velocity")), None)
+    row = next(
+        (
+            row
+            for row in tables.consistency
+            if (row.filter, row.measurement) == (baseline, "velocity")
+        ),
+        None,
+    )
     if row is None or row.mean_nis is None:
         return False
     size = row.mean_nis / row.dof
-    return size > MOST or (size < LEAST and not repeats(finite(row.autocorrelation), finite(row.autocorrelation_limit)))
+    return size > MOST or (
+        size < LEAST and not repeats(finite(row.autocorrelation), finite(row.autocorrelation_limit))
+    )
 
 
 # --- Whether a sensor can have a given white noise. A filter that fits its noise also fits the effects of a wrong lever
@@ -216,7 +259,9 @@ class SensorClasses(NamedTuple):
     """The classes of one kind of sensor."""
 
     name: str
-    worst: Mapping[str, float]  # the worst white noise of each class, SI units, best class first; as of the presets
+    worst: Mapping[
+        str, float
+    ]  # the worst white noise of each class, SI units, best class first; as of the presets
     least: float  # below the noise of the best sensors
 
 
@@ -224,9 +269,13 @@ class SensorClasses(NamedTuple):
 CLASSES: Final[Mapping[str, SensorClasses]] = MappingProxyType(
     {
         # Servo accelerometers have 1 to 10 ug/sqrt(Hz), good micromechanical ones 100; cheap ones reach 1000.
-        "accel_white_mps_rts": SensorClasses("accelerometers", {"fog": 5e-4, "tactical": 1.8e-3, "mems": 1e-2}, 1e-5),
+        "accel_white_mps_rts": SensorClasses(
+            "accelerometers", {"fog": 5e-4, "tactical": 1.8e-3, "mems": 1e-2}, 1e-5
+        ),
         # Navigators have 0.003 deg/sqrt(h) or less, tactical gyros 0.15; the cheapest reach 0.05 deg/s/sqrt(Hz).
-        "gyro_white_rad_rts": SensorClasses("gyros", {"fog": 1e-5, "tactical": 6e-5, "mems": 1e-3}, 1e-8),
+        "gyro_white_rad_rts": SensorClasses(
+            "gyros", {"fog": 1e-5, "tactical": 6e-5, "mems": 1e-3}, 1e-8
+        ),
         # From 3 mm/s of a ping at 1 MHz to 3 cm/s at 150 kHz, which reaches furthest.
         "velocity_sd_mps": SensorClasses("DVLs", {"DVL": 0.1}, 3e-4),
         "beam_sd_mps": SensorClasses("DVLs", {"DVL": 0.1}, 3e-4),
@@ -241,7 +290,9 @@ def readings_scatter(readings: Floats, step_s: float) -> float:
     least the sensor's noise, unless the sensor smooths. Returns the largest axis, each the median over blocks; NaN for
     fewer than three readings.
     """
-    bends = np.diff(readings, n=2, axis=0) / np.sqrt(6.0)  # of white noise: 1, -2 and 1 times it, squared and added
+    bends = np.diff(readings, n=2, axis=0) / np.sqrt(
+        6.0
+    )  # of white noise: 1, -2 and 1 times it, squared and added
     if not len(bends):
         return np.nan
     length = min(BLOCK, len(bends))
@@ -275,7 +326,13 @@ def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
 
 
 def reference_notes(
-    dive: Dive, start_ns: int, end_ns: int, history: History, evaluated_ns: TimeNs, *, independent: bool
+    dive: Dive,
+    start_ns: int,
+    end_ns: int,
+    history: History,
+    evaluated_ns: TimeNs,
+    *,
+    independent: bool,
 ) -> tuple[Note, ...]:
     """Note the limits of the reference: errors that it shares, and parts of the dive that it does not cover."""
     reference, truth = dive.reference, dive.truth
@@ -289,7 +346,10 @@ def reference_notes(
     covering = [("reference", reference.time_ns, known)]
     if truth is not None:
         biases = {"accelerometer biases": truth.accel_bias_b, "gyro biases": truth.gyro_bias_b}
-        in_truth = {quantity: np.asarray(np.isfinite(values).all(axis=1)) for quantity, values in biases.items()}
+        in_truth = {
+            quantity: np.asarray(np.isfinite(values).all(axis=1))
+            for quantity, values in biases.items()
+        }
         covering.append(("truth", truth.time_ns, in_truth))
     for source, time_ns, found in covering:
         # One note for each percentage, with all quantities of this coverage.
@@ -302,7 +362,8 @@ def reference_notes(
         for percent, quantities in by_share.items():
             joined = " and ".join(filter(None, [", ".join(quantities[:-1]), quantities[-1]]))
             text = (
-                f"{joined} of the {source} cover {percent} % of the replay; errors against them are from this part only"
+                f"{joined} of the {source} cover {percent} % of the replay; errors "
+                f"against them are from this part only"
             )
             count = min(int(np.sum(found[quantity] & inside)) for quantity in quantities)
             hint = "choose this part with --start and --end"
@@ -328,19 +389,28 @@ def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, 
     # Turn and change of velocity since the last sample before each recorded time.
     rows = np.arange(sampled[0] + 1, sampled[-1] + 1)
     last = sampled[np.searchsorted(sampled, rows, side="left") - 1]
-    trace = np.einsum("kij,kij->k", history.mat_nb[rows], history.mat_nb[last])  # of a rotation: 1 + 2 cos(angle)
+    trace = np.einsum(
+        "kij,kij->k", history.mat_nb[rows], history.mat_nb[last]
+    )  # of a rotation: 1 + 2 cos(angle)
     turn = np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
     change_mps = np.linalg.norm(history.velocity_n[rows] - history.velocity_n[last], axis=1)
     since, turning = history.time_ns[last], turn > SMALL_TURN
     if not turning.any():
         return ()
     worst = int(np.argmax(turn))
-    apart_s = float(seconds(reference_ns[np.searchsorted(reference_ns, since[worst], side="right")], since[worst]))
+    apart_s = float(
+        seconds(
+            reference_ns[np.searchsorted(reference_ns, since[worst], side="right")], since[worst]
+        )
+    )
     text = (
         f"the reference is slow: between two samples, {apart_s:.2g} s apart, the vehicle turns by up to "
         f"{turn[worst] / DEG:.0f} deg and changes its velocity by up to {change_mps.max():.2f} m/s. Errors in "
         "between cannot be seen"
     )
     hint = f"a reference of {turn[worst] / SMALL_TURN / apart_s:.2g} Hz would be fast enough"
-    count, severity = len(np.unique(since[turning])), Severity.WARNING if turn[worst] > LARGE_TURN else Severity.INFO
+    count, severity = (
+        len(np.unique(since[turning])),
+        Severity.WARNING if turn[worst] > LARGE_TURN else Severity.INFO,
+    )
     return (Note("reference_slow", text, count, severity, hint),)

@@ -25,7 +25,9 @@ BURN_IN_S: Final = 100  # No windows while the filters still converge.
 SHORTEST_S: Final = BURN_IN_S + 2 * int(OUTAGE_WINDOWS_S[0])  # of a dive that has the test
 SHOWN_S: Final = 60
 SHOWN_EVERY_S: Final = 30  # Windows for a picture of the drift over time may overlap.
-OUTAGE: Final = 2.5  # A gap of this many usual intervals is an outage; a single missing ping is not.
+OUTAGE: Final = (
+    2.5  # A gap of this many usual intervals is an outage; a single missing ping is not.
+)
 # With fewer pings in a window, the trapezoidal rule makes the drift over 1 % too large.
 FEWEST_PINGS: Final = 6
 NAN: Final = float("nan")
@@ -56,14 +58,19 @@ class OutagePlan:
     """All windows of a dive."""
 
     ping_ns: TimeNs  # (m,), times of the pings with a velocity
-    by_length: tuple[Windows, ...]  # lengths that fit the dive; windows of one length do not overlap
+    by_length: tuple[
+        Windows, ...
+    ]  # lengths that fit the dive; windows of one length do not overlap
     shown: Windows  # overlapping, for the drift over time
 
     @cached_property
     def runs(self) -> tuple[Rows, Rows]:
         """First and last ping of each run, shape (r,): from each first ping the longest window that begins there."""
         every = (*self.by_length, self.shown)
-        first, last = np.concatenate([w.first for w in every]), np.concatenate([w.last for w in every])
+        first, last = (
+            np.concatenate([w.first for w in every]),
+            np.concatenate([w.last for w in every]),
+        )
         order = np.lexsort((-last, first))
         longest = order[is_new(first[order])]
         return first[longest], last[longest]
@@ -89,9 +96,14 @@ def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> 
     def windows(window_s: int, every_s: int) -> Windows:
         # None if the dive is too short, or the pings are too rare.
         window_ns, last_ns = window_s * NS_PER_S, end_ns
-        if end_ns - start_ns < (BURN_IN_S + 2 * window_s) * NS_PER_S or window_ns < FEWEST_PINGS * usual_ns:
+        if (
+            end_ns - start_ns < (BURN_IN_S + 2 * window_s) * NS_PER_S
+            or window_ns < FEWEST_PINGS * usual_ns
+        ):
             return Windows(window_s, np.empty(0, np.int64), np.empty(0, np.int64), 0)
-        if end_ns - ping_ns[-1] <= OUTAGE * usual_ns:  # else the DVL has a gap, and the rest is left out
+        if (
+            end_ns - ping_ns[-1] <= OUTAGE * usual_ns
+        ):  # else the DVL has a gap, and the rest is left out
             last_ns = min(end_ns, int(ping_ns[-1] + 0.5 * usual_ns))
         latest_s = (last_ns - start_ns) // NS_PER_S - window_s
         begun_ns = start_ns + np.arange(BURN_IN_S, latest_s + 1, every_s) * NS_PER_S
@@ -100,7 +112,9 @@ def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> 
         ended_ns = ping_ns[first] + window_ns
         last = np.searchsorted(middle_ns, ended_ns)
         away_ns = np.maximum(abs(ping_ns[first] - begun_ns), abs(ping_ns[last] - ended_ns))
-        silent = (away_ns > 0.5 * OUTAGE * usual_ns) | (outages_before[first] < outages_before[last])
+        silent = (away_ns > 0.5 * OUTAGE * usual_ns) | (
+            outages_before[first] < outages_before[last]
+        )
         whole = ~silent & ~in_gap(ping_ns[first], ping_ns[last]) if len(first) else silent
         return Windows(window_s, first[whole], last[whole], int(np.sum(~whole)))
 
@@ -117,7 +131,9 @@ class OutageRun:
     """One filter in one run: at the last used ping, and at the held-out pings."""
 
     time_s: Floats  # (k,), from the last used ping on
-    velocity_error_n: Floats  # (k, 3), m/s, predicted minus measured at the DVL; zero at the last used ping
+    velocity_error_n: (
+        Floats  # (k, 3), m/s, predicted minus measured at the DVL; zero at the last used ping
+    )
     drift_n: Floats  # (k, 3), m, its integral
     nis: Floats  # (k,), of each held-out ping; NaN at the last used one
     minus_log_score: Floats  # (k,), nat, of each held-out ping; NaN at the last used one
@@ -129,7 +145,9 @@ class OutageRuns:
 
     plan: OutagePlan
     distance_m: Floats  # (m,), travelled up to each ping of the plan, by the DVL's velocities
-    runs: Mapping[str, tuple[OutageRun, ...]]  # by filter, the baseline first; one for each of the plan's runs
+    runs: Mapping[
+        str, tuple[OutageRun, ...]
+    ]  # by filter, the baseline first; one for each of the plan's runs
 
 
 def outage_run(history: History) -> OutageRun:
@@ -143,12 +161,17 @@ def outage_run(history: History) -> OutageRun:
         nis[1:] = innovations.nis
         constant = innovations.dof * math.log(2.0 * math.pi)
         minus_log_score[1:] = 0.5 * (innovations.nis + innovations.log_det + constant)
-        return OutageRun(time_s, velocity_error_n, _integral(time_s, velocity_error_n), nis, minus_log_score)
+        return OutageRun(
+            time_s, velocity_error_n, _integral(time_s, velocity_error_n), nis, minus_log_score
+        )
 
 
 def drift_run(time_ns: TimeNs, velocity_error_n: Floats) -> OutageRun:
     """Integrate errors of the velocity from the last used ping on, whose row is the first and counts as zero."""
-    time_s, error_n = seconds(time_ns, time_ns[0]), np.concatenate([np.zeros((1, 3)), velocity_error_n[1:]])
+    time_s, error_n = (
+        seconds(time_ns, time_ns[0]),
+        np.concatenate([np.zeros((1, 3)), velocity_error_n[1:]]),
+    )
     unknown = np.full(len(time_s), np.nan)
     return OutageRun(time_s, error_n, _integral(time_s, error_n), unknown, unknown)
 
@@ -177,9 +200,16 @@ class WindowEnds(NamedTuple):
 def window_ends(outages: OutageRuns, name: str, windows: Windows) -> WindowEnds:
     """Return the ends of a filter's windows; those of two filters are pairs."""
     rows = np.searchsorted(outages.plan.runs[0], windows.first)
-    ends = [(outages.runs[name][row], step) for row, step in zip(rows, windows.last - windows.first, strict=True)]
-    columns = [(*run.drift_n[step], *run.velocity_error_n[step], run.nis[step]) for run, step in ends]
-    north_m, east_m, down_m, north_mps, east_mps, _, nis = np.array(columns, np.float64).reshape(-1, 7).T
+    ends = [
+        (outages.runs[name][row], step)
+        for row, step in zip(rows, windows.last - windows.first, strict=True)
+    ]
+    columns = [
+        (*run.drift_n[step], *run.velocity_error_n[step], run.nis[step]) for run, step in ends
+    ]
+    north_m, east_m, down_m, north_mps, east_mps, _, nis = (
+        np.array(columns, np.float64).reshape(-1, 7).T
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         drift_ne_m, end_mps = np.column_stack([north_m, east_m]), np.hypot(north_mps, east_mps)
         return WindowEnds(drift_ne_m, np.hypot(north_m, east_m), np.abs(down_m), end_mps, nis)
@@ -189,7 +219,8 @@ def window_drifts(outages: OutageRuns) -> dict[str, dict[str, Floats]]:
     """Return the drift, (w, 2) north and east, in each window that does not overlap, by filter and length, m."""
     return {
         name: {
-            f"{windows.window_s}s": window_ends(outages, name, windows).drift_ne_m for windows in outages.plan.by_length
+            f"{windows.window_s}s": window_ends(outages, name, windows).drift_ne_m
+            for windows in outages.plan.by_length
         }
         for name in outages.runs
     }
@@ -212,7 +243,10 @@ def outage_curves(outages: OutageRuns) -> dict[str, OutageCurve]:
     for name, runs in outages.runs.items() if len(shown.first) else ():
         with np.errstate(over="ignore", invalid="ignore"):
             drift_m = np.array(
-                [np.interp(at_s, run.time_s, np.hypot(*run.drift_n[:, :2].T)) for run in (runs[row] for row in rows)]
+                [
+                    np.interp(at_s, run.time_s, np.hypot(*run.drift_n[:, :2].T))
+                    for run in (runs[row] for row in rows)
+                ]
             )
         (median_m, p95_m), known = np.full((2, len(at_s)), np.nan), np.isfinite(drift_m).all(axis=0)
         if known.any():
@@ -243,7 +277,9 @@ def outage_test_table(log: str, outages: OutageRuns) -> list[OutageRow]:
                 rms_m = float(np.sqrt(np.mean(drift_m**2))) if count else NAN
                 baseline_rms_m = baseline_rms_m if i else rms_m
                 if i and count > 1 and np.isfinite([baseline_m, drift_m]).all():
-                    won_pct = 50.0 * float(np.mean(drift_m < baseline_m) + np.mean(drift_m <= baseline_m))
+                    won_pct = 50.0 * float(
+                        np.mean(drift_m < baseline_m) + np.mean(drift_m <= baseline_m)
+                    )
                     against = rms_m / baseline_rms_m if baseline_rms_m > 0.0 else NAN, won_pct
                 row = OutageRow(
                     *(log, name, str(windows.window_s), count, windows.left_out),
@@ -258,7 +294,9 @@ def outage_test_table(log: str, outages: OutageRuns) -> list[OutageRow]:
 
 
 def outage_alarm(
-    rows: Sequence[OutageRow], names: Collection[str], under_way: Mapping[str, float] = MappingProxyType({})
+    rows: Sequence[OutageRow],
+    names: Collection[str],
+    under_way: Mapping[str, float] = MappingProxyType({}),
 ) -> str:
     """Say that the sigma of a filter grows too slowly without the DVL; empty if it does not.
 
@@ -267,16 +305,24 @@ def outage_alarm(
     filter, are consistent: then the geometry is wrong.
     """
     excess = {
-        (row.window_s, row.filter): finite(row.nis_per_dof) / max(ALARM, chi_square_quantile(SURELY, dof) / dof)
+        (row.window_s, row.filter): finite(row.nis_per_dof)
+        / max(ALARM, chi_square_quantile(SURELY, dof) / dof)
         for row in rows
         if row.filter in names and (dof := 3 * row.windows) and finite(row.nis_per_dof) > ALARM
     }
     window_s, _ = max(excess, key=excess.__getitem__, default=("", ""))
     if not window_s or max(excess.values()) <= 1.0:
         return ""
-    known = [row for row in rows if row.window_s == window_s and row.filter in names and row.nis_per_dof is not None]
+    known = [
+        row
+        for row in rows
+        if row.window_s == window_s and row.filter in names and row.nis_per_dof is not None
+    ]
     sizes = [f"{row.filter} {row.nis_per_dof:.3g}" for row in known]
     cure = "Raise [noise]."
-    if any(finite(row.nis_per_dof) > GEOMETRY > 5.0 * under_way.get(row.filter, np.inf) for row in known):
+    if any(
+        finite(row.nis_per_dof) > GEOMETRY > 5.0 * under_way.get(row.filter, np.inf)
+        for row in known
+    ):
         cure = "The geometry is wrong: check dvl.mounting_rpy_deg, imu.axes and dvl.lever_arm_m."
     return f" NIS / dof after {window_s} s without DVL: {', '.join(sizes)}, expected 1. {cure}"

@@ -32,7 +32,13 @@ class Score(NamedTuple):
     def ratio(self) -> float:
         """The ratio of the mean densities, baseline over candidate: the smaller, the better the candidate predicts."""
         difference = self.value - self.baseline
-        return math.exp(difference) if difference < 700.0 else math.inf if difference == difference else math.nan
+        return (
+            math.exp(difference)
+            if difference < 700.0
+            else math.inf
+            if difference == difference
+            else math.nan
+        )
 
 
 class _Pings(NamedTuple):
@@ -41,13 +47,18 @@ class _Pings(NamedTuple):
     dof: int
 
 
-def prediction_of(baseline: History, candidate: History, outages: OutageRuns, settled_s: float) -> Score | None:
+def prediction_of(
+    baseline: History, candidate: History, outages: OutageRuns, settled_s: float
+) -> Score | None:
     """Compare how two filters predict the DVL; None where they do not predict the same measurements.
 
     The mean is that of two means of equal weight, where both are known: of the pings one step ahead, after the
     baseline has settled, and of the pings inside the windows of the outage test.
     """
-    parts = [_one_step(baseline, candidate, settled_s), _in_outages(baseline.filter, candidate.filter, outages)]
+    parts = [
+        _one_step(baseline, candidate, settled_s),
+        _in_outages(baseline.filter, candidate.filter, outages),
+    ]
     known = [part for part in parts if part is not None]
     if not known:
         return None
@@ -80,19 +91,25 @@ def _pings_of(history: History) -> Mapping[str, _Pings]:
     return {
         met.measurement: _Pings(met.time_ns, _minus_log_score(met), met.dof)
         for met in history.innovations
-        if (met.measurement == "velocity" or is_beam(met.measurement)) and not met.is_held_out and len(met.time_ns)
+        if (met.measurement == "velocity" or is_beam(met.measurement))
+        and not met.is_held_out
+        and len(met.time_ns)
     }
 
 
 def _minus_log_score(met: Innovations) -> Floats:
     """Return minus the log score of each ping. One beyond the gate counts as much as the gate is."""
-    return np.asarray(0.5 * (met.weight * met.nis + met.log_det + met.dof * math.log(2.0 * math.pi)))
+    return np.asarray(
+        0.5 * (met.weight * met.nis + met.log_det + met.dof * math.log(2.0 * math.pi))
+    )
 
 
 def _in_outages(baseline: str, candidate: str, outages: OutageRuns) -> Score | None:
     if baseline not in outages.runs or candidate not in outages.runs:
         return None
-    by_length = {windows.window_s: windows for windows in outages.plan.by_length if len(windows.first)}
+    by_length = {
+        windows.window_s: windows for windows in outages.plan.by_length if len(windows.first)
+    }
     chosen = next((by_length[window_s] for window_s in WINDOWS_S if window_s in by_length), None)
     if chosen is None:
         return None
@@ -101,7 +118,9 @@ def _in_outages(baseline: str, candidate: str, outages: OutageRuns) -> Score | N
     for name in (baseline, candidate):
         runs = outages.runs[name]
         ends = zip(rows, chosen.last - chosen.first, strict=True)
-        scores.append(np.concatenate([runs[row].minus_log_score[1 : step + 1] for row, step in ends]))
+        scores.append(
+            np.concatenate([runs[row].minus_log_score[1 : step + 1] for row, step in ends])
+        )
     known = np.isfinite(scores[0]) & np.isfinite(scores[1])
     if scores[0].shape != scores[1].shape or not known.any():
         return None

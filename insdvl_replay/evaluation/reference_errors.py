@@ -11,7 +11,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, TruthColumns, nanoseconds, seconds
+from insdvl_replay.core.dive_columns import (
+    Floats,
+    ReferenceColumns,
+    TimeNs,
+    TruthColumns,
+    nanoseconds,
+    seconds,
+)
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.core.states import BA, BG, DEG, DV, PHI, POSITION, STATES
@@ -21,7 +28,9 @@ from insdvl_replay.evaluation.series import thinned
 from insdvl_replay.geometry.frames import north_east_down_m, north_east_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat
 
-WELL_COVERED: Final = 0.9  # Share of a replay that has to be covered before errors count as those of the whole.
+WELL_COVERED: Final = (
+    0.9  # Share of a replay that has to be covered before errors count as those of the whole.
+)
 USUAL_STEPS: Final = 5.0  # A step of up to this many usual steps is no gap.
 SHORT_S: Final = 2.5  # A shorter step is no gap either.
 CHORD_S: Final = 10.0  # Shorter steps between positions would add up noise instead of distance.
@@ -87,7 +96,9 @@ def reference_distance_m(reference: ReferenceColumns, time_ns: TimeNs) -> Floats
     rows = np.isin(reference.time_ns, time_ns)
     moving, located = reference.known["velocities"] & rows, reference.known["positions"] & rows
     time_s = seconds(time_ns, time_ns[0])
-    speed_share = covered_share(reference.time_ns[rows], moving[rows], int(time_ns[0]), int(time_ns[-1]))
+    speed_share = covered_share(
+        reference.time_ns[rows], moving[rows], int(time_ns[0]), int(time_ns[-1])
+    )
     if speed_share >= WELL_COVERED or (moving.any() and not located.any()):
         speed_mps = np.hypot(reference.velocity_n[moving, 0], reference.velocity_n[moving, 1])
         steady_mps = np.interp(time_s, seconds(reference.time_ns[moving], time_ns[0]), speed_mps)
@@ -113,17 +124,25 @@ class ReferenceErrors:
     time_ns: TimeNs
     position_error_ned_m: Floats  # (k, 3), north, east, down
     velocity_error_n: Floats  # (k, 3), m/s
-    attitude_error_rad: Floats  # (k, 3), roll, pitch, heading: about level forward, level starboard and down
+    attitude_error_rad: (
+        Floats  # (k, 3), roll, pitch, heading: about level forward, level starboard and down
+    )
     distance_m: float  # horizontal, from the start to the last compared position
-    drifting_ned_m: Floats  # (k, 3), position errors with all corrections of the position taken back
+    drifting_ned_m: (
+        Floats  # (k, 3), position errors with all corrections of the position taken back
+    )
 
 
-def reference_errors(history: History, reference: ReferenceColumns, baseline: History | None = None) -> ReferenceErrors:
+def reference_errors(
+    history: History, reference: ReferenceColumns, baseline: History | None = None
+) -> ReferenceErrors:
     """Compare a history with the reference at every reference time inside the replay, without the start.
 
     Where the reference does not give the distance, it is the baseline's, or else the history's own.
     """
-    time_ns, ours, theirs = np.intersect1d(history.time_ns[1:], reference.time_ns, return_indices=True)
+    time_ns, ours, theirs = np.intersect1d(
+        history.time_ns[1:], reference.time_ns, return_indices=True
+    )
     ours += 1
     error_ned_m = north_east_down_m(history.position[ours], reference.position[theirs])
     located_ns = time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]
@@ -145,7 +164,9 @@ def attitude_error(mat_nb: Floats, mat_nb_reference: Floats) -> Floats:
     """
     known = np.isfinite(mat_nb_reference).all(axis=(1, 2))
     error = np.full((len(mat_nb), 3), np.nan)
-    north, east, down = vector_from_mat(mat_nb[known] @ np.swapaxes(mat_nb_reference[known], 1, 2)).T
+    north, east, down = vector_from_mat(
+        mat_nb[known] @ np.swapaxes(mat_nb_reference[known], 1, 2)
+    ).T
     heading = rpy_from_mat(mat_nb_reference[known])[:, 2]
     cos, sin = np.cos(heading), np.sin(heading)
     error[known] = np.column_stack([cos * north + sin * east, -sin * north + cos * east, down])
@@ -165,7 +186,10 @@ def motion_error(
     difference would also hold the second order, 6 % of the speed. Where an attitude is not known, it is the difference.
     """
     known = np.isfinite(true_mat_nb).all(axis=(1, 2)) & np.isfinite(mat_nb).all(axis=(1, 2))
-    velocity_error_n, misalignment_n = velocity_n - true_velocity_n, np.full_like(velocity_n, np.nan)
+    velocity_error_n, misalignment_n = (
+        velocity_n - true_velocity_n,
+        np.full_like(velocity_n, np.nan),
+    )
     turned = mat_nb[known] @ np.swapaxes(true_mat_nb[known], 1, 2)
     misalignment_n[known] = vector_from_mat(turned)
     invariant_error_n = velocity_n[known] - np.einsum("kij,kj->ki", turned, true_velocity_n[known])
@@ -173,19 +197,31 @@ def motion_error(
     return velocity_error_n, misalignment_n
 
 
-def errors_at(time_ns: TimeNs, history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> Floats:
+def errors_at(
+    time_ns: TimeNs, history: History, reference: ReferenceColumns, truth: TruthColumns | None
+) -> Floats:
     """Return the errors of a filter's states, shape (k, n), SI units, at times that history and reference share.
 
     The states are the twelve, and the position where the filter estimates it. A bias is what is left in the compensated
     readings, known at the times of the truth.
     """
-    ours, theirs = np.searchsorted(history.time_ns, time_ns), np.searchsorted(reference.time_ns, time_ns)
-    error = np.full((len(time_ns), POSITION.stop if history.estimates_position else POSITION.start), np.nan)
+    ours, theirs = (
+        np.searchsorted(history.time_ns, time_ns),
+        np.searchsorted(reference.time_ns, time_ns),
+    )
+    error = np.full(
+        (len(time_ns), POSITION.stop if history.estimates_position else POSITION.start), np.nan
+    )
     error[:, DV], error[:, PHI] = motion_error(
-        history.velocity_n[ours], history.mat_nb[ours], reference.velocity_n[theirs], reference.mat_nb[theirs]
+        history.velocity_n[ours],
+        history.mat_nb[ours],
+        reference.velocity_n[theirs],
+        reference.mat_nb[theirs],
     )
     if truth is not None:
-        _, rows, true_rows = np.intersect1d(time_ns, truth.time_ns, assume_unique=True, return_indices=True)
+        _, rows, true_rows = np.intersect1d(
+            time_ns, truth.time_ns, assume_unique=True, return_indices=True
+        )
         error[rows, BA] = truth.accel_bias_b[true_rows] - history.accel_bias_b[ours][rows]
         error[rows, BG] = truth.gyro_bias_b[true_rows] - history.gyro_bias_b[ours][rows]
     if history.estimates_position:
@@ -210,9 +246,13 @@ class DrawnErrors:
     drifting_ned_m: Floats  # (s, k, 3), as of `ReferenceErrors`
 
 
-def run_from_start(history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> DrawnErrors:
+def run_from_start(
+    history: History, reference: ReferenceColumns, truth: TruthColumns | None
+) -> DrawnErrors:
     """Compare one run with the reference, and its biases with the truth; keep only the errors."""
-    time_ns, ours, theirs = np.intersect1d(history.time_ns[1:], reference.time_ns, return_indices=True)
+    time_ns, ours, theirs = np.intersect1d(
+        history.time_ns[1:], reference.time_ns, return_indices=True
+    )
     ours, position = ours + 1, reference.position[theirs]
     error_ned_m = drifting_ned_m = north_east_down_m(history.position[ours], position)[None]
     if len(history.corrected):
@@ -235,8 +275,12 @@ def drawn_errors(runs: Sequence[DrawnErrors], *, own_sd: bool = True) -> DrawnEr
     The standard deviations are those of the dive's own start, else of the first random one.
     """
     names = ["velocity_error_n", "error", "position_error_ned_m", "drifting_ned_m"]
-    columns: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in names}
-    if runs[0].drifting_ned_m is runs[0].position_error_ned_m:  # without corrections one array holds both
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(run, name) for run in runs]) for name in names
+    }
+    if (
+        runs[0].drifting_ned_m is runs[0].position_error_ned_m
+    ):  # without corrections one array holds both
         columns["drifting_ned_m"] = columns["position_error_ned_m"]
     return replace(runs[0], sd=runs[0 if own_sd or len(runs) < 2 else 1].sd, **columns)
 
@@ -267,7 +311,11 @@ def improvement_pct(before: float, after: float) -> float:
 
 
 def reference_error_table(
-    log: str, histories: tuple[History, ...], errors: Mapping[str, ReferenceErrors], *, bridged_gaps: bool = False
+    log: str,
+    histories: tuple[History, ...],
+    errors: Mapping[str, ReferenceErrors],
+    *,
+    bridged_gaps: bool = False,
 ) -> list[ReferenceErrorRow]:
     """Return the candidates' errors next to the baseline's, 9 rows a candidate; final errors keep their sign.
 
@@ -283,9 +331,14 @@ def reference_error_table(
         after, before = shown.get(candidate.filter, {}), shown.get(baseline.filter, {})
         compared = before
         if candidate.is_partial and errors:
-            distance_m = min(errors[name].distance_m for name in (candidate.filter, baseline.filter))
+            distance_m = min(
+                errors[name].distance_m for name in (candidate.filter, baseline.filter)
+            )
             same_distance = _shown(errors[baseline.filter], distance_m)
-            compared = {name: np.where(np.isfinite(after[name]), same_distance[name], np.nan) for name in before}
+            compared = {
+                name: np.where(np.isfinite(after[name]), same_distance[name], np.nan)
+                for name in before
+            }
         for quantity, unit in REFERENCE_QUANTITIES.items():
             known = np.isfinite(compared.get(quantity, NO_ERRORS))
             before_rmse, before_final = _rms_and_final(compared.get(quantity, NO_ERRORS))
@@ -297,7 +350,10 @@ def reference_error_table(
             elif known.any() and bridged_gaps and quantity in DEAD_RECKONED:
                 status = ReferenceStatus.LOST_IN_GAP
             elif known.any():
-                covered = covered_share(errors[baseline.filter].time_ns, known, start_ns, end_ns) >= WELL_COVERED
+                covered = (
+                    covered_share(errors[baseline.filter].time_ns, known, start_ns, end_ns)
+                    >= WELL_COVERED
+                )
                 status = ReferenceStatus.COMPARED if covered else ReferenceStatus.PARTLY_COVERED
             elif np.isfinite(before[quantity]).any():
                 status = ReferenceStatus.NOT_IN_SOLUTION
@@ -361,7 +417,9 @@ def reference_acceleration(reference: ReferenceColumns, max_gap_s: float) -> Flo
 def acceleration_at(time_ns: TimeNs, reference_ns: TimeNs, acceleration_b: Floats) -> Floats:
     """Interpolate the reference's acceleration at other times; NaN where a row next to the time has none."""
     time_s, row_s = seconds(time_ns, reference_ns[:1]), seconds(reference_ns, reference_ns[:1])
-    return np.column_stack([np.interp(time_s, row_s, axis, np.nan, np.nan) for axis in acceleration_b.T])
+    return np.column_stack(
+        [np.interp(time_s, row_s, axis, np.nan, np.nan) for axis in acceleration_b.T]
+    )
 
 
 def differentiated_over_s(reference: ReferenceColumns) -> float:

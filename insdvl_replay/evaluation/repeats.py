@@ -39,7 +39,9 @@ class Repeat:
     is_equal: bool = False  # to the last bit
     moves_m: float = math.nan  # root mean square of the horizontal distance of both tracks
     quantity: str = ""  # that may decide on this dive; empty for none
-    acts: float = math.nan  # difference of both runs in this quantity over the error of the baseline
+    acts: float = (
+        math.nan
+    )  # difference of both runs in this quantity over the error of the baseline
     failure: str = ""  # why the run gave nothing
 
     @property
@@ -51,11 +53,17 @@ class Repeat:
         """Say how far the answer moves, and when."""
         if self.failure:
             return f"fails {self.change or 'in a second run'}: {self.failure}"
-        moved = [f"its position by {metres(self.moves_m)} (rms)"] if math.isfinite(self.moves_m) else []
+        moved = (
+            [f"its position by {metres(self.moves_m)} (rms)"] if math.isfinite(self.moves_m) else []
+        )
         if math.isfinite(self.acts):
             share = f"{share_text(self.acts)} of the error of {baseline}"
             is_position = bool(moved) and self.quantity == "position"
-            moved = [f"{moved[0]}, {share}"] if is_position else [*moved, f"its {label(self.quantity)} by {share}"]
+            moved = (
+                [f"{moved[0]}, {share}"]
+                if is_position
+                else [*moved, f"its {label(self.quantity)} by {share}"]
+            )
         if self.change == Change.AGAIN:
             return f"gives another answer in a second run, which moves {' and '.join(moved) or 'its solution'}"
         return f"moves {' and '.join(moved) or 'its solution'}, {self.change}"
@@ -104,5 +112,7 @@ def errors_of_runs(
     tracks = track_series(named, errors, noise, bridged_gaps=bridged_gaps)
     in_time = accuracy_series(named, errors, reference, noise, settled_s, bridged_gaps=bridged_gaps)
     found = [{**tracks[history.filter], **in_time[history.filter]} for history in named]
-    is_known = all(quantity in series and np.isfinite(series[quantity].errors).any() for series in found)
+    is_known = all(
+        quantity in series and np.isfinite(series[quantity].errors).any() for series in found
+    )
     return [series[quantity] for series in found] if is_known else []

@@ -147,7 +147,11 @@ def _named(row: PooledRow) -> str:
         return "the track"
     if row.quantity == DRAWN_HEADING:
         return "the track from a drawn heading"
-    return f"the drift in a {label(row.quantity)}" if row.evidence == "outage" else f"the {label(row.quantity)}"
+    return (
+        f"the drift in a {label(row.quantity)}"
+        if row.evidence == "outage"
+        else f"the {label(row.quantity)}"
+    )
 
 
 def _moves(row: PooledRow) -> str:
@@ -176,7 +180,11 @@ def start_line(answer: Answer, start: str = "") -> str:
     row = answer.from_drawn_heading
     if row is None or not math.isfinite(finite(row.ratio)):
         return f"start: {start}" if start else ""
-    found = changed(row) if answer.evaluated < FEWEST_DIVES else f"{ratio_with_interval(row)} {row.verdict}"
+    found = (
+        changed(row)
+        if answer.evaluated < FEWEST_DIVES
+        else f"{ratio_with_interval(row)} {row.verdict}"
+    )
     return f"start: {start or 'heading of the reference'}; from a heading as uncertain as [initial]: {found}"
 
 
@@ -185,7 +193,9 @@ def settling_line(answer: Answer, initial: str = "") -> str:
     row = answer.settles
     if row is None:
         return ""
-    start = f", from starts as uncertain as [initial]: {initial}" if initial else ", from drawn starts"
+    start = (
+        f", from starts as uncertain as [initial]: {initial}" if initial else ", from drawn starts"
+    )
     if not math.isfinite(finite(row.ratio)):
         return f"convergence: {label(row.quantity)} not comparable, since a filter never settles{start}"
     if answer.evaluated < FEWEST_DIVES:
@@ -279,5 +289,8 @@ def _begun(text: str, answer: Answer) -> str:
 
 def paragraph(answer: CandidateAnswer, start: str = "") -> str:
     """Return the answer as one paragraph, which names the start where it is given."""
-    lines = [f"{answer.filter} against {answer.baseline}: {headline(answer)}", *answer_lines(answer, start=start)]
+    lines = [
+        f"{answer.filter} against {answer.baseline}: {headline(answer)}",
+        *answer_lines(answer, start=start),
+    ]
     return " ".join(line if line.endswith(".") else f"{line}." for line in lines)

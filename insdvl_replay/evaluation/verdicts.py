@@ -35,19 +35,33 @@ from insdvl_replay.core.tables import (
 from insdvl_replay.core.words import Consistency, ReferenceStatus, Role, Severity
 from insdvl_replay.evaluation.answers import median_of, pooled_candidate, primary_of
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejected
-from insdvl_replay.evaluation.convergence import mean_over_nine, nearest_over_nine, unchanged_over_nine
+from insdvl_replay.evaluation.convergence import (
+    mean_over_nine,
+    nearest_over_nine,
+    unchanged_over_nine,
+)
 from insdvl_replay.evaluation.outage_test import OUTAGE, outage_alarm
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 from insdvl_replay.evaluation.sentences import paragraph
 
 # Quantities whose median change summarises the error against the reference.
-COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
+COMPARED: Final = (
+    "velocity_n",
+    "velocity_e",
+    "velocity_d",
+    "roll",
+    "pitch",
+    "heading",
+    "position_h",
+)
 WORST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.INSUFFICIENT)
 MANY_REOPENED: Final = 0.01  # Share of the pings; each comes after several that were rejected.
 FEW: Final = 2  # Up to this number of rejections prove nothing, even in a short dive.
 # Innovations three times as large as predicted come from wrong axes, units or clocks.
 LARGEST_NIS_PER_DOF: Final = 10.0
-SMALLEST_NIS_PER_DOF: Final = 0.1  # With noise that is ten times too large a filter is not the one that was tuned.
+SMALLEST_NIS_PER_DOF: Final = (
+    0.1  # With noise that is ten times too large a filter is not the one that was tuned.
+)
 # Percent of the distance, with the DVL available. Dead reckoning by a DVL without an INS drifts less.
 FARTHEST_PCT: Final = 20.0
 # Notes on columns of a dive that contradict each other.
@@ -79,7 +93,9 @@ def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
     """
     own = [row for row in table if row.filter == filter_name]
     words = [row.verdict for row in own if row.quantity in ALL_CREDIBILITY_GROUPS]
-    otherwise = next(iter(words), Consistency.NO_REFERENCE if own or not table else Consistency.NOT_AVAILABLE)
+    otherwise = next(
+        iter(words), Consistency.NO_REFERENCE if own or not table else Consistency.NOT_AVAILABLE
+    )
     return next((word for word in WORST_FIRST if word in words), otherwise)
 
 
@@ -90,7 +106,9 @@ def not_evaluated(
     histories: tuple[History, ...],  # the first is the baseline
     errors: Mapping[str, ReferenceErrors],  # by filter; empty without a reference
     tables: Tables,
-    notes: Sequence[Note],  # of the dive: where its columns contradict each other, no filter is evaluated
+    notes: Sequence[
+        Note
+    ],  # of the dive: where its columns contradict each other, no filter is evaluated
 ) -> dict[str, str]:
     """Return, by candidate, why it is not evaluated; candidates without a problem are left out.
 
@@ -99,7 +117,9 @@ def not_evaluated(
     """
     # Errors against the reference mean nothing for filters that are aided by the reference's own readings. Depth is an
     # exception: it neither decides nor warns, and the rest of the reference is still valid.
-    shared = {note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)}
+    shared = {
+        note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)
+    }
     invalid, suspect = dict[str, str](), dict[str, str]()
     for history in histories:
         name = history.filter
@@ -107,12 +127,18 @@ def not_evaluated(
             invalid[name] = history.failure
         if f"solution_{name}" in shared:
             invalid[name] = f"{name} is the reference, or may have used it"
-        for sensor in (met.measurement for met in history.innovations if met.measurement in shared - {"depth"}):
+        for sensor in (
+            met.measurement for met in history.innovations if met.measurement in shared - {"depth"}
+        ):
             invalid[name] = f"{name} is aided by the {sensor} of the reference"
-        if found := surprised(name, tables.consistency) or far_off(history, histories[0], errors, tables):
+        if found := surprised(name, tables.consistency) or far_off(
+            history, histories[0], errors, tables
+        ):
             suspect[name] = found
     invalid |= diverged_filters(histories)
-    contradicted = "; ".join(note.text for note in notes if note.code in CONTRADICTIONS and note.severity == "warning")
+    contradicted = "; ".join(
+        note.text for note in notes if note.code in CONTRADICTIONS and note.severity == "warning"
+    )
     baseline, *candidates = (history.filter for history in histories)
     unusable = contradicted or misfit(baseline, tables.consistency)
     unsound = {}
@@ -134,7 +160,10 @@ def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
     """
     found = {}
     for history in (history for history in histories if not history.is_partial):
-        name, states = history.filter, ("sd", "position", "velocity_n", "mat_nb", "accel_bias_b", "gyro_bias_b")
+        name, states = (
+            history.filter,
+            ("sd", "position", "velocity_n", "mat_nb", "accel_bias_b", "gyro_bias_b"),
+        )
         columns = [getattr(history, state).reshape(len(history.time_ns), -1) for state in states]
         known = np.isfinite(np.hstack(columns)).all(axis=1)
         used = [met for met in history.innovations if is_used(met.measurement)]
@@ -145,11 +174,15 @@ def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
             # Its main aiding is the pings of the beams, else the velocities, else its first aiding. A ping is rejected
             # if all its valid beams are; by chance, at most as often as one beam.
             beams = [met for met in used if is_beam(met.measurement)]
-            lead = next((met for met in (*beams, *used) if beams or met.measurement == "velocity"), used[0])
+            lead = next(
+                (met for met in (*beams, *used) if beams or met.measurement == "velocity"), used[0]
+            )
             by_chance = float(chdtrc(lead.dof, lead.gate))
             lost, measurement = rejected(lead), f"{lead.measurement} innovations"
             if beams:
-                times, ping = np.unique(np.concatenate([beam.time_ns for beam in beams]), return_inverse=True)
+                times, ping = np.unique(
+                    np.concatenate([beam.time_ns for beam in beams]), return_inverse=True
+                )
                 lost, measurement = np.ones(len(times), np.bool_), "pings"
                 lost[ping[~np.concatenate([rejected(beam) for beam in beams])]] = False
             count, total, reopened = int(lost.sum()), len(lost), len(history.reopened_ns)
@@ -157,7 +190,9 @@ def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
                 found[name] = f"{name} rejected {count} of {total} {measurement}"
             elif reopened > max(1.0, (MANY_REOPENED + by_chance**lead.reopen_after) * total):
                 # The filter diverges again and again, and is reset each time.
-                found[name] = f"{name} diverged and was set to the DVL again {reopened} times in {total} {measurement}"
+                found[name] = (
+                    f"{name} diverged and was set to the DVL again {reopened} times in {total} {measurement}"
+                )
     return found
 
 
@@ -170,7 +205,12 @@ def misfit(name: str, rows: Sequence[ConsistencyRow]) -> str:
     for row in rows:
         is_dvl = row.measurement == "velocity" or is_beam(row.measurement)
         size = finite(row.mean_nis) / row.dof if row.dof else math.nan
-        if row.filter != name or not is_dvl or not size > 0.0 or row.verdict == Consistency.INSUFFICIENT:
+        if (
+            row.filter != name
+            or not is_dvl
+            or not size > 0.0
+            or row.verdict == Consistency.INSUFFICIENT
+        ):
             continue
         factor, word = (1.0 / size, "large") if size < 1.0 else (size, "small")
         if not SMALLEST_NIS_PER_DOF <= size <= LARGEST_NIS_PER_DOF:
@@ -190,14 +230,20 @@ def misread(name: str, rows: Sequence[ConsistencyRow]) -> str:
 
 def surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
     """Name a sensor whose innovations are far larger than its filter expects; empty if there is none."""
-    far = (row for row in rows if finite(row.mean_nis) > LARGEST_NIS_PER_DOF * row.dof and is_used(row.measurement))
+    far = (
+        row
+        for row in rows
+        if finite(row.mean_nis) > LARGEST_NIS_PER_DOF * row.dof and is_used(row.measurement)
+    )
     row = next((row for row in far if row.filter == name), None)
     if row is None:
         return ""
     return f"the {row.measurement} innovations of {name} are far too large (NIS {row.mean_nis:.3g}, expected {row.dof})"
 
 
-def far_off(history: History, baseline: History, errors: Mapping[str, ReferenceErrors], tables: Tables) -> str:
+def far_off(
+    history: History, baseline: History, errors: Mapping[str, ReferenceErrors], tables: Tables
+) -> str:
     """Say that a filter is far off with the DVL available; empty if it is not.
 
     Errors from DVL outages do not count, unless the DVL is silent for more than half of the time.
@@ -206,14 +252,20 @@ def far_off(history: History, baseline: History, errors: Mapping[str, ReferenceE
     if history.filter not in errors or ReferenceStatus.COMPARED not in statuses:
         return ""
     found = errors[history.filter]
-    pings = [met.time_ns for met in baseline.innovations if met.measurement == "velocity" or is_beam(met.measurement)]
+    pings = [
+        met.time_ns
+        for met in baseline.innovations
+        if met.measurement == "velocity" or is_beam(met.measurement)
+    ]
     ping_ns = np.unique(np.concatenate(pings)) if pings else np.empty(0, np.int64)
     known = np.isfinite(found.position_error_ned_m[:, :2]).all(axis=1)
     time_ns = np.append(baseline.time_ns[0], found.time_ns[known])
     steps_m = np.diff(found.position_error_ned_m[known, :2], axis=0, prepend=[[0.0, 0.0]])
     if len(ping_ns) > 1:
         seen_ns = np.unique(np.concatenate([time_ns[:1], ping_ns, time_ns[-1:]]))
-        silent = in_pauses(time_ns[:-1], time_ns[1:], seen_ns, OUTAGE * float(np.median(np.diff(ping_ns))))
+        silent = in_pauses(
+            time_ns[:-1], time_ns[1:], seen_ns, OUTAGE * float(np.median(np.diff(ping_ns)))
+        )
         if 2 * np.diff(time_ns)[silent].sum() <= time_ns[-1] - time_ns[0]:
             steps_m[silent] = 0.0
     square_m2 = np.sum(np.cumsum(steps_m, axis=0) ** 2) / max(len(steps_m), 1)
@@ -235,7 +287,9 @@ def evaluated_candidates(
     notes: Sequence[Note],  # of the dive
     *,
     primary: str = "",  # the quantity that the settings name
-    not_repeatable: Mapping[str, str] = MappingProxyType({}),  # by candidate, why its answer cannot be judged
+    not_repeatable: Mapping[str, str] = MappingProxyType(
+        {}
+    ),  # by candidate, why its answer cannot be judged
     start: str = "",  # what the heading at the start comes from, see `sentences.start_of`
 ) -> tuple[Tables, dict[str, CandidateVerdict]]:
     """Return the verdict on each candidate. Evidence of those that are not evaluated decides nothing."""
@@ -263,7 +317,9 @@ def verdicts(
     tables: Tables,
     baseline: str,
     candidates: Sequence[str],
-    unsound: Mapping[str, str],  # by candidate what keeps it from being evaluated, from `not_evaluated`
+    unsound: Mapping[
+        str, str
+    ],  # by candidate what keeps it from being evaluated, from `not_evaluated`
     primary: str = "",  # the quantity that the settings name
     varying: Mapping[str, str] = MappingProxyType({}),  # by candidate, why it does not repeat
     start: str = "",  # what the heading at the start comes from
@@ -288,7 +344,9 @@ def verdicts(
         changes = [
             finite(row.improvement_pct)
             for row in tables.reference_error
-            if row.filter == candidate and row.status == ReferenceStatus.COMPARED and row.quantity in COMPARED
+            if row.filter == candidate
+            and row.status == ReferenceStatus.COMPARED
+            and row.quantity in COMPARED
         ]
         trust = trust_sentence(tables, candidate, baseline)
         found[candidate] = CandidateVerdict(
@@ -310,11 +368,14 @@ def verdicts(
 
 def not_evaluated_notes(verdicts: Mapping[str, CandidateVerdict]) -> tuple[Note, ...]:
     """Note the candidates without a verdict, so that a replay that may have no warnings fails."""
-    words = {name: found.verdict for name, found in verdicts.items() if found.verdict in WITHOUT_VERDICT}
+    words = {
+        name: found.verdict for name, found in verdicts.items() if found.verdict in WITHOUT_VERDICT
+    }
     text = "there is no verdict on {}, which is {}"
     hint = "settle the reason, which is in the sentence on the filter"
     return tuple(
-        Note("not_evaluated", text.format(name, word), 1, Severity.WARNING, hint) for name, word in words.items()
+        Note("not_evaluated", text.format(name, word), 1, Severity.WARNING, hint)
+        for name, word in words.items()
     )
 
 
@@ -334,7 +395,9 @@ def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
         sentence = f"{candidate} is {consistency_words}, {baseline} {baseline_trust}."
     elif consistency_words == Consistency.INSUFFICIENT:
         sentence = "Both filters have insufficient data for a consistency test."
-    used = [row for row in tables.consistency if row.filter == candidate and is_used(row.measurement)]
+    used = [
+        row for row in tables.consistency if row.filter == candidate and is_used(row.measurement)
+    ]
     if not all(row.measurement in DVL_AIDING or is_beam(row.measurement) for row in used):
         sizes = ", ".join(f"{row.measurement} {finite(row.mean_nis) / row.dof:.3g}" for row in used)
         sentence = f"{sentence} NIS / dof of {candidate}: {sizes}."
@@ -343,16 +406,27 @@ def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
 
 def _trust(tables: Tables, name: str) -> str:
     """Join the consistency of innovations and of errors: one word if they agree or only one is known."""
-    consistency, credibility = consistency_of(tables.consistency, name), credibility_of(tables.credibility, name)
+    consistency, credibility = (
+        consistency_of(tables.consistency, name),
+        credibility_of(tables.credibility, name),
+    )
     if credibility == Consistency.INSUFFICIENT or credibility not in WORST_FIRST:
         return consistency
     # Name the groups of states that have the worst verdict, where others have a better one.
-    groups = [row for row in tables.credibility if row.filter == name and row.quantity in ALL_CREDIBILITY_GROUPS]
+    groups = [
+        row
+        for row in tables.credibility
+        if row.filter == name and row.quantity in ALL_CREDIBILITY_GROUPS
+    ]
     groups = [row for row in groups if row.verdict in VERDICTS_BEST_FIRST]
     worst = [row.quantity.replace("_", " ") for row in groups if row.verdict == credibility]
     where = f" in {' and '.join(worst)}" if len(worst) < len(groups) else ""
     if consistency in (Consistency.NOT_AVAILABLE, Consistency.INSUFFICIENT):
         return f"{credibility}{where} against the reference"
     if consistency == credibility:
-        return f"{consistency} by the innovations, and{where} against the reference" if where else consistency
+        return (
+            f"{consistency} by the innovations, and{where} against the reference"
+            if where
+            else consistency
+        )
     return f"{consistency} by the innovations and {credibility}{where} against the reference"

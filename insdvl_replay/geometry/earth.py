@@ -17,12 +17,16 @@ ECCENTRICITY_2: Final = 6.69437999014e-3  # first eccentricity squared
 GRAVITY_EQUATOR: Final = 9.7803253359  # m/s^2
 SOMIGLIANA_K: Final = 1.931852652458e-3
 FLATTENING: Final = 1.0 / 298.257223563
-GRAVITY_RATIO: Final = 3.449786506841e-3  # centrifugal acceleration to gravity at the equator, m = w^2 a^2 b / GM
+GRAVITY_RATIO: Final = (
+    3.449786506841e-3  # centrifugal acceleration to gravity at the equator, m = w^2 a^2 b / GM
+)
 
 
 def earth_rate_n(latitude: float | Floats) -> Floats:
     """Return the rotation rate of the Earth in north-east-down, w_ie, rad/s, shape (..., 3); latitude in rad."""
-    return np.stack(np.broadcast_arrays(*earth_rate_of(np.sin(latitude), np.cos(latitude))), axis=-1)
+    return np.stack(
+        np.broadcast_arrays(*earth_rate_of(np.sin(latitude), np.cos(latitude))), axis=-1
+    )
 
 
 def earth_rate_of(sine: Any, cosine: Any) -> tuple[Any, float, Any]:

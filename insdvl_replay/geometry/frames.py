@@ -22,21 +22,28 @@ def north_east_m(position: Floats, origin: Floats, touching: Floats) -> tuple[Fl
     Positions are latitude rad, longitude rad, height m, shape (..., 3). Where the height of ``touching`` is not finite,
     that of the ellipsoid counts.
     """
-    latitude, longitude = position[..., 0] - origin[..., 0], wrap_angle(position[..., 1] - origin[..., 1])
+    latitude, longitude = (
+        position[..., 0] - origin[..., 0],
+        wrap_angle(position[..., 1] - origin[..., 1]),
+    )
     radius_north_m, radius_east_m, cosine = _radii_m(touching)
     return latitude * radius_north_m, longitude * radius_east_m * cosine
 
 
 def north_east_down_m(position: Floats, origin: Floats) -> Floats:
     """Return the offset of a near position, m, shape (..., 3), on the plane that touches the Earth at the origin."""
-    return np.stack([*north_east_m(position, origin, origin), origin[..., 2] - position[..., 2]], axis=-1)
+    return np.stack(
+        [*north_east_m(position, origin, origin), origin[..., 2] - position[..., 2]], axis=-1
+    )
 
 
 def east_north_up_m(position: Floats, origin: Floats) -> Floats:
     """Return the offset along the ellipsoid, m, shape (k, 3), with the radii halfway, so that up is height."""
     latitude, longitude, up_m = (position - origin).T
     radius_north_m, radius_east_m, cosine = _radii_m((position + origin) / 2.0)
-    return np.stack([wrap_angle(longitude) * (radius_east_m * cosine), latitude * radius_north_m, up_m], axis=-1)
+    return np.stack(
+        [wrap_angle(longitude) * (radius_east_m * cosine), latitude * radius_north_m, up_m], axis=-1
+    )
 
 
 def moved_position(position: Floats, moved_n: Floats) -> Floats:
@@ -50,7 +57,11 @@ def _radii_m(position: Floats) -> tuple[Floats, Floats, Floats]:
     """Return R_N + h, R_E + h and the cosine of the latitude."""
     latitude, height_m = position[..., 0], position[..., 2]
     level_m = np.where(np.isfinite(height_m), height_m, 0.0)
-    return meridian_radius_m(latitude) + level_m, transverse_radius_m(latitude) + level_m, np.cos(latitude)
+    return (
+        meridian_radius_m(latitude) + level_m,
+        transverse_radius_m(latitude) + level_m,
+        np.cos(latitude),
+    )
 
 
 def quat_enu_flu(mat_nb: Floats) -> Floats:
@@ -60,7 +71,9 @@ def quat_enu_flu(mat_nb: Floats) -> Floats:
 
 TILT_DEG: Final = 30.0  # from the z axis; most instruments have 20, 22.5, 25 or 30
 AZIMUTH_DEG: Final = (45.0, 135.0, 225.0, 315.0)  # from forward towards starboard
-_DOWN: Final = 0.5  # least part along z of the mean beam of a DVL that looks down, whatever its tilt
+_DOWN: Final = (
+    0.5  # least part along z of the mean beam of a DVL that looks down, whatever its tilt
+)
 
 
 @dataclass(frozen=True)
@@ -72,7 +85,9 @@ class DvlMounting:
     scale: float = 1.0  # measured over true velocity
 
     @classmethod
-    def from_rpy(cls, lever_arm_m: Sequence[float], rpy_deg: Sequence[float], scale: float) -> "DvlMounting":
+    def from_rpy(
+        cls, lever_arm_m: Sequence[float], rpy_deg: Sequence[float], scale: float
+    ) -> "DvlMounting":
         """Return a mounting from a lever arm in b, from roll, pitch and heading from d to b, and a scale."""
         return cls(np.array(lever_arm_m), mat_from_rpy(np.array(rpy_deg) * DEG), scale)
 
@@ -109,21 +124,31 @@ def solve_beams(
     """
     valid = np.isfinite(beam_velocity_mps)
     # Pings that have lost the same beams share their matrices.
-    _, first, alike = np.unique(valid @ (1 << np.arange(len(vectors_d))), return_index=True, return_inverse=True)
+    _, first, alike = np.unique(
+        valid @ (1 << np.arange(len(vectors_d))), return_index=True, return_inverse=True
+    )
     weight_of = valid[first] * (np.ones(len(vectors_d)) if weights is None else weights)
     normal = np.einsum("mi,ij,ik->mjk", weight_of, vectors_d, vectors_d)
     solvable = np.linalg.cond(normal) < 1e8
     shape_of = np.full_like(normal, np.nan)
     shape_of[solvable] = np.linalg.inv(normal[solvable])
-    unit_cov_d, weight, measured = shape_of[alike], weight_of[alike], np.where(valid, beam_velocity_mps, 0.0)
-    velocity_d = np.einsum("mjk,mi,ik,mi->mj", unit_cov_d, weight, vectors_d, measured, optimize=True)
+    unit_cov_d, weight, measured = (
+        shape_of[alike],
+        weight_of[alike],
+        np.where(valid, beam_velocity_mps, 0.0),
+    )
+    velocity_d = np.einsum(
+        "mjk,mi,ik,mi->mj", unit_cov_d, weight, vectors_d, measured, optimize=True
+    )
     residuals = measured - velocity_d @ vectors_d.T
     redundancy = valid.sum(axis=1) - 3
     squares = np.einsum("mi,mi->m", weight, residuals**2)
     return (
         velocity_d,
         unit_cov_d,
-        np.sqrt(np.divide(squares, redundancy, out=np.full(len(squares), np.nan), where=redundancy > 0)),
+        np.sqrt(
+            np.divide(squares, redundancy, out=np.full(len(squares), np.nan), where=redundancy > 0)
+        ),
     )
 
 
@@ -170,14 +195,20 @@ def steps_of(motion: ReferenceColumns) -> Steps:
         # Trapezoids alone would cut the corners of a turn, by 0.7 % at 17 deg a step. The change of the acceleration is
         # the next term of Euler and Maclaurin.
         step_s, acceleration = np.diff(velocity_s), np.gradient(velocity, velocity_s)
-        moved_m = 0.5 * (velocity[1:] + velocity[:-1]) * step_s - np.diff(acceleration) * step_s**2 / 12.0
+        moved_m = (
+            0.5 * (velocity[1:] + velocity[:-1]) * step_s - np.diff(acceleration) * step_s**2 / 12.0
+        )
         summed_m = np.append(0.0, np.cumsum(moved_m))
         paused_s = np.append(0.0, np.cumsum(np.where(step_s > LONGEST_PAUSE_S, step_s, 0.0)))
         by_velocity_m = np.diff(np.interp(time_s, velocity_s, summed_m, np.nan, np.nan))
-        by_velocity_m = np.where(np.diff(np.interp(time_s, velocity_s, paused_s)) > 0.0, np.nan, by_velocity_m)
+        by_velocity_m = np.where(
+            np.diff(np.interp(time_s, velocity_s, paused_s)) > 0.0, np.nan, by_velocity_m
+        )
     # Each step is measured on the ellipsoid where it is made, so that long ways are as right as short ones.
     position = motion.position[placed]
-    north_m, east_m = north_east_m(position[1:], position[:-1], 0.5 * (position[1:] + position[:-1]))
+    north_m, east_m = north_east_m(
+        position[1:], position[:-1], 0.5 * (position[1:] + position[:-1])
+    )
     return Steps(time_s, np.asarray(north_m + 1j * east_m), by_velocity_m)
 
 
@@ -191,7 +222,9 @@ def unexplained_m(steps: Steps) -> Floats:
         return np.full(len(step_s), np.nan)
     unlike_m = np.abs(steps.by_position_m - steps.by_velocity_m)
     rates = np.where(step_s <= _CURVED_S, steps.by_position_m / step_s, np.nan)
-    unlike_m = np.fmin(unlike_m, least_difference(np.column_stack([rates.real, rates.imag])) * step_s)
+    unlike_m = np.fmin(
+        unlike_m, least_difference(np.column_stack([rates.real, rates.imag])) * step_s
+    )
     unlike_m[step_s > _LONG_STEP * np.median(step_s)] = np.nan
     return np.asarray(unlike_m)
 

@@ -82,8 +82,16 @@ def quat_from_mat(mat: Floats) -> Floats:
     Source: Shepperd, "Quaternion from Rotation Matrix", 1978.
     """
     xx, yy, zz = mat[..., 0, 0], mat[..., 1, 1], mat[..., 2, 2]
-    xy, xz, yz = mat[..., 1, 0] + mat[..., 0, 1], mat[..., 2, 0] + mat[..., 0, 2], mat[..., 2, 1] + mat[..., 1, 2]
-    wx, wy, wz = mat[..., 2, 1] - mat[..., 1, 2], mat[..., 0, 2] - mat[..., 2, 0], mat[..., 1, 0] - mat[..., 0, 1]
+    xy, xz, yz = (
+        mat[..., 1, 0] + mat[..., 0, 1],
+        mat[..., 2, 0] + mat[..., 0, 2],
+        mat[..., 2, 1] + mat[..., 1, 2],
+    )
+    wx, wy, wz = (
+        mat[..., 2, 1] - mat[..., 1, 2],
+        mat[..., 0, 2] - mat[..., 2, 0],
+        mat[..., 1, 0] - mat[..., 0, 1],
+    )
     columns = [
         [1 + xx - yy - zz, xy, xz, wx],
         [xy, 1 - xx + yy - zz, yz, wy],
@@ -112,7 +120,9 @@ def mat_from_vector(vector: Floats) -> Floats:
     """Return the matrices of rotation vectors in rad, the exponential of a rotation."""
     half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
     # numpy's sinc(x) is sin(pi x) / (pi x).
-    return mat_from_quat(np.concatenate([0.5 * np.sinc(half / np.pi) * vector, np.cos(half)], axis=-1))
+    return mat_from_quat(
+        np.concatenate([0.5 * np.sinc(half / np.pi) * vector, np.cos(half)], axis=-1)
+    )
 
 
 def wrap_angle(angle: Floats) -> Floats:

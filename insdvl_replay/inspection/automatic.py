@@ -24,7 +24,14 @@ from insdvl_replay.calibration.fitted_noise import (
     with_biases_of_class,
     with_noise,
 )
-from insdvl_replay.calibration.found import FoundSettings, Given, as_given, comment_lines, found_note, with_values
+from insdvl_replay.calibration.found import (
+    FoundSettings,
+    Given,
+    as_given,
+    comment_lines,
+    found_note,
+    with_values,
+)
 from insdvl_replay.calibration.free_mounting import angle_between
 from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
 from insdvl_replay.calibration.noise import imu_class
@@ -41,12 +48,21 @@ from insdvl_replay.inspection.proposal import Setting, propose_settings, setting
 from insdvl_replay.inspection.roles import UNKNOWN_LATITUDE_DEG, read_roles, with_roles
 from insdvl_replay.inspection.trials import CONSISTENT
 from insdvl_replay.logs.formats.recording import open_recording
-from insdvl_replay.preparation.prepared import raise_if_span_is_empty, read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import (
+    raise_if_span_is_empty,
+    read_checked_dive,
+    with_reference_at_imu,
+)
 from insdvl_replay.preparation.run import FIT, MISREAD, fitted_start
 from insdvl_replay.results.folder import VEHICLE_FILE
 
 # What a calibration finds, by the settings that it replaces.
-GROUPS: Final = {"arm": "lever_arm_m", "mounting": "mounting_rpy_deg", "delay": "latency_s", "scale": "scale"}
+GROUPS: Final = {
+    "arm": "lever_arm_m",
+    "mounting": "mounting_rpy_deg",
+    "delay": "latency_s",
+    "scale": "scale",
+}
 # Notes on a reference that does not move as DVL and gyros say.
 CONTRADICTIONS: Final = frozenset(
     {"dvl_contradiction", "track_contradiction", "imu_gyro_contradiction", "reference_constant"}
@@ -54,7 +70,9 @@ CONTRADICTIONS: Final = frozenset(
 REFERENCE_LATENCY: Final = "reference.latency_s"
 LATENCY_DIGITS: Final = 3  # of a delay, s
 SHORT_S: Final = 30.0  # shorter logs are the last by which settings are found
-_NOT_NEEDED: Final = ("dvl.valid",)  # keys of a proposal without a value with which a replay works all the same
+_NOT_NEEDED: Final = (
+    "dvl.valid",
+)  # keys of a proposal without a value with which a replay works all the same
 MOST_DIFFERENCES: Final = 4  # that are named
 CALIBRATED_RAD: Final = 5.0 * DEG  # turns of the DVL up to which are a calibration's
 SCALES: Final = {"specific_force_scale": "accelerometers", "angular_rate_scale": "gyros"}
@@ -66,11 +84,15 @@ def settings_of_one(found: FoundSettings, name: str, common: Config) -> FoundSet
     """Return the settings of a dive that contradicts the common ones of its vehicle, with a note why."""
     differences = "; ".join(_differences(found.config, common)) or "another start and noise"
     hint = "if the vehicle was not changed between its dives, look at the sensor that differs"
-    note = found_note("found_own", f"{name} has settings of its own: {differences}", hint, warn=True)
+    note = found_note(
+        "found_own", f"{name} has settings of its own: {differences}", hint, warn=True
+    )
     return replace(found, notes=(note, *found.notes))
 
 
-def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool = False) -> FoundSettings:
+def find_settings(
+    dives: Sequence[Paths], given: Given, *, allow_damaged: bool = False
+) -> FoundSettings:
     """Find settings for dives of one vehicle, except for those that are given; no code in them is run.
 
     Raises
@@ -79,12 +101,18 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
         A log cannot be read, or lacks what a replay needs.
     """
     report_stage("finding the settings")
-    dives, whole, given = dives[:MOST_DIVES], given, replace(given, config=given.config.without_code())
+    dives, whole, given = (
+        dives[:MOST_DIVES],
+        given,
+        replace(given, config=given.config.without_code()),
+    )
     notes: list[Note] = []
     first, config, cost = _first_with_roles(dives, given, notes, allow_damaged=allow_damaged)
     report_stage("reading the log")
     proposed_s = config.reference.latency_s
-    dive, config = _read_with_reference(first, config, given, cost, notes, allow_damaged=allow_damaged)
+    dive, config = _read_with_reference(
+        first, config, given, cost, notes, allow_damaged=allow_damaged
+    )
     read = [dive]
     for paths in dives:
         if paths != first:
@@ -99,24 +127,32 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
     preset = imu_class(read[0].imu)
     config = as_given(of_class(preset, config), given)
     read_with_s = config.dvl.latency_s
-    config = _calibrated([with_reference_at_imu(dive, config) for dive in read], config, given, notes)
+    config = _calibrated(
+        [with_reference_at_imu(dive, config) for dive in read], config, given, notes
+    )
     read = [_later(dive, config.dvl.latency_s - read_with_s) for dive in read]
     config, better = with_biases_of_class(config, given, preset)
     if better != preset and not given.has("noise"):
         known = [middle(ReadDive(with_reference_at_imu(dive, config), config)) for dive in read]
         again = calibrate_dives(known, config, [NOISE]).found
         config, preset = with_noise(config, answer_of(again).applied(again), given), better
-    config, started = _with_heading([with_reference_at_imu(dive, config) for dive in read], config, given, notes)
+    config, started = _with_heading(
+        [with_reference_at_imu(dive, config) for dive in read], config, given, notes
+    )
     config = levelled_to_dives(read[:1], config, given, started, preset, notes)
     if len(read) > 1:
         names = listed([dive.name for dive in read])
         notes.append(
-            found_note("found_dives", f"settings of one vehicle, found from {len(read)} dives together: {names}")
+            found_note(
+                "found_dives",
+                f"settings of one vehicle, found from {len(read)} dives together: {names}",
+            )
         )
     if whole.keys:
         notes.append(found_note("found_given", f"{AS_GIVEN}{listed(whole.keys)}"))
     return FoundSettings(
-        as_given(config, whole), tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING))
+        as_given(config, whole),
+        tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING)),
     )
 
 
@@ -149,7 +185,9 @@ def _is_short(paths: Paths) -> bool:
     except UserError:
         return True
     known_ns = [span_ns for span_ns in spans_ns if span_ns]
-    length_ns = max((last for _, last in known_ns), default=0) - min((first for first, _ in known_ns), default=0)
+    length_ns = max((last for _, last in known_ns), default=0) - min(
+        (first for first, _ in known_ns), default=0
+    )
     return length_ns < SHORT_S * NS_PER_S
 
 
@@ -172,7 +210,13 @@ def _without_short(read: Sequence[Dive], notes: list[Note]) -> list[Dive]:
 
 
 def _read_with_reference(
-    paths: Paths, config: Config, given: Given, cost: float, notes: list[Note], *, allow_damaged: bool
+    paths: Paths,
+    config: Config,
+    given: Given,
+    cost: float,
+    notes: list[Note],
+    *,
+    allow_damaged: bool,
 ) -> tuple[Dive, Config]:
     """Read a dive, without its reference where that contradicts IMU and DVL, which agree."""
     is_free = cost < CONSISTENT and not given.has("reference") and not config.reference.ignore
@@ -190,14 +234,20 @@ def _read_with_reference(
         return dive, without
     late_s = _late_reference_s(dive, given)
     if late_s and not config.reference.ignore:
-        config = with_values(config, "reference", latency_s=round(config.reference.latency_s + late_s, LATENCY_DIGITS))
+        config = with_values(
+            config,
+            "reference",
+            latency_s=round(config.reference.latency_s + late_s, LATENCY_DIGITS),
+        )
         dive = read_checked_dive(paths, config, allow_damaged=allow_damaged)
     contradictions = [note for note in dive.notes if note.code in CONTRADICTIONS]
     if not contradictions or not is_free:
         return dive, config
     notes.append(_unused_reference(contradictions[0].text))
     config = with_values(config, "reference", ignore=True)
-    if config.initial.latitude_deg is None and dive.reference is not None:  # which its position still shows
+    if (
+        config.initial.latitude_deg is None and dive.reference is not None
+    ):  # which its position still shows
         latitude_deg = round(float(np.nanmedian(dive.reference.position[:, 0])) / DEG, 3)
         config = with_values(config, "initial", latitude_deg=latitude_deg)
     return read_checked_dive(paths, config, allow_damaged=allow_damaged), config
@@ -261,7 +311,9 @@ class SettingsFile:
     failure: UserError | None = None  # why no settings could be tried
 
 
-def settings_file(dives: Sequence[Paths], given: Given, *, allow_damaged: bool = False) -> SettingsFile:
+def settings_file(
+    dives: Sequence[Paths], given: Given, *, allow_damaged: bool = False
+) -> SettingsFile:
     """Find settings for the dives of a vehicle; else propose what names, types and sizes show of the first.
 
     Raises
@@ -273,16 +325,28 @@ def settings_file(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
         found = find_settings(dives, given, allow_damaged=allow_damaged)
         return SettingsFile(found.text, found.notes)
     except UserError as failure:
-        proposal, config = propose_settings(dives[0], given.config, allow_damaged=allow_damaged), given.config
+        proposal, config = (
+            propose_settings(dives[0], given.config, allow_damaged=allow_damaged),
+            given.config,
+        )
         keys = (key.split(".") for key in given.keys if key.count(".") == 1)
         settings = [*proposal.settings]
-        settings += [Setting(f"{section}.{key}", getattr(getattr(config, section), key)) for section, key in keys]
+        settings += [
+            Setting(f"{section}.{key}", getattr(getattr(config, section), key))
+            for section, key in keys
+        ]
         comments = comment_lines(f"blocker: {failure.message}; {failure.hint}")
         text = "".join(f"{line}\n" for line in comments) + f"\n{settings_toml(settings)}"
         if given.has("filters", "topics"):
-            kept = render_toml(Config(filters=config.filters, topics=config.topics), changed_only=True)
+            kept = render_toml(
+                Config(filters=config.filters, topics=config.topics), changed_only=True
+            )
             text += f"\n{kept}"
-        missing = [setting.key for setting in settings if setting.value is None and setting.key not in _NOT_NEEDED]
+        missing = [
+            setting.key
+            for setting in settings
+            if setting.value is None and setting.key not in _NOT_NEEDED
+        ]
         return SettingsFile(text, proposal.notes, tuple(dict.fromkeys(missing)), failure)
 
 
@@ -301,7 +365,11 @@ def _differences(own: Config, others: Config) -> list[str]:
     for section in ("imu", "dvl", "reference"):
         now, then = getattr(own, section), getattr(others, section)
         for key in now.__struct_fields__:
-            is_calibrated = section == "dvl" and key in (*GROUPS.values(), "velocity_sd_mps", "beam_sd_mps")
+            is_calibrated = section == "dvl" and key in (
+                *GROUPS.values(),
+                "velocity_sd_mps",
+                "beam_sd_mps",
+            )
             if getattr(now, key) != getattr(then, key) and key not in SCALES and not is_calibrated:
                 words.append(f"{section}.{key} = {getattr(now, key)}")
     turns = (mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG) for config in (own, others))
@@ -328,11 +396,19 @@ def stored_settings(folder: Path, given: Given) -> Config | None:
         found = load_config(file=file)
     except UserError:
         return None
-    comments = " ".join(line[1:].strip() for line in file.read_text("utf-8").splitlines() if line.startswith("#"))
-    is_same = f"{AS_GIVEN}{listed(given.keys)}" in comments if given.keys else AS_GIVEN not in comments
+    comments = " ".join(
+        line[1:].strip() for line in file.read_text("utf-8").splitlines() if line.startswith("#")
+    )
+    is_same = (
+        f"{AS_GIVEN}{listed(given.keys)}" in comments if given.keys else AS_GIVEN not in comments
+    )
     config = given.config
     same = is_same and as_given(found, given) == found and found.topics == config.topics
-    return found if same and (found.span, found.evaluation) == (config.span, config.evaluation) else None
+    return (
+        found
+        if same and (found.span, found.evaluation) == (config.span, config.evaluation)
+        else None
+    )
 
 
 # --- The start.
@@ -340,7 +416,9 @@ def stored_settings(folder: Path, given: Given) -> Config | None:
 
 def _with_latitude(config: Config, reference: ReferenceColumns | None, notes: list[Note]) -> Config:
     """Set a latitude where no reference gives one."""
-    if config.initial.latitude_deg is not None or (reference is not None and reference.has_position):
+    if config.initial.latitude_deg is not None or (
+        reference is not None and reference.has_position
+    ):
         return config
     text = (
         f"latitude {UNKNOWN_LATITUDE_DEG:g} deg, since the log has none: this costs up to 11 deg of heading in an hour "
@@ -360,7 +438,9 @@ def _with_start(dive: Dive, config: Config) -> Config:
     return with_values(config, "initial", source="level")
 
 
-def _with_heading(dives: Sequence[Dive], config: Config, given: Given, notes: list[Note]) -> tuple[Config, Initial]:
+def _with_heading(
+    dives: Sequence[Dive], config: Config, given: Given, notes: list[Note]
+) -> tuple[Config, Initial]:
     """Find the heading at the start: by the reference's attitude, a fit to its positions, else 0.
 
     A start is returned, too, with the heading and the gyro bias of a fit.
@@ -376,7 +456,9 @@ def _with_heading(dives: Sequence[Dive], config: Config, given: Given, notes: li
             )
             notes.append(found_note("found_heading", text, "to set it: initial.heading_deg"))
             bias_degph = (*config.initial.gyro_bias_degph[:2], fitted.gyro_bias_degph)
-            started = with_values(config, "initial", heading_deg=fitted.heading_deg, gyro_bias_degph=bias_degph).initial
+            started = with_values(
+                config, "initial", heading_deg=fitted.heading_deg, gyro_bias_degph=bias_degph
+            ).initial
             return with_values(config, "initial", heading_deg=FIT), started
     text = "start heading 0, since nothing in the log gives it: tracks and headings are relative to the start"
     notes.append(found_note("found_heading", text, "to set it: initial.heading_deg", warn=True))
@@ -396,17 +478,25 @@ def _calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list
     try:
         # The noise is fitted once the geometry is known.
         geometry = [group for group in groups if group != NOISE] or groups
-        found = calibrate_dives(halves(read), config, geometry, hold_out=["0.3"], windows_s=("60", "30")).found
+        found = calibrate_dives(
+            halves(read), config, geometry, hold_out=["0.3"], windows_s=("60", "30")
+        ).found
     except UserError as error:
         notes.append(
-            found_note("found_calibration", f"the geometry of the DVL was not calibrated: {error.what}", warn=True)
+            found_note(
+                "found_calibration",
+                f"the geometry of the DVL was not calibrated: {error.what}",
+                warn=True,
+            )
         )
         return config
     answer = answer_of(found)
     if not any(row.windows for row in found.held_out):
         # Nothing shows the drift: the innovations of the rest decide, of each part of a dive alone by the other.
         if len(read) == 1:
-            other = calibrate_dives(halves(read)[::-1], config, geometry, hold_out=["0.3"], windows_s=("60",)).found
+            other = calibrate_dives(
+                halves(read)[::-1], config, geometry, hold_out=["0.3"], windows_s=("60",)
+            ).found
             found = replace(found, held_out=(*found.held_out, *other.held_out))
         before, after = _mean_nis(found)
         answer = replace(answer, keeps_geometry=bool(found.estimated) and after > before)
@@ -415,18 +505,29 @@ def _calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list
         # What was held out has shown that it helps; all together know it best.
         better = calibrate_dives(read, config, geometry).found
     changes = [
-        f"{LABELS[row.parameter]} {row.change:+.3g} {row.unit}" for row in better.estimated if row.change is not None
+        f"{LABELS[row.parameter]} {row.change:+.3g} {row.unit}"
+        for row in better.estimated
+        if row.change is not None
     ]
     tested = _drift_sentence(found)
     if answer.keeps_geometry:
-        notes.append(found_note("found_calibration", f"calibration of the DVL not applied: {tested}", warn=True))
+        notes.append(
+            found_note(
+                "found_calibration", f"calibration of the DVL not applied: {tested}", warn=True
+            )
+        )
     elif changes:
         notes.append(found_note("found_calibration", f"calibrated: {', '.join(changes)}; {tested}"))
         config = with_dvl(config, better.after.rounded())
     elif geometry != groups or NOISE not in groups:
         text = "the DVL's lever arm, mounting and delay cannot be determined: taken as 0"
         notes.append(
-            found_note("found_calibration", text, "a dive with turns and changes of speed shows them", warn=True)
+            found_note(
+                "found_calibration",
+                text,
+                "a dive with turns and changes of speed shows them",
+                warn=True,
+            )
         )
     if NOISE in groups:
         # A noise belongs to the geometry with which it is fitted.

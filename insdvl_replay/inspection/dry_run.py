@@ -67,13 +67,19 @@ class DryRun:
     log: Recording
     config: Config
     deep: bool  # reads the messages whole, not only the first of each topic
-    clocks: list[Clock] = field(default_factory=list)  # of the topics with a role, then of the others
+    clocks: list[Clock] = field(
+        default_factory=list
+    )  # of the topics with a role, then of the others
     notes: list[Note] = field(default_factory=list)
     blockers: list[Blocker] = field(default_factory=list)
     pings: PingFacts | None = None
     reference: ReferenceFacts | None = None
-    warned: set[str] = field(default_factory=set)  # of several topics for one role, those of which there is a warning
-    refused: dict[str, str] = field(default_factory=dict)  # and those with which a replay would stop, with the reason
+    warned: set[str] = field(
+        default_factory=set
+    )  # of several topics for one role, those of which there is a warning
+    refused: dict[str, str] = field(
+        default_factory=dict
+    )  # and those with which a replay would stop, with the reason
     columns: RoleColumns = field(init=False)
 
     def __post_init__(self) -> None:
@@ -105,7 +111,9 @@ class DryRun:
                     if source.role == "imu":
                         other_imus[source.topic], _ = decode_imu(table, self.config.imu)
                     elif source.role == "reference":
-                        columns, _ = decode_reference([table], self.config.reference, self.config.initial)
+                        columns, _ = decode_reference(
+                            [table], self.config.reference, self.config.initial
+                        )
                         if columns is not None and not says_anything(columns):
                             text = "has no attitude, and its velocity is zero in all messages"
                             raise LogError(text, "", *table.where)
@@ -142,7 +150,11 @@ class DryRun:
 
     def _read(self, source: Source, on_error: OnError) -> Table:
         """Read a topic; where its stamps are no times, report it and go on with the recorder's."""
-        table = read_tables(self.log, [source])[0] if self.deep else read_sample(self.log, source, _ENOUGH)
+        table = (
+            read_tables(self.log, [source])[0]
+            if self.deep
+            else read_sample(self.log, source, _ENOUGH)
+        )
         if table.unreadable_ns:
             on_error(table.damage_error())
         try:
@@ -159,16 +171,31 @@ class DryRun:
         notes = columns.decode(role, tables)
         if role == "dvl":
             dvl = columns.dvl
-            repeats = sum(note.count for note in notes if note.code in ("dvl_repeats", "dvl_same_values"))
+            repeats = sum(
+                note.count for note in notes if note.code in ("dvl_repeats", "dvl_same_values")
+            )
             steps_s = np.diff(seconds(dvl.time_ns, int(dvl.time_ns[0])))
             rate_hz = 1.0 / float(np.median(steps_s)) if steps_s.size else None
-            beams = np.empty(0) if dvl.beam_velocity_mps is None else np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
-            four, three, fewer = (int(np.count_nonzero(part)) for part in (beams > 3, beams == 3, beams < 3))
+            beams = (
+                np.empty(0)
+                if dvl.beam_velocity_mps is None
+                else np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
+            )
+            four, three, fewer = (
+                int(np.count_nonzero(part)) for part in (beams > 3, beams == 3, beams < 3)
+            )
             self.pings = PingFacts(messages, repeats, len(dvl.time_ns), four, three, fewer, rate_hz)
         elif columns.reference is not None and columns.imu is not None and self.deep:
-            reference, (first_ns, last_ns) = columns.reference, columns.imu.time_ns[[0, -1]].tolist()
+            reference, (first_ns, last_ns) = (
+                columns.reference,
+                columns.imu.time_ns[[0, -1]].tolist(),
+            )
             parts_pct = []
-            for values in (reference.position[:, :2], reference.velocity_n, reference.mat_nb.reshape(-1, 9)):
+            for values in (
+                reference.position[:, :2],
+                reference.velocity_n,
+                reference.mat_nb.reshape(-1, 9),
+            ):
                 time_ns = reference.time_ns[np.isfinite(values).all(axis=1)].clip(first_ns, last_ns)
                 covered_ns = int(time_ns[-1] - time_ns[0]) if len(time_ns) else 0
                 parts_pct.append(100.0 * covered_ns / max(last_ns - first_ns, 1))
@@ -184,7 +211,9 @@ class DryRun:
         self.notes.append(Note("first_messages", text, 1, Severity.WARNING, _LOOK_FURTHER))
 
     def _remarks(self, imu: ImuColumns) -> Iterator[Remark]:
-        return plausibility_remarks(str(self.log.path), imu, self.columns.dvl, self.columns.reference, self.config)
+        return plausibility_remarks(
+            str(self.log.path), imu, self.columns.dvl, self.columns.reference, self.config
+        )
 
     def _remark(self, notes: Iterable[Note]) -> None:
         """Keep notes; of those from a sample the warnings alone, since its counts are not the log's."""
@@ -236,14 +265,21 @@ _NEVER: Final = re.compile(r"cov|var|std|bias|offset|magn|time|stamp|ang\w*acc|q
 _WORDS: Final = {
     "specific_force": re.compile(r"acc|force|\b[af]x\b|delta_?v|\bdvx\b"),
     "angular_rate": re.compile(r"gyr|ang|rate|omega|rot|turn|\b[gw]x\b|\bp, (\S+\.)?q, "),
-    "velocity": re.compile(r"^(?!.*(ang|gyr|delta)).*(vel|speed|twist|surge|\bvx\b|\bu, (\S+\.)?v, )"),
+    "velocity": re.compile(
+        r"^(?!.*(ang|gyr|delta)).*(vel|speed|twist|surge|\bvx\b|\bu, (\S+\.)?v, )"
+    ),
     "beam_velocity": re.compile(r"(\[\*\]|beam|trans).*(vel|[._]v$)|vel.*(beam|trans)"),
     "beam_valid": re.compile(r"(\[\*\]|beam|trans).*(valid|lock|good)"),
 }
-AS_GRAVITY_MPS2: Final = (0.9 * GRAVITY_MPS2, 1.1 * GRAVITY_MPS2)  # a specific force is known by its size
+AS_GRAVITY_MPS2: Final = (
+    0.9 * GRAVITY_MPS2,
+    1.1 * GRAVITY_MPS2,
+)  # a specific force is known by its size
 
 
-def fitting_units(size: float, units: Mapping[str, float], least: float, most: float) -> tuple[str, ...]:
+def fitting_units(
+    size: float, units: Mapping[str, float], least: float, most: float
+) -> tuple[str, ...]:
     """Return the units, by their SI factors, in which a size is between two limits."""
     return tuple(unit for unit, factor in units.items() if least < size * factor < most)
 
@@ -273,8 +309,14 @@ def vector_paths(known: Kinds) -> list[str]:
     numbers, children = _numbers(known)
     lists = [path.removesuffix("[*]") for path in numbers if path.count("[*]") == 1]
     structures = {path for path, names in children.items() if sorted(names) == ["x", "y", "z"]}
-    quaternions = {path for path, names in children.items() if sorted(names) == ["w", "x", "y", "z"]}
-    single = {path for path in scalar_paths(known) if path.rpartition(".")[0] not in structures | quaternions}
+    quaternions = {
+        path for path, names in children.items() if sorted(names) == ["w", "x", "y", "z"]
+    }
+    single = {
+        path
+        for path in scalar_paths(known)
+        if path.rpartition(".")[0] not in structures | quaternions
+    }
     # Fields such as ``ax``, ``ay``, ``az`` or ``p``, ``q``, ``r`` or ``beam_1`` to ``beam_4``.
     families = set()
     for path in single:
@@ -294,14 +336,20 @@ def vector_paths(known: Kinds) -> list[str]:
 def scalar_paths(known: Kinds) -> list[str]:
     """Find the single numbers among the fields of a type."""
     in_times = tuple(f"{path}." for path in time_paths(known))
-    numbers = [path for path in _numbers(known)[0] if f"{path}[*]" not in known and "[*]" not in path]
+    numbers = [
+        path for path in _numbers(known)[0] if f"{path}[*]" not in known and "[*]" not in path
+    ]
     return [path for path in numbers if not path.startswith(in_times)]
 
 
 def time_paths(known: Kinds) -> list[str]:
     """Find the times and durations of a type: structures of seconds and nanoseconds."""
     pairs = {path: names for path, names in _numbers(known)[1].items() if len(names) == 2}
-    return [path for path, (first, second) in pairs.items() if first in _SECONDS and second in _NANOSECONDS]
+    return [
+        path
+        for path, (first, second) in pairs.items()
+        if first in _SECONDS and second in _NANOSECONDS
+    ]
 
 
 @dataclass(frozen=True)
@@ -321,7 +369,11 @@ class FieldMatch:
     @property
     def force_unit(self) -> str:
         """The unit in which the vector has the size of gravity; empty if in none."""
-        units = () if self.is_beams else fitting_units(self.size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
+        units = (
+            ()
+            if self.is_beams
+            else fitting_units(self.size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
+        )
         return units[0] if units else ""
 
     def __str__(self) -> str:
@@ -361,10 +413,15 @@ class ProbedTopic:
         known = [
             candidate
             for candidate in self.candidates
-            if not _NEVER.search(candidate.path.lower()) and candidate.is_beams == quantity.startswith("beam")
+            if not _NEVER.search(candidate.path.lower())
+            and candidate.is_beams == quantity.startswith("beam")
         ]
         words = _WORDS.get(quantity)
-        named = known if words is None else [candidate for candidate in known if words.search(candidate.path.lower())]
+        named = (
+            known
+            if words is None
+            else [candidate for candidate in known if words.search(candidate.path.lower())]
+        )
         if quantity == "specific_force" and not named:
             return [candidate for candidate in known if candidate.force_unit]
         if quantity == "velocity" and self.is_table and not named:
@@ -372,7 +429,9 @@ class ProbedTopic:
         return named
 
 
-def probe_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[ProbedTopic], list[str]]:
+def probe_topics(
+    log: Recording, channels: Sequence[LogChannel]
+) -> tuple[list[ProbedTopic], list[str]]:
     """Look at the first messages of some topics; name those that were too many to be looked at, too."""
     seen: list[ProbedTopic] = []
     unseen: list[str] = []
@@ -403,19 +462,34 @@ def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
         reader.columns(block)
     candidates: list[FieldMatch] = []
     scalars: dict[str, float] = {}
-    paths = [*vector_paths(reader.known), *scalar_paths(reader.known)][: _MOST_WORK // max(len(reader.known), 1)]
+    paths = [*vector_paths(reader.known), *scalar_paths(reader.known)][
+        : _MOST_WORK // max(len(reader.known), 1)
+    ]
     for path in paths:
         # Read one by one, since one field that is not what it seems would spoil the others.
         parts = split_paths(path)
-        fields = reader.of(parts) if isinstance(reader, DecodedFields) else open_reader(channel, parts)
+        fields = (
+            reader.of(parts) if isinstance(reader, DecodedFields) else open_reader(channel, parts)
+        )
         read = (fields.columns(block) for block in blocks)
-        values = [np.concatenate([columns[part].astype(np.float64) for part in parts], axis=1) for columns in read]
+        values = [
+            np.concatenate([columns[part].astype(np.float64) for part in parts], axis=1)
+            for columns in read
+        ]
         width = min((columns.shape[1] for columns in values), default=0)
-        every = np.concatenate([columns[:, :width] for columns in values]) if values else np.empty((0, 0))
+        every = (
+            np.concatenate([columns[:, :width] for columns in values])
+            if values
+            else np.empty((0, 0))
+        )
         finite = without_marks(every[np.isfinite(every).all(axis=1)])
         if len(finite) and width in _WIDTHS:
             sizes = np.linalg.norm(finite, axis=1)
-            candidates.append(FieldMatch(path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max())))
+            candidates.append(
+                FieldMatch(
+                    path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max())
+                )
+            )
         elif len(finite) and width == 1:
             scalars[path] = float(np.median(finite))
     return ProbedTopic(channel, reader.known, tuple(candidates), scalars), len(paths)

@@ -35,8 +35,12 @@ from insdvl_replay.inspection.trials import Hypothesis, Trials, rpy_of, turned_a
 
 APART_RAD: Final = 10.0 * DEG  # alternatives that are nearer are one answer
 MOST_OTHERS: Final = 3  # relations of axes and scale that are fitted beside the best
-NO_WORSE: Final = 1.1  # ratio of costs that the delay and the coarse noise of trials make, whatever is true
-TILTED_RAD: Final = 10.0 * DEG  # from which gravity shows an IMU that is built in obliquely; trim of a vehicle is less
+NO_WORSE: Final = (
+    1.1  # ratio of costs that the delay and the coarse noise of trials make, whatever is true
+)
+TILTED_RAD: Final = (
+    10.0 * DEG
+)  # from which gravity shows an IMU that is built in obliquely; trim of a vehicle is less
 TURNED_RAD: Final = 3.0 * DEG  # from which the reference's attitude shows it
 LEAST_SHARE: Final = 0.8  # of the mean velocity in the mean speed, of a vehicle that goes one way
 SIDEWAYS_RAD: Final = 60.0 * DEG  # no vehicle goes so far from forward
@@ -72,7 +76,10 @@ class FreeTurn:
         mat = self.turn_to(best).T @ mat_from_rpy(np.array(best.rpy_deg) * DEG)
         if angle_between(mat, self.mat) < NEAR_QUARTER_RAD:
             return False
-        return self.level.excludes(mat, self.mat) and self.fit.held_out_misfit(self.mat, mat) > LEAST_BETTER
+        return (
+            self.level.excludes(mat, self.mat)
+            and self.fit.held_out_misfit(self.mat, mat) > LEAST_BETTER
+        )
 
     def alternatives(self, best: Hypothesis) -> list[tuple[float, float, float]]:
         """Return mountings in the body of a hypothesis that fit about as well as its own, far from each other."""
@@ -80,7 +87,9 @@ class FreeTurn:
             return []
         turn = self.turn_to(best)
         mat = turn.T @ mat_from_rpy(np.array(best.rpy_deg) * DEG)
-        turns = [mat_from_vector(angle_deg * DEG * self.level.down_b) for angle_deg in _TURNS_TRIED_DEG]
+        turns = [
+            mat_from_vector(angle_deg * DEG * self.level.down_b) for angle_deg in _TURNS_TRIED_DEG
+        ]
         others = [*self.level.minima, *AXES, *(about_down @ mat for about_down in turns)]
         likely = [other for other in others if self.level.is_possible(other)]
         likely = [other for other in likely if not self.level.excludes(other, mat)]
@@ -109,7 +118,9 @@ def turn_freely(trials: Trials, pings: DvlColumns) -> FreeTurn | None:
         return None
     least = min(free.fit.cost for free in fits)
     similar = [free for free in fits if free.fit.cost < CLEARLY * least]
-    free = next((free for free in similar if free.first.relation == trials.as_read.relation), similar[0])
+    free = next(
+        (free for free in similar if free.first.relation == trials.as_read.relation), similar[0]
+    )
     turned = with_cost(replace(free.first, rpy_deg=rpy_of(free.mat)), trials.dive, trials.config)
     # What excludes a quarter turn of the same IMU on windows of its own needs no trial that is better, too.
     most = NO_WORSE * trials.cost if free is own else trials.cost
@@ -132,7 +143,9 @@ def _free_turn(trials: Trials, relation: object, pings: DvlColumns) -> FreeTurn 
 # --- The IMU in the body.
 
 
-def in_body(best: Hypothesis, dive: Dive, config: Config, *, is_as_read: bool) -> tuple[Hypothesis, Hypothesis | None]:
+def in_body(
+    best: Hypothesis, dive: Dive, config: Config, *, is_as_read: bool
+) -> tuple[Hypothesis, Hypothesis | None]:
     """Return a hypothesis in the axes of the vehicle: those of the reference's attitude, else level and forward.
 
     Where the axes are as read, but the vehicle travels sideways in them, the other axes are returned, too: only a
@@ -143,9 +156,13 @@ def in_body(best: Hypothesis, dive: Dive, config: Config, *, is_as_read: bool) -
     config = msgspec.structs.replace(config, dvl=own)
     imu = best.applied(dive.imu)
     if dive.reference is not None:
-        turn = turn_to_reference(imu, dive.reference, velocity_pairs(dive.dvl, dive.reference, config))
+        turn = turn_to_reference(
+            imu, dive.reference, velocity_pairs(dive.dvl, dive.reference, config)
+        )
         if turn is not None:
-            in_reference = best if angle_between(turn, np.eye(3)) < TURNED_RAD else best.with_body_turned(turn)
+            in_reference = (
+                best if angle_between(turn, np.eye(3)) < TURNED_RAD else best.with_body_turned(turn)
+            )
             return in_reference, None
     level = _turn_of_axis(down_of(imu), _DOWN)
     if angle_between(level, np.eye(3)) > TILTED_RAD:

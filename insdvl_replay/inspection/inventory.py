@@ -43,7 +43,9 @@ class LogFacts:
     chunks: int
     messages: int
     has_summary: bool  # whether the file closes with a summary
-    start_utc: str | None  # log time of the first message, ISO 8601; None without messages, or before 1970
+    start_utc: (
+        str | None
+    )  # log time of the first message, ISO 8601; None without messages, or before 1970
     duration_s: float  # from the first to the last message
     metadata: tuple[str, ...]  # their names
     attachments: tuple[str, ...]
@@ -116,7 +118,9 @@ class Inventory:
     reading: Reading  # how much of the messages was read to know it
     topics: tuple[TopicFacts, ...]
     roles: tuple[RoleFacts, ...]
-    conventions: dict[str, dict[str, Any]] = field(default_factory=dict)  # by topic: keys that its type settles
+    conventions: dict[str, dict[str, Any]] = field(
+        default_factory=dict
+    )  # by topic: keys that its type settles
     clocks: tuple[Clock, ...] = ()
     pings: PingFacts | None = None  # this and the reference only where the messages were read whole
     reference: ReferenceFacts | None = None
@@ -124,18 +128,24 @@ class Inventory:
     notes: tuple[Note, ...] = field(default=())
     configuration: str = ""  # TOML to start from where something stops a replay
     decisions: tuple[str, ...] = ()  # its keys about which a person must decide
-    remaining: tuple[Blocker, ...] = ()  # what stops a replay with it too, besides decisions without a value
+    remaining: tuple[
+        Blocker, ...
+    ] = ()  # what stops a replay with it too, besides decisions without a value
 
 
 # --- For people, and for scripts.
 
 _PREFIXES: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1, "B"))
-_FOLDED: Final = 16  # letters of a type's name that a narrow terminal folds before it leaves out a column
+_FOLDED: Final = (
+    16  # letters of a type's name that a narrow terminal folds before it leaves out a column
+)
 _MOST_TOPICS: Final = 100  # more are folded: recorders that write each field of each message as a topic make thousands
 _LEAST_FOLDED: Final = 4
 _MOST_EMPTY: Final = 40
 _LONGEST_CLAUSE: Final = 120  # letters of a blocker in the answer
-_PROPOSAL: Final = "Proposed settings, a file for -c. The comments give the reasons and what to decide:"
+_PROPOSAL: Final = (
+    "Proposed settings, a file for -c. The comments give the reasons and what to decide:"
+)
 
 
 def answer_lines(inventory: Inventory, arguments: str = "") -> list[Callout | Code]:
@@ -153,9 +163,17 @@ def answer_lines(inventory: Inventory, arguments: str = "") -> list[Callout | Co
     first, count = inventory.blockers[0], len(inventory.blockers)
     why = (first.message.partition(f"{name}: ")[2] or first.message).partition("; ")[0]
     why = why if len(why) < _LONGEST_CLAUSE else why.partition(": ")[0]
-    refused = Callout(f"{name} cannot be replayed as it is ({counted(count, 'blocker')}): {why}", "bad")
+    refused = Callout(
+        f"{name} cannot be replayed as it is ({counted(count, 'blocker')}): {why}", "bad"
+    )
     if inventory.configuration and not inventory.remaining:
-        return [refused, Code(f"insdvl-replay inspect {arguments} --propose vehicle.toml\n{run} -c vehicle.toml", "")]
+        return [
+            refused,
+            Code(
+                f"insdvl-replay inspect {arguments} --propose vehicle.toml\n{run} -c vehicle.toml",
+                "",
+            ),
+        ]
     return [refused, Callout(f"To do: {[*inventory.remaining, first][0].hint}")]
 
 
@@ -163,7 +181,9 @@ def inspection_result(inventory: Inventory, arguments: str = "") -> Result:
     """Lay out an inventory; on a terminal, where the first sentence names the log, it needs no title."""
     log = inventory.log
     used = sum(1 for topic in inventory.topics if topic.messages)
-    unit, name = next((unit, name) for unit, name in _PREFIXES if log.size_bytes >= unit or unit == 1)
+    unit, name = next(
+        (unit, name) for unit, name in _PREFIXES if log.size_bytes >= unit or unit == 1
+    )
     size = f"{log.size_bytes / unit:.3g} {name}{f' in {log.parts} parts' if log.parts > 1 else ''}"
     summary = "" if log.has_summary else ", no summary"
     compression = f" ({', '.join(log.compression)})" if log.chunks else ""
@@ -188,12 +208,16 @@ def inspection_result(inventory: Inventory, arguments: str = "") -> Result:
     if (pings := inventory.pings) is not None:
         announced = sum(topic.messages for topic in inventory.topics if topic.role == "dvl")
         messages = f"{'the first ' if pings.messages < announced else ''}{pings.messages} messages"
-        repeated = f" ({100 * pings.repeats / pings.messages:.0f} % repeats)" if pings.repeats else ""
+        repeated = (
+            f" ({100 * pings.repeats / pings.messages:.0f} % repeats)" if pings.repeats else ""
+        )
         rate = f" at {number(pings.rate_hz)} Hz" if pings.rate_hz is not None else ""
         beams = f"valid beams: four or more in {pings.four_or_more}, three in {pings.three}, fewer in {pings.fewer}"
         if not pings.four_or_more + pings.three + pings.fewer:
             beams = "no beams"
-        found.append(Remark(f"dvl: {pings.pings} usable pings in {messages}{repeated}{rate}; {beams}"))
+        found.append(
+            Remark(f"dvl: {pings.pings} usable pings in {messages}{repeated}{rate}; {beams}")
+        )
     if (reference := inventory.reference) is not None:
         text = (
             f"reference: {reference.rows} rows; share of the IMU's time between first and last row: "
@@ -201,18 +225,26 @@ def inspection_result(inventory: Inventory, arguments: str = "") -> Result:
             f"attitude {reference.attitude_pct:.0f} %"
         )
         found.append(Remark(text))
-    found += [Remark(f"{note.severity}: {note.text} [{note.code}]", note.hint) for note in inventory.notes]
+    found += [
+        Remark(f"{note.severity}: {note.text} [{note.code}]", note.hint) for note in inventory.notes
+    ]
     found += [Remark(f"blocker: {blocker.message}", blocker.hint) for blocker in inventory.blockers]
     parts += [Sentences(tuple(found))] if found else []
 
     # What the proposed settings leave open.
     if inventory.configuration:
-        left = [Remark(f"to decide: {', '.join(inventory.decisions)}")] if inventory.decisions else []
+        left = (
+            [Remark(f"to decide: {', '.join(inventory.decisions)}")] if inventory.decisions else []
+        )
         for blocker in inventory.remaining:
             hint = "" if blocker in inventory.blockers else blocker.hint
             left.append(Remark(f"blocker with these settings too: {blocker.message}", hint))
         left = left or [Remark("nothing to decide")]
-        proposal = (Sentences((_PROPOSAL,)), Code(inventory.configuration, "toml"), Sentences(tuple(left)))
+        proposal = (
+            Sentences((_PROPOSAL,)),
+            Code(inventory.configuration, "toml"),
+            Sentences(tuple(left)),
+        )
         parts.append(Only(("terminal", "markdown", "html"), proposal))
     return Result("inspection", log.name, tables=_blocks(inventory), document=parts, data=inventory)
 
@@ -261,14 +293,27 @@ def inventory_tables(inventory: Inventory) -> list[DisplayTable]:
         ("topic", "key and value"),
         "ll",
         tuple(
-            (topic, tuple(f"{key} = {msgspec.json.encode(value).decode()}" for key, value in keys.items()))
+            (
+                topic,
+                tuple(
+                    f"{key} = {msgspec.json.encode(value).decode()}" for key, value in keys.items()
+                ),
+            )
             for topic, keys in inventory.conventions.items()
         ),
     )
     empty = [topic.topic for topic in inventory.topics if not topic.messages]
     topics = DisplayTable(
         "Topics: rate, longest gap and span by log time",
-        ("topic\n  type, encoding", "role", "messages", "rate\n[Hz]", "gap\n[s]", "from\n[s]", "to\n[s]"),
+        (
+            "topic\n  type, encoding",
+            "role",
+            "messages",
+            "rate\n[Hz]",
+            "gap\n[s]",
+            "from\n[s]",
+            "to\n[s]",
+        ),
         "llrrrrr",
         tuple(_topic_rows([topic for topic in inventory.topics if topic.messages])),
         f"without messages: {listed(empty, _MOST_EMPTY)}" if empty else "",
@@ -282,7 +327,13 @@ def inventory_tables(inventory: Inventory) -> list[DisplayTable]:
         (
             ("topic", "l", "topic"),
             ("stamp", "l", "stamp"),
-            ("first", "r", lambda clock: "all" if clock.messages == messages.get(clock.topic) else str(clock.messages)),
+            (
+                "first",
+                "r",
+                lambda clock: (
+                    "all" if clock.messages == messages.get(clock.topic) else str(clock.messages)
+                ),
+            ),
             ("median\n[s]", "r", "log_minus_stamp_s"),
             ("spread\n[s]", "r", "spread_s"),
             ("back\nsteps", "r", "back_steps"),
@@ -303,13 +354,21 @@ def _topic_rows(topics: Sequence[TopicFacts]) -> Iterator[tuple[CellText, ...]]:
         above = parent[topic.topic]
         if topic.role or len(topics) <= _MOST_TOPICS or not above or below[above] < _LEAST_FOLDED:
             # Some recorders name a topic after its type; once is enough.
-            type_name = "" if topic.type_name == topic.topic else f"{topic.type_name or 'no type'}, "
+            type_name = (
+                "" if topic.type_name == topic.topic else f"{topic.type_name or 'no type'}, "
+            )
             yield (
                 (topic.topic, f"  {type_name}{topic.encoding or 'no encoding'}"),
                 topic.role,
                 str(topic.messages),
-                *(MISSING if value is None else f"{value:.3g}" for value in (topic.rate_hz, topic.longest_gap_s)),
-                *(MISSING if value is None else f"{value:.0f}" for value in (topic.start_s, topic.end_s)),
+                *(
+                    MISSING if value is None else f"{value:.3g}"
+                    for value in (topic.rate_hz, topic.longest_gap_s)
+                ),
+                *(
+                    MISSING if value is None else f"{value:.0f}"
+                    for value in (topic.start_s, topic.end_s)
+                ),
             )
         elif above not in shown:
             shown.add(above)

@@ -14,17 +14,23 @@ from insdvl_replay.logs.formats.recording import Recording
 _ENOUGH: Final = 100_000  # pings that are looked at
 
 
-def flag_senses(log: Recording, topic: ProbedTopic, velocity: str, names: Sequence[str]) -> dict[str, tuple[str, str]]:
+def flag_senses(
+    log: Recording, topic: ProbedTopic, velocity: str, names: Sequence[str]
+) -> dict[str, tuple[str, str]]:
     """Return of each flag the key that it is for, empty if that is open, and what speaks for it."""
     fields = {"velocity": velocity, "flags": ", ".join(names)}
-    source = Source("dvl", topic.topic, topic.channel.type_name, (topic.channel,), fields, LOG_TIME, 0.0)
+    source = Source(
+        "dvl", topic.topic, topic.channel.type_name, (topic.channel,), fields, LOG_TIME, 0.0
+    )
     table = read_sample(log, source, _ENOUGH)
     found, senses = flag_columns(names), dict[str, tuple[str, str]]()
     for name, flag in zip(names, table.values("flags").T, strict=True):
         is_zero_bad = says_valid(flag, table.values("velocity"))
         by_name = "valid" if name in found.valid else "invalid" if name in found.invalid else ""
         by_data = {True: "valid", False: "invalid", None: ""}[is_zero_bad]
-        marked = int(np.count_nonzero(flag == 0.0 if (by_name or by_data) == "valid" else flag != 0.0))
+        marked = int(
+            np.count_nonzero(flag == 0.0 if (by_name or by_data) == "valid" else flag != 0.0)
+        )
         if marked == len(flag) or (by_name and by_data and by_name != by_data):
             senses[name] = "", ""
         elif by_data and not by_name:

@@ -90,7 +90,9 @@ def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
     """Set what has a value."""
     for setting in settings:
         if setting.value is not None:
-            section = msgspec.structs.replace(getattr(config, setting.section), **{setting.name: setting.value})
+            section = msgspec.structs.replace(
+                getattr(config, setting.section), **{setting.name: setting.value}
+            )
             config = msgspec.structs.replace(config, **{setting.section: section})
     return config
 
@@ -99,7 +101,9 @@ def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
     """Leave out the keys that the configuration has set already."""
     kept, default = [], Config()
     for setting in settings:
-        now, before = (getattr(getattr(given, setting.section), setting.name) for given in (config, default))
+        now, before = (
+            getattr(getattr(given, setting.section), setting.name) for given in (config, default)
+        )
         kept += [setting] if setting.value is None or now == before else []
     return kept
 
@@ -107,7 +111,10 @@ def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
 def ordered(settings: Iterable[Setting]) -> list[Setting]:
     """Return the latest setting of each key, section by section."""
     latest = {setting.key: setting for setting in settings}
-    return sorted(latest.values(), key=lambda setting: Config.__struct_fields__.index(setting.key.partition(".")[0]))
+    return sorted(
+        latest.values(),
+        key=lambda setting: Config.__struct_fields__.index(setting.key.partition(".")[0]),
+    )
 
 
 def undecided_keys(settings: Iterable[Setting]) -> tuple[str, ...]:
@@ -125,7 +132,11 @@ def settings_toml(settings: Iterable[Setting]) -> str:
             lines += comment_lines(f"decide: {setting.open}" if setting.open else "")
             lines += [f"#   {visible(line)}" for line in setting.listed]
             is_known = setting.value is not None
-            lines.append(f"{setting.name} = {toml_value(setting.value)}" if is_known else f"# {setting.name} =")
+            lines.append(
+                f"{setting.name} = {toml_value(setting.value)}"
+                if is_known
+                else f"# {setting.name} ="
+            )
             for other in setting.others:
                 value, _, seen = other.partition("  # ")
                 lines += [*comment_lines(seen), f"# or {visible(value)}"]
@@ -138,7 +149,11 @@ def _fields(key: str, candidates: Sequence[FieldMatch], to_decide: str = "") -> 
     first, *others = candidates
     name = key.partition(".")[2]
     return Setting(
-        key, first.path, str(first), to_decide, tuple(f'{name} = "{other.path}"  # {other}' for other in others)
+        key,
+        first.path,
+        str(first),
+        to_decide,
+        tuple(f'{name} = "{other.path}"  # {other}' for other in others),
     )
 
 
@@ -146,7 +161,9 @@ def _fields(key: str, candidates: Sequence[FieldMatch], to_decide: str = "") -> 
 
 _ENOUGH: Final = 1000
 _HEADER: Final = "header.stamp"
-_CLOCK_NAMES: Final = re.compile(r"time|stamp|clock|epoch|utc|tick|^t$|(^|_)(t_|ts$)|_([mun]s|sec)$")
+_CLOCK_NAMES: Final = re.compile(
+    r"time|stamp|clock|epoch|utc|tick|^t$|(^|_)(t_|ts$)|_([mun]s|sec)$"
+)
 # Share of the sample's length by which a clock may wander; what counts from the message before does not run at all.
 _MOST_SPREAD: Final = 0.05
 
@@ -168,10 +185,17 @@ def _stamp(log: Recording, seen: ProbedTopic, role: str) -> Iterator[Setting]:
         with suppress(LogError):
             table = read_sample(log, source, _ENOUGH)
             clock, recorded = table.clock(), table.columns["log_time"][:, 0]
-            spread_s = min(LARGEST_JITTER_S, _MOST_SPREAD * float(recorded[-1] - recorded[0]) * 1e-9)
+            spread_s = min(
+                LARGEST_JITTER_S, _MOST_SPREAD * float(recorded[-1] - recorded[0]) * 1e-9
+            )
             if clock.messages < 2 or clock.spread_s < spread_s:
                 numbers = table.stamp_numbers
-                clocks.append((clock, "" if numbers is None else f", read as {stamp_unit(numbers, recorded)[1]},"))
+                clocks.append(
+                    (
+                        clock,
+                        "" if numbers is None else f", read as {stamp_unit(numbers, recorded)[1]},",
+                    )
+                )
     if not clocks:
         text = "no field of the messages agrees with the recorder's clock"
         yield Setting(f"{role}.stamp", "log_time", text)
@@ -186,7 +210,11 @@ def _recorder_stamps(
     log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config
 ) -> Iterator[Setting]:
     """Stamp all roles by the recorder where their own clocks do not belong together."""
-    stamps = {(source.role, source.topic): source.stamp for finding in findings for source in finding.sources}
+    stamps = {
+        (source.role, source.topic): source.stamp
+        for finding in findings
+        for source in finding.sources
+    }
     why = ""
     if any(clock.stamp != stamps.get((clock.role, clock.topic), clock.stamp) for clock in clocks):
         why = "not all stamps of the roles are times"
@@ -213,23 +241,33 @@ def _imu_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
     for topic in topics:
         forces = topic.likely("specific_force")
         named = [candidate for candidate in topic.likely("angular_rate") if candidate not in forces]
-        rates = named or [candidate for candidate in topic.likely("vector") if candidate not in forces]
+        rates = named or [
+            candidate for candidate in topic.likely("vector") if candidate not in forces
+        ]
         if forces and rates:
             candidates.append((topic, forces, rates, bool(named)))
     if not candidates:
         return
-    topic, forces, rates, is_named = max(candidates, key=lambda found: (found[3], bool(found[1][0].force_unit)))
+    topic, forces, rates, is_named = max(
+        candidates, key=lambda found: (found[3], bool(found[1][0].force_unit))
+    )
     force = forces[0]
     yield Setting("imu.topic", topic.topic)
     yield _fields("imu.specific_force", forces)
     if force.force_unit:
-        yield Setting("imu.specific_force_unit", force.force_unit, "gravity has this size in this unit")
+        yield Setting(
+            "imu.specific_force_unit", force.force_unit, "gravity has this size in this unit"
+        )
     elif (unit := topic.stated_unit(force.path)) in SPECIFIC_FORCE_UNITS:
         yield Setting("imu.specific_force_unit", unit, _STATED)
     else:
         text = f"{', '.join(SPECIFIC_FORCE_BY_SIZE)}; gravity is 9.81, 1 or 1000, but the size is {force.size:.3g}"
         yield Setting("imu.specific_force_unit", "m/s2", open=text)
-    yield _fields("imu.angular_rate", rates, "" if is_named else "no field is named as an angular rate; check this one")
+    yield _fields(
+        "imu.angular_rate",
+        rates,
+        "" if is_named else "no field is named as an angular rate; check this one",
+    )
     if (unit := topic.stated_unit(rates[0].path)) in ANGULAR_RATE_UNITS:
         yield Setting("imu.angular_rate_unit", unit, _STATED)
     yield Setting("imu.axes", "frd", open=_AXES_OPEN)
@@ -239,10 +277,17 @@ def _imu_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
 def _measured_units(imu: ImuColumns, settings: Imu) -> Iterator[Setting]:
     """Propose units by the size of gravity, and by how fast a vehicle can turn."""
     read_in = settings.specific_force_unit or "m/s2"
-    size = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1))) / SPECIFIC_FORCE_UNITS[read_in]
+    size = (
+        float(np.median(np.linalg.norm(imu.specific_force_b, axis=1)))
+        / SPECIFIC_FORCE_UNITS[read_in]
+    )
     units = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
     if units and read_in not in units:
-        yield Setting("imu.specific_force_unit", units[0], f"the size is {size:.3g}, which is gravity in this unit")
+        yield Setting(
+            "imu.specific_force_unit",
+            units[0],
+            f"the size is {size:.3g}, which is gravity in this unit",
+        )
     if settings.angular_rate_unit is not None:
         return
     sizes = np.linalg.norm(imu.angular_rate_b, axis=1)
@@ -291,19 +336,29 @@ def _flag_settings(log: Recording, topic: ProbedTopic, velocity: str) -> Iterato
     open_names = [*(name for name, (sense, _) in senses.items() if not sense), *likely]
     if open_names and not any(sense for sense, _ in senses.values()):
         flags = " or ".join(f'"{name}" (median {topic.scalars[name]:g})' for name in open_names)
-        yield Setting("dvl.valid", None, open=f"is {flags} 0 for an invalid ping? If 0 is valid: dvl.invalid")
+        yield Setting(
+            "dvl.valid", None, open=f"is {flags} 0 for an invalid ping? If 0 is valid: dvl.invalid"
+        )
 
 
 def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
     """Propose a topic with a velocity, best with a name that is a DVL's."""
-    named = [topic for topic in topics if _DVL_WORDS.search(f"{topic.topic} {topic.channel.type_name}".lower())]
-    moving = [topic for topic in topics if topic.likely("velocity") or topic.likely("beam_velocity")]
+    named = [
+        topic
+        for topic in topics
+        if _DVL_WORDS.search(f"{topic.topic} {topic.channel.type_name}".lower())
+    ]
+    moving = [
+        topic for topic in topics if topic.likely("velocity") or topic.likely("beam_velocity")
+    ]
     both = [topic for topic in named if topic in moving]
     candidates = [*both, *moving, *(topic for topic in named if topic.likely("vector"))]
     if not candidates:
         return
     topic = candidates[0]
-    beams, velocities, valid = (topic.likely(quantity) for quantity in ("beam_velocity", "velocity", "beam_valid"))
+    beams, velocities, valid = (
+        topic.likely(quantity) for quantity in ("beam_velocity", "velocity", "beam_valid")
+    )
     velocities = velocities if beams or velocities else topic.likely("vector")
     yield Setting("dvl.topic", topic.topic)
     if velocities:
@@ -322,7 +377,10 @@ def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
             yield Setting("dvl.velocity_unit", best, f"{seen}; in any other it is not a vehicle's")
         else:
             yield Setting(
-                "dvl.velocity_unit", best, seen, f"the size fits several units: {', '.join(VELOCITY_BY_SIZE)}"
+                "dvl.velocity_unit",
+                best,
+                seen,
+                f"the size fits several units: {', '.join(VELOCITY_BY_SIZE)}",
             )
     if velocities:
         yield from _flag_settings(log, topic, velocities[0].path)
@@ -337,11 +395,25 @@ def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
         azimuths = tuple(45.0 + 360.0 * beam / count for beam in range(count))
         yield _fields("dvl.beam_velocity", beams)
         yield from (Setting("dvl.beam_valid", flag.path) for flag in valid[:1])
-        yield Setting("dvl.beam_tilt_deg", 30.0, open="angle from the instrument's z axis, see the data sheet")
-        yield Setting("dvl.beam_azimuth_deg", azimuths, open="angles from forward towards starboard, one for each beam")
+        yield Setting(
+            "dvl.beam_tilt_deg", 30.0, open="angle from the instrument's z axis, see the data sheet"
+        )
+        yield Setting(
+            "dvl.beam_azimuth_deg",
+            azimuths,
+            open="angles from forward towards starboard, one for each beam",
+        )
     yield from _stamp(log, topic, "dvl")
-    yield Setting("dvl.lever_arm_m", (0.0, 0.0, 0.0), open="from IMU to DVL: forward, starboard, down; measure it")
-    yield Setting("dvl.mounting_rpy_deg", (0.0, 0.0, 0.0), open="DVL axes to body: roll, pitch, heading; measure them")
+    yield Setting(
+        "dvl.lever_arm_m",
+        (0.0, 0.0, 0.0),
+        open="from IMU to DVL: forward, starboard, down; measure it",
+    )
+    yield Setting(
+        "dvl.mounting_rpy_deg",
+        (0.0, 0.0, 0.0),
+        open="DVL axes to body: roll, pitch, heading; measure them",
+    )
 
 
 # --- The reference: topic and fields by their names, and in which frame its velocity is.
@@ -378,7 +450,9 @@ def _reference_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterat
     yield Setting("reference.topic", topic.topic, open=_MEANT)
     yield from (Setting(f"reference.{quantity}", path) for quantity, path in fields.items())
     angles = (*_PLACE, *_ATTITUDE)
-    largest = max(abs(topic.scalars[path]) for quantity, path in fields.items() if quantity in angles)
+    largest = max(
+        abs(topic.scalars[path]) for quantity, path in fields.items() if quantity in angles
+    )
     stated = {topic.stated_unit(path) for quantity, path in fields.items() if quantity in angles}
     key = "reference.angle_unit"
     if len(stated) == 1 and stated <= {"deg", "rad"}:
@@ -401,13 +475,21 @@ def _reference_fields(topic: ProbedTopic) -> dict[str, str]:
             found = {quantity: path for quantity, path in found.items() if quantity not in together}
     if not found.keys() & {*_PLACE, *_ATTITUDE}:
         return {}
-    below = [path for path, median in topic.scalars.items() if _ALTITUDE.search(path.lower()) and median < 0.0]
+    below = [
+        path
+        for path, median in topic.scalars.items()
+        if _ALTITUDE.search(path.lower()) and median < 0.0
+    ]
     if below and "latitude" in found and "depth" not in found:
         found["height"] = below[0]  # no altitude above the bottom is negative
     # Fields such as ``vn``, ``ve``, ``vd`` or ``vel_north``, ``vel_east``, ``vel_down``.
     for path in topic.scalars:
         match = _NORTH.fullmatch(path)
-        names = [path, *(f"{match[1]}{other}" for other in _EAST_AND_DOWN.get(match[2], ()))] if match else []
+        names = (
+            [path, *(f"{match[1]}{other}" for other in _EAST_AND_DOWN.get(match[2], ()))]
+            if match
+            else []
+        )
         if len(names) == 3 and topic.scalars.keys() >= set(names):
             return found | {"velocity_n": ", ".join(names)}
     return found
@@ -418,7 +500,10 @@ def _measured_reference(log: Recording, source: Source, config: Config) -> Itera
 
     `nav_msgs/Odometry` has it in the body by definition, but Gazebo writes it in the world.
     """
-    if config.reference.velocity_n is not None or not {"velocity_b", "local_position"} <= source.fields.keys():
+    if (
+        config.reference.velocity_n is not None
+        or not {"velocity_b", "local_position"} <= source.fields.keys()
+    ):
         return
     path = source.fields["velocity_b"]
     # The place on Earth does not matter for displacements.
@@ -427,14 +512,20 @@ def _measured_reference(log: Recording, source: Source, config: Config) -> Itera
     try:
         table = read_tables(log, [source])[0]
         for fields in ({}, {"velocity_n": path}):
-            settings = msgspec.structs.replace(config.reference, velocity_n=fields.get("velocity_n"))
+            settings = msgspec.structs.replace(
+                config.reference, velocity_n=fields.get("velocity_n")
+            )
             read = replace(table, source=replace(source, fields={**source.fields, **fields}))
             columns, _ = decode_reference([read], settings, place)
             misfits.append(None if columns is None else velocity_misfit(columns))
     except LogError:  # a reference that cannot be read is reported where it is used
         return
     in_body, in_world = misfits
-    if in_body is not None and in_world is not None and in_world <= min(_FITS, _FITS_CLEARLY * in_body):
+    if (
+        in_body is not None
+        and in_world is not None
+        and in_world <= min(_FITS, _FITS_CLEARLY * in_body)
+    ):
         text = (
             f"in the axes of the world it differs by {in_world:.1%} from the displacements of the positions; in the "
             f"axes of the body, as its type defines it, by {in_body:.0%}"
@@ -452,7 +543,10 @@ _ROLES: Final = (
 )
 _REFERENCE: Final = 2  # its place among the findings
 _LONGEST: Final = 12  # topics that are listed at most
-_DEFAULTS: Final = ("frd", "rad/s")  # what a known type is taken to give; only something else is worth a setting
+_DEFAULTS: Final = (
+    "frd",
+    "rad/s",
+)  # what a known type is taken to give; only something else is worth a setting
 
 
 @dataclass(frozen=True)
@@ -462,11 +556,15 @@ class Proposal:
     settings: tuple[Setting, ...]
     blockers: tuple[Blocker, ...] = ()  # what stops a replay with them too
     notes: tuple[Note, ...] = ()
-    table_clocks: tuple[Setting, ...] = ()  # those of the settings that correct the clocks of tables
+    table_clocks: tuple[
+        Setting, ...
+    ] = ()  # those of the settings that correct the clocks of tables
     clocks: tuple[Clock, ...] = ()  # by the stamps that the roles have without the settings
 
 
-def propose_settings(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Proposal:
+def propose_settings(
+    path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False
+) -> Proposal:
     """Propose what a replay lacks, by all messages of the roles.
 
     Raises
@@ -483,7 +581,12 @@ def propose_settings(path: Path | Sequence[Path], config: Config, *, allow_damag
 
 
 def propose(
-    log: Recording, findings: Sequence[Finding], seen: DryRun, config: Config, *, whole_reference: bool = False
+    log: Recording,
+    findings: Sequence[Finding],
+    seen: DryRun,
+    config: Config,
+    *,
+    whole_reference: bool = False,
 ) -> Proposal:
     """Propose what a replay lacks, by what was seen of the roles; else what settles a contradiction.
 
@@ -492,7 +595,13 @@ def propose(
     if not seen.blockers and not list(_start(findings, config.initial)):
         contradicted = any(note.code == "reference_contradiction" for note in seen.notes)
         sources = findings[_REFERENCE].sources if contradicted or whole_reference else ()
-        return Proposal(tuple(setting for source in sources for setting in _measured_reference(log, source, config)))
+        return Proposal(
+            tuple(
+                setting
+                for source in sources
+                for setting in _measured_reference(log, source, config)
+            )
+        )
     fields, unseen = _unknown_topics(log, findings, config)
     settings = [*_choices(findings, seen), *not_yet_set(fields, config)]
     clocks: list[Setting] = []
@@ -502,7 +611,9 @@ def propose(
         clocks = not_yet_set(table_clock_settings(log, with_settings(config, settings)), config)
         settings += clocks
     whole_reference = whole_reference or seen.deep
-    settings += _measured(log, with_settings(config, settings), settings, seen.deep, whole_reference)
+    settings += _measured(
+        log, with_settings(config, settings), settings, seen.deep, whole_reference
+    )
     draft = with_settings(config, settings)
     found = find_roles(str(log.path), log.channels, draft)
     settings += _start(found, draft.initial)
@@ -513,7 +624,9 @@ def propose(
         text = f"too many fields: these topics were ignored for the proposal: {listed(unseen)}"
         hint = "set the topic of each role: imu.topic, dvl.topic, reference.topic"
         notes.append(Note("topics_not_looked_at", text, len(unseen), hint=hint))
-    return Proposal(tuple(settings), tuple(last.blockers), tuple(notes), tuple(clocks), tuple(seen.clocks))
+    return Proposal(
+        tuple(settings), tuple(last.blockers), tuple(notes), tuple(clocks), tuple(seen.clocks)
+    )
 
 
 def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:
@@ -525,35 +638,58 @@ def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:
         if finding.error and finding.candidates and finding.role in Config.__struct_fields__:
             topics = [source.topic for source in finding.candidates]
             # Those that cannot be it last, before them those with warnings.
-            first, *others = sorted(topics, key=lambda topic: (topic in seen.refused, topic in seen.warned))
+            first, *others = sorted(
+                topics, key=lambda topic: (topic in seen.refused, topic in seen.warned)
+            )
             key = f"{finding.role}.topic"
             if first not in seen.refused and all(topic in seen.refused for topic in others):
-                yield Setting(key, first, "; ".join(f"not {topic}: {seen.refused[topic]}" for topic in others))
+                yield Setting(
+                    key, first, "; ".join(f"not {topic}: {seen.refused[topic]}" for topic in others)
+                )
             else:
                 lines = tuple(f"topic = {toml_value(topic)}" for topic in others)
                 yield Setting(key, first, open="each of these is possible", others=lines)
 
 
-def _unknown_topics(log: Recording, findings: Sequence[Finding], config: Config) -> tuple[list[Setting], Sequence[str]]:
+def _unknown_topics(
+    log: Recording, findings: Sequence[Finding], config: Config
+) -> tuple[list[Setting], Sequence[str]]:
     """Find topics of unknown types for the roles that no topic of a known type plays; name those not looked at."""
-    wanted = {finding.role for finding in findings if not finding.sources and not finding.candidates}
+    wanted = {
+        finding.role for finding in findings if not finding.sources and not finding.candidates
+    }
     if config.initial.source != "reference":
         wanted -= {"reference"}
     if not wanted:
         return [], ()
-    taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
-    seen, unseen = probe_topics(log, [channel for channel in log.channels if channel.topic not in taken])
+    taken = {
+        source.topic
+        for finding in findings
+        for source in finding.sources
+        if source.role != "reference"
+    }
+    seen, unseen = probe_topics(
+        log, [channel for channel in log.channels if channel.topic not in taken]
+    )
     settings: list[Setting] = []
     for role, settings_of, needed in _ROLES:
         if role in wanted:
             named = getattr(config, role).topic
-            free = [topic for topic in seen if role != "imu" or topic.is_table or topic.topic != config.dvl.topic]
+            free = [
+                topic
+                for topic in seen
+                if role != "imu" or topic.is_table or topic.topic != config.dvl.topic
+            ]
             # The topic alone that the configuration names, if the log has it. The topic of one role is no other's, but
             # a table may have the columns of several.
             candidates = [topic for topic in free if topic.topic == named] or free
             proposed = list(settings_of(log, candidates))
             settings += proposed or _listed(role, needed, candidates)
-            seen = [topic for topic in seen if topic.is_table or not proposed or topic.topic != proposed[0].value]
+            seen = [
+                topic
+                for topic in seen
+                if topic.is_table or not proposed or topic.topic != proposed[0].value
+            ]
     return settings, unseen
 
 
@@ -608,10 +744,20 @@ def _start(findings: Sequence[Finding], initial: Initial) -> Iterator[Setting]:
         return
     given = {quantity for source in reference.sources for quantity in source.fields}
     if not given and initial.source == "reference":
-        yield Setting("initial.source", "level", "no reference to start from; roll and pitch come from gravity")
-    posed = initial.source == BY_SENSOR or (initial.source == "reference" and given & {"quaternion", "roll"})
+        yield Setting(
+            "initial.source",
+            "level",
+            "no reference to start from; roll and pitch come from gravity",
+        )
+    posed = initial.source == BY_SENSOR or (
+        initial.source == "reference" and given & {"quaternion", "roll"}
+    )
     if initial.heading_deg is None and not posed:
         text = f'heading at the start, from north over east; "{BY_SENSOR}" if the log has an AHRS or a compass'
         yield Setting("initial.heading_deg", None, open=text)
     if initial.latitude_deg is None and "latitude" not in given:
-        yield Setting("initial.latitude_deg", None, open="for gravity and Earth rate; half a degree is accurate enough")
+        yield Setting(
+            "initial.latitude_deg",
+            None,
+            open="for gravity and Earth rate; half a degree is accurate enough",
+        )

@@ -14,17 +14,35 @@ from insdvl_replay.checks.dvl import median_speed_mps
 from insdvl_replay.checks.imu import ENOUGH, length_refusal, rate_remark
 from insdvl_replay.checks.reference import is_of_dvl, says_anything
 from insdvl_replay.core.config import Config, Imu
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+)
 from insdvl_replay.core.errors import LogError, Note, UserError, counted, error_context
 from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2
-from insdvl_replay.core.units import SPECIFIC_FORCE_BY_SIZE, SPECIFIC_FORCE_UNITS, VELOCITY_BY_SIZE, VELOCITY_UNITS
+from insdvl_replay.core.units import (
+    SPECIFIC_FORCE_BY_SIZE,
+    SPECIFIC_FORCE_UNITS,
+    VELOCITY_BY_SIZE,
+    VELOCITY_UNITS,
+)
 from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
 from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
 from insdvl_replay.inspection.free_turns import in_body, turn_freely
-from insdvl_replay.inspection.proposal import Proposal, Setting, axes_text, propose_settings, with_settings
+from insdvl_replay.inspection.proposal import (
+    Proposal,
+    Setting,
+    axes_text,
+    propose_settings,
+    with_settings,
+)
 from insdvl_replay.inspection.trials import (
     CLEARLY,
     CONSISTENT,
@@ -53,7 +71,12 @@ SPINNING_RADPS: Final = 1.0
 QUARTERS_DEG: Final = frozenset({-90.0, 0.0, 90.0, 180.0})  # headings of a DVL that are tried
 _NEAR: Final = 0.1  # share by which increments of gravity over a step may be off
 # Settings with which a person has said where forward is.
-BODY_KEYS: Final = ("imu.axes", "imu.mounting_rpy_deg", "dvl.mounting_rpy_deg", "reference.mounting_rpy_deg")
+BODY_KEYS: Final = (
+    "imu.axes",
+    "imu.mounting_rpy_deg",
+    "dvl.mounting_rpy_deg",
+    "reference.mounting_rpy_deg",
+)
 UNKNOWN_LATITUDE_DEG: Final = 45.0
 _USE_REFERENCE: Final = "to use it: reference.ignore = false"
 
@@ -97,7 +120,9 @@ class _LeftOut:
         reason = error.inside(self.place, topic)
         name = role.upper() if role in ("imu", "dvl") else role
         hint = f'to use it: {role}.topic = "{topic}"'
-        self.notes.append(found_note("found_left_out", f"{topic} is not used as {name}: {reason}", hint))
+        self.notes.append(
+            found_note("found_left_out", f"{topic} is not used as {name}: {reason}", hint)
+        )
 
 
 def read_roles(paths: Path | Sequence[Path], given: Config, *, allow_damaged: bool) -> RoleReadings:
@@ -119,30 +144,47 @@ def read_roles(paths: Path | Sequence[Path], given: Config, *, allow_damaged: bo
         imu_sources = by_type["imu"].candidates or proposed["imu"].sources
         imus = list(_imu_topics(log, imu_sources, draft, left_out))
         if not imus:
-            raise next(iter(left_out.errors.values()), LogError("has no readings of an IMU", "", place))
-        references = [proposed["reference"].sources, *([source] for source in by_type["reference"].candidates)]
+            raise next(
+                iter(left_out.errors.values()), LogError("has no readings of an IMU", "", place)
+            )
+        references = [
+            proposed["reference"].sources,
+            *([source] for source in by_type["reference"].candidates),
+        ]
         reference, draft = _first_reference(log, references, draft, given, left_out)
         dvl_sources = by_type["dvl"].candidates or proposed["dvl"].sources
-        pings, units, own_velocities = _dvl_topics(log, dvl_sources, draft, given, reference, left_out)
+        pings, units, own_velocities = _dvl_topics(
+            log, dvl_sources, draft, given, reference, left_out
+        )
     if (speed_mps := max(map(median_speed_mps, pings.values()))) < LEAST_MPS:
         text = f"the median speed of the DVL is {speed_mps:.2g} m/s, too slow to find settings"
-        raise LogError(text, "use a dive with turns and changes of speed, or give the settings with -c", place)
+        raise LogError(
+            text, "use a dive with turns and changes of speed, or give the settings with -c", place
+        )
     if reference is not None and not given.reference.topic:
         for topic, dvl in own_velocities.items():
             if is_of_dvl(reference, dvl):
                 text = f"the reference is not used: its velocities are those of {topic}, so that it is no other source"
-                left_out.notes.append(found_note("found_reference", text, _USE_REFERENCE, warn=True))
+                left_out.notes.append(
+                    found_note("found_reference", text, _USE_REFERENCE, warn=True)
+                )
                 reference = None
                 draft = with_values(draft, "reference", ignore=True)
                 break
     alone = {"imu": len(imu_sources) == 1, "dvl": len(dvl_sources) == 1}
     is_alone = frozenset(role for role, is_single in alone.items() if is_single)
     notes = (*left_out.notes, *_stamp_notes(proposal))
-    return RoleReadings(place, draft, imus, pings, units, reference, proposal.table_clocks, notes, is_alone)
+    return RoleReadings(
+        place, draft, imus, pings, units, reference, proposal.table_clocks, notes, is_alone
+    )
 
 
 def _first_reference(
-    log: Recording, tried: Sequence[Sequence[Source]], draft: Config, given: Config, left_out: _LeftOut
+    log: Recording,
+    tried: Sequence[Sequence[Source]],
+    draft: Config,
+    given: Config,
+    left_out: _LeftOut,
 ) -> tuple[ReferenceColumns | None, Config]:
     """Return the first reference that can be read, and the settings with it; they ignore it where none can."""
     for sources in tried:
@@ -160,7 +202,12 @@ def _first_reference(
             draft = with_values(draft, "reference", topic=sources[0].topic)
         return columns.reference, draft
     is_chosen = given.reference.topic is not None or given.reference.fix is not None
-    if tried[0] and not is_chosen and not draft.reference.ignore and left_out.errors.keys() & {tried[0][0].topic}:
+    if (
+        tried[0]
+        and not is_chosen
+        and not draft.reference.ignore
+        and left_out.errors.keys() & {tried[0][0].topic}
+    ):
         draft = with_values(draft, "reference", ignore=True)
     return None, draft
 
@@ -176,7 +223,9 @@ def _dvl_topics(
     """Read the topics that could be the DVL: their pings, the units that are not as proposed, and their velocities."""
     pings: dict[str, DvlColumns] = {}
     units: dict[str, str] = {}
-    own_velocities: dict[str, DvlColumns] = {}  # those that the instruments computed, where there are any
+    own_velocities: dict[
+        str, DvlColumns
+    ] = {}  # those that the instruments computed, where there are any
     for source in sources:
         try:
             (table,) = read_tables(log, [source])
@@ -194,7 +243,9 @@ def _dvl_topics(
         own_velocities[source.topic] = dvl
         if dvl.velocity_d is None and "velocity" in table:
             with suppress(UserError):
-                own_velocities[source.topic] = _decoded(log, table, with_values(read_in, "dvl", kind="velocity"))
+                own_velocities[source.topic] = _decoded(
+                    log, table, with_values(read_in, "dvl", kind="velocity")
+                )
     if not pings:
         raise left_out.errors[sources[0].topic]
     return pings, units, own_velocities
@@ -213,7 +264,9 @@ def _stamp_notes(proposal: Proposal) -> Iterator[Note]:
         for setting in proposal.settings
         if setting.key.endswith(".stamp") and setting.value == "log_time"
     ]
-    apart = [clock for clock in proposal.clocks if clock.role in by_recorder and is_other_clock(clock)]
+    apart = [
+        clock for clock in proposal.clocks if clock.role in by_recorder and is_other_clock(clock)
+    ]
     if not apart:
         return
     said = "; ".join(clock_words(clock) for clock in apart)
@@ -226,7 +279,11 @@ def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: 
     read_in = draft.dvl.velocity_unit or "m/s"
     size = speed_mps / VELOCITY_UNITS[read_in]
     speeds_mps = np.zeros(0) if reference is None else np.linalg.norm(reference.velocity_n, axis=1)
-    known_mps = float(np.median(speeds_mps[np.isfinite(speeds_mps)])) if np.isfinite(speeds_mps).any() else 0.0
+    known_mps = (
+        float(np.median(speeds_mps[np.isfinite(speeds_mps)]))
+        if np.isfinite(speeds_mps).any()
+        else 0.0
+    )
     if known_mps / SAME_SPEED < speed_mps < known_mps * SAME_SPEED:
         return read_in
     fitting = fitting_units(size, VELOCITY_BY_SIZE, known_mps / SAME_SPEED, known_mps * SAME_SPEED)
@@ -260,7 +317,11 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
     if not given.has(*BODY_KEYS):
         best, sideways = in_body(best, dive, draft, is_as_read=best.axes == imu.as_read.axes)
         notes += [] if sideways is None else [_forward_note(best, sideways)]
-    alike = {one.rpy_deg[2] for one in trials.close if (one.axes, one.force_axes) == (chosen.axes, chosen.force_axes)}
+    alike = {
+        one.rpy_deg[2]
+        for one in trials.close
+        if (one.axes, one.force_axes) == (chosen.axes, chosen.force_axes)
+    }
     if alike >= QUARTERS_DEG and not given.has("dvl.mounting_rpy_deg"):
         raise LogError(
             "the vehicle moves too little to find the mounting of the DVL: all headings fit as well",
@@ -272,7 +333,9 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
     others += [] if free is None or trials is not first else free.alternatives(best)
     notes += _role_notes(tried, best, imus, others)
     if read.clocks:
-        times = "; ".join(f"{setting.key} {setting.value}, {setting.seen}" for setting in read.clocks)
+        times = "; ".join(
+            f"{setting.key} {setting.value}, {setting.seen}" for setting in read.clocks
+        )
         notes.append(found_note("found_clocks", f"times of the tables: {times}", warn=True))
     draft = msgspec.structs.replace(
         draft, imu=_as_configured(imu, best, given.config.imu, is_alone="imu" in read.is_alone)
@@ -291,7 +354,9 @@ def _trials_of_pairs(read: RoleReadings, given: Given) -> list[_Tried]:
             except LogError as error:
                 too_few.append(error)
                 continue
-            trials = Trials(stretch, trial_config(read.draft, UNKNOWN_LATITUDE_DEG), imu.as_read, given)
+            trials = Trials(
+                stretch, trial_config(read.draft, UNKNOWN_LATITUDE_DEG), imu.as_read, given
+            )
             tried.append((trials, imu, topic))
     if not tried:
         with error_context(read.place):
@@ -365,7 +430,9 @@ def _rate_unit(best: Hypothesis) -> tuple[str, float]:
     return "", best.rate_scale
 
 
-def _imu_topics(log: Recording, sources: Sequence[Source], draft: Config, left_out: _LeftOut) -> Iterator[_ImuTopic]:
+def _imu_topics(
+    log: Recording, sources: Sequence[Source], draft: Config, left_out: _LeftOut
+) -> Iterator[_ImuTopic]:
     """Read the topics that could be the IMU; those that cannot are left out."""
     for source in sources:
         try:
@@ -376,8 +443,16 @@ def _imu_topics(log: Recording, sources: Sequence[Source], draft: Config, left_o
 
 def _increment_s(table: Table, size: float, known: Imu) -> float | None:
     """Return the step of the samples where readings of a size are increments of gravity over it; None for others."""
-    step_s = float(np.median(np.diff(np.sort(table.time_ns())))) / NS_PER_S if len(table) > ENOUGH else 0.0
-    is_increment = known.increment_s is None and step_s > 0.0 and abs(size / (GRAVITY_MPS2 * step_s) - 1.0) < _NEAR
+    step_s = (
+        float(np.median(np.diff(np.sort(table.time_ns())))) / NS_PER_S
+        if len(table) > ENOUGH
+        else 0.0
+    )
+    is_increment = (
+        known.increment_s is None
+        and step_s > 0.0
+        and abs(size / (GRAVITY_MPS2 * step_s) - 1.0) < _NEAR
+    )
     return float(f"{step_s:.4g}") if is_increment else None
 
 
@@ -388,7 +463,9 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     own = draft.imu if is_meant else msgspec.structs.replace(Imu(), stamp=draft.imu.stamp)
     known = source.completed(own)
     as_read = Hypothesis(
-        known.axes or FRD, known.specific_force_axes or known.axes or FRD, imu_rpy_deg=own.mounting_rpy_deg
+        known.axes or FRD,
+        known.specific_force_axes or known.axes or FRD,
+        imu_rpy_deg=own.mounting_rpy_deg,
     )
     force, rate = (
         measured_vectors(table, "specific_force", "force", known),
@@ -410,7 +487,9 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     if len(columns.time_ns) < ENOUGH:
         what = f"has {counted(len(columns.time_ns), 'sample')}, too few to try settings"
         raise LogError(what, "", place, source.topic)
-    refused = rate_remark(place, columns, msgspec.structs.replace(settings, min_rate_hz=own.min_rate_hz))
+    refused = rate_remark(
+        place, columns, msgspec.structs.replace(settings, min_rate_hz=own.min_rate_hz)
+    )
     if isinstance(refused, LogError):
         raise refused
     if (error := length_refusal(place, columns)) is not None:
@@ -453,14 +532,22 @@ def _role_notes(
     """Report the topics and axes that were chosen, and which others are as good."""
     trials, imu, dvl_topic = tried[0]
     parts, warn = [f"IMU {imu.topic}"], False
-    others = {found.topic: run.cost / trials.cost for run, found, _ in reversed(tried[1:]) if found is not imu}
+    others = {
+        found.topic: run.cost / trials.cost
+        for run, found, _ in reversed(tried[1:])
+        if found is not imu
+    }
     if others:
         parts.append(
-            "innovations of others: " + ", ".join(f"{topic} {ratio:.3g} times" for topic, ratio in others.items())
+            "innovations of others: "
+            + ", ".join(f"{topic} {ratio:.3g} times" for topic, ratio in others.items())
         )
         warn = min(others.values()) * CLEARLY < 1.0
     if (best.axes, best.force_axes) != (imu.as_read.axes, imu.as_read.force_axes):
-        parts.append(f"axes {best.axes}" + (f", of forces {best.force_axes}" if best.force_axes != best.axes else ""))
+        parts.append(
+            f"axes {best.axes}"
+            + (f", of forces {best.force_axes}" if best.force_axes != best.axes else "")
+        )
     if any(best.imu_rpy_deg):
         parts.append(f"built in with roll, pitch, heading {_rpy(best.imu_rpy_deg)} deg")
     settings, (unit, scale) = imu.settings, _rate_unit(best)
@@ -479,11 +566,15 @@ def _role_notes(
         parts.append(f"accelerometers read {settings.specific_force_scale:.3g} times gravity")
         warn = True
     for other in imus:
-        ratio, correlation = (1.0, 0.0) if other is imu else rates_compared(imu.columns, other.columns)
+        ratio, correlation = (
+            (1.0, 0.0) if other is imu else rates_compared(imu.columns, other.columns)
+        )
         ratio *= other.settings.angular_rate_scale / settings.angular_rate_scale
         if correlation > SAME_MOTION and abs(ratio - 1.0) > LARGEST_APART:
             parts.append(f"the gyros of {other.topic} read {ratio:.3g} times as much")
-    yield found_note("found_imu", "; ".join(parts), 'to use another: imu.topic = "/topic"', warn=warn)
+    yield found_note(
+        "found_imu", "; ".join(parts), 'to use another: imu.topic = "/topic"', warn=warn
+    )
     apart = set(others_deg)
     text = f"DVL {dvl_topic}, mounting {_rpy(best.rpy_deg)} deg"
     if apart:

@@ -45,8 +45,14 @@ def inspect_log(
         findings = find_roles(str(log.path), log.channels, config)
         seen = DryRun(log, config, deep)
         seen.examine(findings)
-        sources = [source for finding in findings for source in (*finding.sources, *finding.candidates)]
-        others = [channel for channel in log.channels if channel.topic not in {source.topic for source in sources}]
+        sources = [
+            source for finding in findings for source in (*finding.sources, *finding.candidates)
+        ]
+        others = [
+            channel
+            for channel in log.channels
+            if channel.topic not in {source.topic for source in sources}
+        ]
         seen.examine_others(others)
         log_times = log.log_times()
         facts = _log_facts(log, log_times)
@@ -85,7 +91,8 @@ def inspect_log(
                 check_start(
                     config.initial,
                     has_reference=bool(reference),
-                    has_position="latitude" in reference or "latitude" in fields.get("position", ()),
+                    has_position="latitude" in reference
+                    or "latitude" in fields.get("position", ()),
                     has_attitude="quaternion" in reference or "roll" in reference,
                     has_heading=bool(fields.get("heading")),
                 )
@@ -99,7 +106,9 @@ def inspect_log(
         prepared = prepare_with_heading(with_reference_at_imu(dive, config), config)
         return replace(inventory, notes=(*dive.notes, *prepared.notes, *unused))
     except UserError as error:
-        return replace(inventory, blockers=(*inventory.blockers, Blocker(error.message, error.hint)))
+        return replace(
+            inventory, blockers=(*inventory.blockers, Blocker(error.message, error.hint))
+        )
 
 
 def inspect_summary(url: str, config: Config) -> Inventory:
@@ -119,10 +128,18 @@ def inspect_summary(url: str, config: Config) -> Inventory:
     topics = []
     for topic, same in sorted(by_topic(summary.channels).items()):
         count, ids = sum(channel.messages for channel in same), {channel.id for channel in same}
-        chunks = [chunk for chunk in summary.chunks if not ids.isdisjoint(chunk.message_index_offsets)]
-        start_ns = min((chunk.message_start_time for chunk in chunks), default=stated.message_start_time)
+        chunks = [
+            chunk for chunk in summary.chunks if not ids.isdisjoint(chunk.message_index_offsets)
+        ]
+        start_ns = min(
+            (chunk.message_start_time for chunk in chunks), default=stated.message_start_time
+        )
         end_ns = max((chunk.message_end_time for chunk in chunks), default=stated.message_end_time)
-        span_s = tuple((time_ns - stated.message_start_time) * 1e-9 for time_ns in (start_ns, end_ns)) if count else ()
+        span_s = (
+            tuple((time_ns - stated.message_start_time) * 1e-9 for time_ns in (start_ns, end_ns))
+            if count
+            else ()
+        )
         topics.append(_topic(same, role_of.get(topic, ""), count, span_s))
     facts = LogFacts(
         name=name,
@@ -157,7 +174,11 @@ def _role_facts(findings: Sequence[Finding]) -> tuple[RoleFacts, ...]:
             ", ".join(source.topic for source in finding.sources) or None,
             finding.reason,
             tuple(source.topic for source in finding.candidates),
-            {quantity: path for source in finding.sources for quantity, path in source.fields.items()},
+            {
+                quantity: path
+                for source in finding.sources
+                for quantity, path in source.fields.items()
+            },
         )
         for finding in findings
     )
@@ -165,7 +186,9 @@ def _role_facts(findings: Sequence[Finding]) -> tuple[RoleFacts, ...]:
 
 def _role_of(findings: Sequence[Finding]) -> dict[str, str]:
     """Return the role by topic, the first of several."""
-    return {source.topic: source.role for finding in reversed(findings) for source in finding.sources}
+    return {
+        source.topic: source.role for finding in reversed(findings) for source in finding.sources
+    }
 
 
 def _conventions(findings: Sequence[Finding]) -> dict[str, dict[str, Any]]:
@@ -198,7 +221,9 @@ def _log_facts(log: Recording, log_times: Mapping[int, TimeNs]) -> LogFacts:
     )
 
 
-def _topic_facts(log: Recording, log_times: Mapping[int, TimeNs], findings: Sequence[Finding]) -> Iterator[TopicFacts]:
+def _topic_facts(
+    log: Recording, log_times: Mapping[int, TimeNs], findings: Sequence[Finding]
+) -> Iterator[TopicFacts]:
     role_of = _role_of(findings)
     start_ns = min((int(times.min()) for times in log_times.values() if times.size), default=0)
     for topic, same in sorted(by_topic(log.channels).items()):
@@ -211,7 +236,11 @@ def _topic_facts(log: Recording, log_times: Mapping[int, TimeNs], findings: Sequ
 
 
 def _topic(
-    same: Sequence[LogChannel], role: str, count: int, span_s: tuple[float, ...], longest_gap_s: float | None = None
+    same: Sequence[LogChannel],
+    role: str,
+    count: int,
+    span_s: tuple[float, ...],
+    longest_gap_s: float | None = None,
 ) -> TopicFacts:
     """Describe a topic by its channels and the times of its first and last message, if it has any."""
     # The channel that has messages is the one to describe: some recorders register every topic twice.

@@ -14,7 +14,15 @@ import numpy as np
 
 from insdvl_replay.checks.imu import ENOUGH, turned_by
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import NS_PER_S, DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    TimeNs,
+    seconds,
+)
 from insdvl_replay.core.errors import UserError
 from insdvl_replay.geometry.rotation import vector_from_mat
 from insdvl_replay.inspection.proposal import Setting, with_settings
@@ -41,8 +49,13 @@ def stretched_rate_hz(time_ns: TimeNs) -> float | None:
     if span_s <= 0.0:
         return None
     rate_hz, written_hz = count / span_s, (count - 1) / span_s
-    is_round = [any(abs(x - float(f"{x:.2g}")) < 1e-8 * x for x in (hz, 1.0 / hz)) for hz in (rate_hz, written_hz)]
-    return float(f"{rate_hz:.9g}") if is_round == [True, False] else None  # of two digits, as rate or as period
+    is_round = [
+        any(abs(x - float(f"{x:.2g}")) < 1e-8 * x for x in (hz, 1.0 / hz))
+        for hz in (rate_hz, written_hz)
+    ]
+    return (
+        float(f"{rate_hz:.9g}") if is_round == [True, False] else None
+    )  # of two digits, as rate or as period
 
 
 def table_clock_settings(log: Recording, config: Config) -> Iterator[Setting]:
@@ -51,7 +64,9 @@ def table_clock_settings(log: Recording, config: Config) -> Iterator[Setting]:
     sources = {
         finding.role: finding.sources[0]
         for finding in find_roles(place, log.channels, config)
-        if finding.role in PROPOSED and finding.sources and finding.sources[0].channels[0].encoding == TABLE
+        if finding.role in PROPOSED
+        and finding.sources
+        and finding.sources[0].channels[0].encoding == TABLE
     }
     for role, source in sources.items():
         time_ns = times[source.channels[0].id]
@@ -82,11 +97,15 @@ def table_clock_settings(log: Recording, config: Config) -> Iterator[Setting]:
     why = "the tables have no common clock"
     if abs(by_attitude_s) > LEAST_S:
         text = f"{sources['reference'].topic}: {why}; its attitude fits the gyros {by_attitude_s:+.2f} s later"
-        yield Setting("reference.latency_s", round(config.reference.latency_s - by_attitude_s, 3), text)
+        yield Setting(
+            "reference.latency_s", round(config.reference.latency_s - by_attitude_s, 3), text
+        )
     if "dvl" in sources and len(dvl.time_ns) and reference.has_attitude:
         at_s = seconds(reference.time_ns, imu.time_ns[0]) + by_attitude_s
         velocity_b = np.einsum("kji,kj->ki", reference.mat_nb, reference.velocity_n)
-        by_velocity_s = _best_offset_s(lambda offset_s: _velocity_misfit(imu, dvl, at_s, velocity_b, offset_s))
+        by_velocity_s = _best_offset_s(
+            lambda offset_s: _velocity_misfit(imu, dvl, at_s, velocity_b, offset_s)
+        )
         if by_velocity_s is not None and abs(by_velocity_s) > LEAST_S:
             text = f"{sources['dvl'].topic}: {why}; its velocities fit reference and gyros {by_velocity_s:+.2f} s later"
             yield Setting("dvl.latency_s", round(config.dvl.latency_s - by_velocity_s, 3), text)
@@ -103,13 +122,18 @@ def _best_offset_s(misfit: Callable[[float], float]) -> float | None:
         return None
     before, least, after = misfits[best - 1 : best + 2]
     curve = before - 2.0 * least + after
-    return float(offsets_s[best] + (0.5 * STEP_S * (before - after) / curve if curve > 0.0 else 0.0))
+    return float(
+        offsets_s[best] + (0.5 * STEP_S * (before - after) / curve if curve > 0.0 else 0.0)
+    )
 
 
 def _attitude_misfit(imu: ImuColumns, reference: ReferenceColumns, offset_s: float) -> float:
     """Return the median difference of the angles by which reference and gyros turn from attitude to attitude."""
     known = np.isfinite(reference.mat_nb).all(axis=(1, 2))
-    mat_nb, at_s = reference.mat_nb[known], seconds(reference.time_ns[known], imu.time_ns[0]) + offset_s
+    mat_nb, at_s = (
+        reference.mat_nb[known],
+        seconds(reference.time_ns[known], imu.time_ns[0]) + offset_s,
+    )
     inside = (at_s >= 0.0) & (at_s <= float(imu.time_ns[-1] - imu.time_ns[0]) / NS_PER_S)
     if np.count_nonzero(inside) <= ENOUGH:
         return np.inf
@@ -119,19 +143,28 @@ def _attitude_misfit(imu: ImuColumns, reference: ReferenceColumns, offset_s: flo
     return float(np.sqrt(np.mean((summed - turned) ** 2)))
 
 
-def _velocity_misfit(imu: ImuColumns, dvl: DvlColumns, at_s: Floats, velocity_b: Floats, offset_s: float) -> float:
+def _velocity_misfit(
+    imu: ImuColumns, dvl: DvlColumns, at_s: Floats, velocity_b: Floats, offset_s: float
+) -> float:
     """Return the residual of pings as linear functions of the reference's velocity and of the angular rate."""
     pings = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
-    ping_s, known = seconds(dvl.time_ns, imu.time_ns[0]) + offset_s, np.isfinite(velocity_b).all(axis=1)
+    ping_s, known = (
+        seconds(dvl.time_ns, imu.time_ns[0]) + offset_s,
+        np.isfinite(velocity_b).all(axis=1),
+    )
     last_s = float(imu.time_ns[-1] - imu.time_ns[0]) / NS_PER_S
     if pings is None or np.count_nonzero(known) <= ENOUGH:
         return np.inf
-    inside = (ping_s > max(at_s[known][0], FARTHEST_S)) & (ping_s < min(at_s[known][-1], last_s - FARTHEST_S))
+    inside = (ping_s > max(at_s[known][0], FARTHEST_S)) & (
+        ping_s < min(at_s[known][-1], last_s - FARTHEST_S)
+    )
     inside &= np.isfinite(pings).all(axis=1)
     if np.count_nonzero(inside) <= 4 * ENOUGH:
         return np.inf
     ping_s, measured = ping_s[inside], pings[inside]
-    moving = np.column_stack([np.interp(ping_s, at_s[known], column) for column in velocity_b[known].T])
+    moving = np.column_stack(
+        [np.interp(ping_s, at_s[known], column) for column in velocity_b[known].T]
+    )
     half_s = 0.5 * _RATE_WINDOW_S
     turning = (turned_by(imu, ping_s + half_s) - turned_by(imu, ping_s - half_s)) / _RATE_WINDOW_S
     regressors = np.column_stack([moving, turning, np.ones(len(ping_s))])

@@ -43,10 +43,16 @@ COHERENT: Final = 0.95
 RATE_CLEARLY: Final = 0.02  # correlation with a reference by which rates fit clearly better
 MOST_COMPARED: Final = 16  # hypotheses that are compared with a reference
 STRANGE: Final = 0.6  # the same for single signs and other scales, which are rare
-SETTLED: Final = 0.25  # cost of a trial that leaves nothing to find: innovations of half the coarse noise
-CONSISTENT: Final = 1.0  # cost of a trial whose innovations are as large as the coarse noise expects
+SETTLED: Final = (
+    0.25  # cost of a trial that leaves nothing to find: innovations of half the coarse noise
+)
+CONSISTENT: Final = (
+    1.0  # cost of a trial whose innovations are as large as the coarse noise expects
+)
 FAST_RADPS: Final = 0.6  # vehicles turn faster rarely, so that faster rates may be in deg/s
-NOT_FAR_OFF: Final = 2.0  # ratio to the least cost of all IMUs above which one is not looked at further
+NOT_FAR_OFF: Final = (
+    2.0  # ratio to the least cost of all IMUs above which one is not looked at further
+)
 LEAST_MPS: Final = 0.03  # slower velocities are noise of the DVL
 BEST: Final = 4  # hypotheses of axes that get single signs and scales tried
 # Ratios of measured to true rate that are tried; deg/s are tried by themselves.
@@ -69,7 +75,9 @@ class Hypothesis:
         """Bring readings to the axes of the body."""
         in_axes = replace(
             imu,
-            specific_force_b=in_frd(imu.specific_force_b, self.force_axes, "imu.specific_force_axes"),
+            specific_force_b=in_frd(
+                imu.specific_force_b, self.force_axes, "imu.specific_force_axes"
+            ),
             angular_rate_b=in_frd(imu.angular_rate_b, self.axes, "imu.axes", 1.0 / self.rate_scale),
         )
         return turned_to_body(in_axes, self.imu_rpy_deg)
@@ -102,7 +110,9 @@ def thinned(dive: Dive) -> Dive:
     if blocks < FEWEST or len(dvl.time_ns) < FEWEST:
         found = f"{counted(len(imu.time_ns), 'sample')} of the IMU and {counted(len(dvl.time_ns), 'ping')} of the DVL"
         raise LogError(f"has {found}, too few to find settings", "use a longer part of the dive")
-    apart = np.append(True, np.diff((dvl.time_ns - dvl.time_ns[0]) // int(PING_STEP_S * NS_PER_S)) > 0)
+    apart = np.append(
+        True, np.diff((dvl.time_ns - dvl.time_ns[0]) // int(PING_STEP_S * NS_PER_S)) > 0
+    )
     imu, dvl = averaged_imu(imu), dvl.rows(apart)
     middle_ns, force, rate = imu.time_ns, imu.specific_force_b, imu.angular_rate_b
     first_ns, last_ns = max(middle_ns[0], dvl.time_ns[0]), min(middle_ns[-1], dvl.time_ns[-1])
@@ -111,12 +121,19 @@ def thinned(dive: Dive) -> Dive:
         # Where the vehicle turns and surges most.
         turning = np.linalg.norm(rate - np.median(rate, axis=0), axis=1)
         surging = np.linalg.norm(force - np.median(force, axis=0), axis=1)
-        lively = np.cumsum(turning / max(np.mean(turning), 1e-9) + surging / max(np.mean(surging), 1e-9))
+        lively = np.cumsum(
+            turning / max(np.mean(turning), 1e-9) + surging / max(np.mean(surging), 1e-9)
+        )
         starts_ns = np.arange(first_ns, last_ns - length_ns, length_ns // 4)
-        gained = [np.diff(lively[np.searchsorted(middle_ns, [at, at + length_ns]) - 1])[0] for at in starts_ns]
+        gained = [
+            np.diff(lively[np.searchsorted(middle_ns, [at, at + length_ns]) - 1])[0]
+            for at in starts_ns
+        ]
         first_ns = int(starts_ns[int(np.argmax(gained))])
         last_ns = first_ns + length_ns
-    return replace(dive, imu=imu.within(first_ns, last_ns), dvl=dvl.within(first_ns, last_ns), reference=None)
+    return replace(
+        dive, imu=imu.within(first_ns, last_ns), dvl=dvl.within(first_ns, last_ns), reference=None
+    )
 
 
 def trial_config(config: Config, latitude_deg: float) -> Config:
@@ -141,7 +158,9 @@ def trial_config(config: Config, latitude_deg: float) -> Config:
 def with_cost(tried: Hypothesis, dive: Dive, config: Config) -> Hypothesis:
     """Run one trial."""
     dvl = msgspec.structs.replace(config.dvl, mounting_rpy_deg=tried.rpy_deg)
-    read = ReadDive(replace(dive, imu=tried.applied(dive.imu)), msgspec.structs.replace(config, dvl=dvl))
+    read = ReadDive(
+        replace(dive, imu=tried.applied(dive.imu)), msgspec.structs.replace(config, dvl=dvl)
+    )
     try:
         residuals = read.innovations().residuals(NO_CHANGE)
     except UserError:
@@ -157,7 +176,9 @@ class Trials:
         self.found = [as_read]
         # Of hypotheses that are one vehicle turned about down, the first is nearest to what is as read.
         self.order: list[Hypothesis] = [as_read]
-        given_rpy_deg = given.config.dvl.mounting_rpy_deg if given.has("dvl.mounting_rpy_deg") else None
+        given_rpy_deg = (
+            given.config.dvl.mounting_rpy_deg if given.has("dvl.mounting_rpy_deg") else None
+        )
         self.mountings = None if given_rpy_deg is None else [given_rpy_deg]
         if not (len(dive.imu.time_ns) and len(dive.dvl.time_ns)):
             return
@@ -183,7 +204,9 @@ class Trials:
         for vehicle, one in zip(vehicles, self.found, strict=True):
             costs[vehicle] = min(one.cost, costs.get(vehicle, np.inf))
         close = [
-            one for vehicle, one in zip(vehicles, self.found, strict=True) if costs[vehicle] * CLEARLY <= self.cost
+            one
+            for vehicle, one in zip(vehicles, self.found, strict=True)
+            if costs[vehicle] * CLEARLY <= self.cost
         ]
         return sorted(close or self.found[:1], key=self._oddity)
 
@@ -202,12 +225,17 @@ class Trials:
             (imu.axes is None or one.axes == axes_text(map_of(imu.axes)))
             and (force_axes is None or one.force_axes == axes_text(map_of(force_axes)))
             and (not is_scaled or one.rate_scale == 1.0)
-            and (not self.given.has("dvl.mounting_rpy_deg") or _turn(one.rpy_deg) == _turn(dvl.mounting_rpy_deg))
+            and (
+                not self.given.has("dvl.mounting_rpy_deg")
+                or _turn(one.rpy_deg) == _turn(dvl.mounting_rpy_deg)
+            )
         )
 
     def _tried(self, hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
         allowed = list(filter(self.allows, hypotheses))
-        costs = list(parallel_map(lambda hypothesis: with_cost(hypothesis, self.dive, self.config), allowed))
+        costs = list(
+            parallel_map(lambda hypothesis: with_cost(hypothesis, self.dive, self.config), allowed)
+        )
         return sorted(costs, key=lambda hypothesis: hypothesis.cost)
 
     def _distinct(self, most: int) -> list[Hypothesis]:
@@ -238,7 +266,11 @@ class Trials:
             return
         others: list[Hypothesis] = []
         if self.cost > CONSISTENT:
-            others = [other for scale in {one.rate_scale for one in self.found} for other in self._signed(scale)]
+            others = [
+                other
+                for scale in {one.rate_scale for one in self.found}
+                for other in self._signed(scale)
+            ]
         others += [other for one in self._distinct(BEST) for other in scaled(one)]
         self._accept(others)
         best = self.found[0]
@@ -251,10 +283,15 @@ class Trials:
             best = self.found[0]
             factors = np.exp(np.array([-1.5, -0.75, 0.75, 1.5]) * step)
             near = [replace(best, rate_scale=float(best.rate_scale * factor)) for factor in factors]
-            self.found = sorted([*self._tried(near), *self.found], key=lambda hypothesis: hypothesis.cost)
+            self.found = sorted(
+                [*self._tried(near), *self.found], key=lambda hypothesis: hypothesis.cost
+            )
             step /= 3.0
         scale = self.found[0].rate_scale
-        again = self._tried(replace(one, rate_scale=scale) for one in mounted(self.dive, self.as_read, self.mountings))
+        again = self._tried(
+            replace(one, rate_scale=scale)
+            for one in mounted(self.dive, self.as_read, self.mountings)
+        )
         self.found = sorted([*again, *self.found], key=lambda hypothesis: hypothesis.cost)
 
 
@@ -267,11 +304,19 @@ def mounted(
     """
     force = np.median(dive.imu.specific_force_b, axis=0)
     if mountings is None:
-        turns = [turn for turn in possible_axes(dive.dvl) if dive.dvl.look_d is not None or turn[2, 2]]
+        turns = [
+            turn for turn in possible_axes(dive.dvl) if dive.dvl.look_d is not None or turn[2, 2]
+        ]
         mountings = sorted(map(rpy_of, turns), key=lambda rpy_deg: (rpy_deg[0], abs(rpy_deg[2])))
-    ways = [(axes_text(axes), axes_text(sign * axes)) for sign in (1.0, -1.0) for axes in level_axes(sign * force)]
+    ways = [
+        (axes_text(axes), axes_text(sign * axes))
+        for sign in (1.0, -1.0)
+        for axes in level_axes(sign * force)
+    ]
     if np.linalg.det(map_of(as_read.axes)) < 0.0:
-        ways.append((as_read.axes, as_read.force_axes))  # left-handed axes, which a reference has shown
+        ways.append(
+            (as_read.axes, as_read.force_axes)
+        )  # left-handed axes, which a reference has shown
     # Together with the mountings, one turn about down says the same as another: as read comes first.
     ways.sort(key=lambda way: way != (as_read.axes, as_read.force_axes))
     for axes, force_axes in ways:
@@ -309,7 +354,9 @@ def map_of(axes: str) -> Floats:
 
 def _turn(rpy_deg: Sequence[float]) -> tuple[int, ...]:
     """Return a rotation that can be compared, row by row, in hundredths."""
-    return tuple(np.rint(100.0 * mat_from_rpy(np.array(rpy_deg) * DEG)).astype(int).ravel().tolist())
+    return tuple(
+        np.rint(100.0 * mat_from_rpy(np.array(rpy_deg) * DEG)).astype(int).ravel().tolist()
+    )
 
 
 def _vehicle(hypothesis: Hypothesis) -> tuple[object, ...]:
@@ -367,7 +414,9 @@ def rates_compared(imu: ImuColumns, other: ImuColumns) -> tuple[float, float]:
     at_s, other_s = seconds(imu.time_ns, imu.time_ns[0]), seconds(other.time_ns, imu.time_ns[0])
     inside = (at_s >= other_s[0]) & (at_s <= other_s[-1])
     ours = imu.angular_rate_b[inside]
-    theirs = np.column_stack([np.interp(at_s[inside], other_s, column) for column in other.angular_rate_b.T])
+    theirs = np.column_stack(
+        [np.interp(at_s[inside], other_s, column) for column in other.angular_rate_b.T]
+    )
     ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
     turn, *_ = np.linalg.lstsq(ours, theirs, rcond=None)
     explained = float(np.sum((ours @ turn) ** 2) / max(np.sum(theirs**2), 1e-30))

@@ -122,12 +122,19 @@ def held_back_messages(
     These are the reference, truth, onboard solutions and held-out sensors, and the DVL in outages, which are spans of
     its times of validity, without their starts.
     """
-    log, found, of_dvl = open_recording(paths, allow_damaged=True), dict[str, TimeNs | None](), list[Source]()
+    log, found, of_dvl = (
+        open_recording(paths, allow_damaged=True),
+        dict[str, TimeNs | None](),
+        list[Source](),
+    )
     findings = find_roles(str(log.path), log.channels, config.of_dive(dive_name(log.path)))
     for source in (source for finding in findings for source in finding.sources):
         topic = config.topics.get(source.role.removeprefix(LOG_TOPIC))
         role = (topic and topic.sensor) or source.role
-        if role.startswith(("reference", "truth", "filters.")) or role in config.evaluation.held_out:
+        if (
+            role.startswith(("reference", "truth", "filters."))
+            or role in config.evaluation.held_out
+        ):
             found[source.topic] = None
         elif role == "dvl" and outages:
             of_dvl.append(source)
@@ -154,7 +161,9 @@ def read_solution(path: Path) -> tuple[SolutionColumns, list[Note]]:
     wanted = [topics.source(required, topic) for topic in named or fixes]
     if len(wanted) != 1 or len(fixes) > 1:
         text = f"has {len(named)} topics beside {len(fixes)} fixes"
-        raise LogError(text, "write one topic, such as nav_msgs/Odometry, and at most one of NavSatFix", path)
+        raise LogError(
+            text, "write one topic, such as nav_msgs/Odometry, and at most one of NavSatFix", path
+        )
     sources = [*wanted, *(topics.source(fix, topic) for topic in fixes if named)]
     with log.watched():
         return decode_solution(read_tables(log, sources), Solution())
@@ -193,7 +202,9 @@ def loss_notes(tables: Iterable[Table]) -> list[Note]:
         found = len(table) + table.others + table.duplicates + unreadable
         if announced != found:
             text = f"{source.topic}: the log announces {announced} messages, but {found} were found"
-            missing.append(Note("messages_missing", text, abs(announced - found), Severity.WARNING, COPY_AGAIN))
+            missing.append(
+                Note("messages_missing", text, abs(announced - found), Severity.WARNING, COPY_AGAIN)
+            )
         if unreadable and table.fault is not None:
             behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9
             text = (
@@ -201,9 +212,13 @@ def loss_notes(tables: Iterable[Table]) -> list[Note]:
                 f"{behind_s.min():.3f} s "
                 f"to {behind_s.max():.3f} s after the first readable one: {table.fault.message}"
             )
-            left_out.append(Note("messages_unreadable", text, unreadable, Severity.WARNING, COPY_AGAIN))
+            left_out.append(
+                Note("messages_unreadable", text, unreadable, Severity.WARNING, COPY_AGAIN)
+            )
         if table.duplicates:
-            clause = counted_clause(table.duplicates, "messages are in two channels or files; each is used once")
+            clause = counted_clause(
+                table.duplicates, "messages are in two channels or files; each is used once"
+            )
             text = f"{source.topic}: {clause}"
             left_out.append(Note("messages_repeated", text, table.duplicates))
     return [*missing, *left_out]
@@ -225,7 +240,9 @@ class RoleColumns:
     place: str
     config: Config
     imu: ImuColumns | None = None
-    dvl: DvlColumns = field(default_factory=lambda: DvlColumns(np.empty(0, np.int64), velocity_d=np.empty((0, 3))))
+    dvl: DvlColumns = field(
+        default_factory=lambda: DvlColumns(np.empty(0, np.int64), velocity_d=np.empty((0, 3)))
+    )
     reference: ReferenceColumns | None = None
     truth: TruthColumns | None = None
     sensors: dict[str, SensorColumns] = field(default_factory=dict)
@@ -235,7 +252,9 @@ class RoleColumns:
     def decode(self, role: str, tables: list[Table]) -> list[Note]:
         """Make the columns of a role; the raw ones are let go, since those of a long dive are large."""
         if role == "reference":
-            self.reference, notes = decode_reference(tables, self.config.reference, self.config.initial)
+            self.reference, notes = decode_reference(
+                tables, self.config.reference, self.config.initial
+            )
         elif role == "imu":
             self.imu, notes = decode_imu(tables.pop(), self.config.imu)
         elif role == "dvl":
@@ -278,11 +297,15 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
         return _explained(topics, required, lambda: (topics.need(required),))
 
     imu, dvl = needed(requirement("imu", config.imu)), needed(requirement("dvl", config.dvl))
-    besides = {source.topic for source in dvl.sources} | {own.topic for own in config.solutions.values() if own.topic}
+    besides = {source.topic for source in dvl.sources} | {
+        own.topic for own in config.solutions.values() if own.topic
+    }
     required = requirement("reference", config.reference)
     reference = Finding("reference", (), "ignored by the settings")
     if not config.reference.ignore:
-        reference = _explained(topics, required, lambda: _references(topics, config, besides), besides)
+        reference = _explained(
+            topics, required, lambda: _references(topics, config, besides), besides
+        )
     sensors = [needed(requirement(name, getattr(config, name))) for name in config.sensors]
     for name, section in config.topics.items():
         sensors.append(needed(requirement(f"{LOG_TOPIC}{name}", section, "topic")))
@@ -290,7 +313,11 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
         if settings.topic is None:
             continue
         wanted = [requirement(solution_role(name), settings, "solution")]
-        wanted += [requirement(solution_role(name), settings, "fix", "fix")] if settings.fix is not None else []
+        wanted += (
+            [requirement(solution_role(name), settings, "fix", "fix")]
+            if settings.fix is not None
+            else []
+        )
 
         def look(wanted: Sequence[TopicRequirement] = wanted) -> tuple[Source, ...]:
             sources = tuple(map(topics.need, wanted))
@@ -322,14 +349,19 @@ def idle_sensors(
 ) -> dict[str, list[str]]:
     """Name the topics of unused sensors, by sensor: they could aid a filter and play no other role."""
     topics, asked = Topics(place, channels), {finding.role for finding in findings}
-    taken = {source.topic for finding in findings for source in (*finding.sources, *finding.candidates)}
+    taken = {
+        source.topic for finding in findings for source in (*finding.sources, *finding.candidates)
+    }
     unused = [requirement(name, getattr(config, name)) for name in SENSORS if name not in asked]
     found = {required.role: topics.candidates(required, taken) for required in unused}
     return {name: candidates for name, candidates in found.items() if candidates}
 
 
 def _explained(
-    topics: Topics, required: TopicRequirement, look: Callable[[], tuple[Source, ...]], besides: Collection[str] = ()
+    topics: Topics,
+    required: TopicRequirement,
+    look: Callable[[], tuple[Source, ...]],
+    besides: Collection[str] = (),
 ) -> Finding:
     """Return the sources of a role, or the reason why there are none and the readable topics that are possible."""
     possible = topics.candidates(required, besides) if required.topic is None else []
@@ -353,13 +385,23 @@ def _explained(
     if not sources:
         return Finding(required.role, (), topics.reason_for_none)
     named = required.topic is not None
-    return Finding(required.role, sources, f"set by {required.key}" if named else "the only topic of a known type")
+    return Finding(
+        required.role,
+        sources,
+        f"set by {required.key}" if named else "the only topic of a known type",
+    )
 
 
 def _references(topics: Topics, config: Config, besides: Collection[str]) -> tuple[Source, ...]:
     required = requirement("reference", config.reference)
-    solution = topics.find(required, besides) or (topics.need(required) if any(required.paths.values()) else None)
-    if solution and solution.fields.keys() & {"latitude", "origin"} and config.reference.fix is None:
+    solution = topics.find(required, besides) or (
+        topics.need(required) if any(required.paths.values()) else None
+    )
+    if (
+        solution
+        and solution.fields.keys() & {"latitude", "origin"}
+        and config.reference.fix is None
+    ):
         return (solution,)
     fix = topics.find(requirement("reference", config.reference, "fix", "fix"), besides)
     return tuple(source for source in (solution, fix) if source is not None)

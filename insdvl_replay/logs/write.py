@@ -22,7 +22,15 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from insdvl_replay import __version__
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, DvlColumns, Floats, ReferenceColumns, SensorColumns, TimeNs
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    DvlColumns,
+    Floats,
+    ReferenceColumns,
+    SensorColumns,
+    TimeNs,
+)
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG_PER_HOUR, MG, STANDARD_GRAVITY_MPS2, STATES
@@ -36,7 +44,9 @@ from insdvl_replay.logs.formats.recording import open_recording
 
 LIBRARY: Final = "insdvl-replay"
 NEVER: Final = np.empty(0, np.int64)
-CHUNK_BYTES: Final = 1024 * 1024  # a chunk is full with the message that exceeds this, before compression
+CHUNK_BYTES: Final = (
+    1024 * 1024
+)  # a chunk is full with the message that exceeds this, before compression
 FRAMES: Final = {
     "ned": "north-east-down at the vehicle",
     "imu": "the body: forward-starboard-down at the IMU",
@@ -47,7 +57,9 @@ FRAMES: Final = {
 """What the names in ``frame_id`` mean."""
 NED, IMU, DVL, ODOM, BASE_LINK = FRAMES
 _STAMP_POLICY: Final = "log_time = publish_time = header.stamp = time of validity"
-_QOS: Final = {"offered_qos_profiles": ""}  # no profile at all is the one value that every release of rosbag2 reads
+_QOS: Final = {
+    "offered_qos_profiles": ""
+}  # no profile at all is the one value that every release of rosbag2 reads
 _LATEST_NS: Final = (2**31 - 1) * NS_PER_S
 _RECORD_HEAD: Final = [
     ("opcode", "u1"),
@@ -73,20 +85,32 @@ class Batch:
     columns: Mapping[str, Column]  # by the path of the field; other fields stay zero
 
 
-def stamped(topic: str, type_name: str, time_ns: TimeNs, frame: str, columns: Mapping[str, Column]) -> Batch:
+def stamped(
+    topic: str, type_name: str, time_ns: TimeNs, frame: str, columns: Mapping[str, Column]
+) -> Batch:
     """Make a batch of messages that begin with a header, whose frame is one of `FRAMES`."""
-    return Batch(topic, type_name, time_ns, {**stamp("header.stamp", time_ns), "header.frame_id": frame, **columns})
+    return Batch(
+        topic,
+        type_name,
+        time_ns,
+        {**stamp("header.stamp", time_ns), "header.frame_id": frame, **columns},
+    )
 
 
 def stamp(path: str, time_ns: TimeNs) -> dict[str, Column]:
     """Fill the builtin_interfaces/Time at a path."""
     seconds, nanoseconds = np.divmod(time_ns, NS_PER_S)
-    return {f"{path}.sec": seconds.astype(np.int32), f"{path}.nanosec": nanoseconds.astype(np.uint32)}
+    return {
+        f"{path}.sec": seconds.astype(np.int32),
+        f"{path}.nanosec": nanoseconds.astype(np.uint32),
+    }
 
 
 def components(path: str, vectors: Floats | float, names: str = "xyz") -> dict[str, Column]:
     """Fill the components at a path with the columns of vectors, or all with one number."""
-    columns: Sequence[Any] = [vectors] * len(names) if isinstance(vectors, float) else list(vectors.T)
+    columns: Sequence[Any] = (
+        [vectors] * len(names) if isinstance(vectors, float) else list(vectors.T)
+    )
     return {f"{path}.{name}": column for name, column in zip(names, columns, strict=True)}
 
 
@@ -101,7 +125,9 @@ class _Messages:
     def __init__(self, batch: Batch, channel: int) -> None:
         self.batch = batch
         self.channel = channel
-        self._texts = {path: value.encode() for path, value in batch.columns.items() if isinstance(value, str)}
+        self._texts = {
+            path: value.encode() for path, value in batch.columns.items() if isinstance(value, str)
+        }
         self._layout = layout_for_texts(_definitions(batch.type_name), batch.type_name, self._texts)
         self._dtype = np.dtype([*_RECORD_HEAD, ("message", f"V{self._layout.size}")])
         self.size = self._dtype.itemsize
@@ -110,7 +136,11 @@ class _Messages:
         """Return the records of some messages."""
         time_ns = self.batch.time_ns[rows]
         records = np.zeros(len(time_ns), self._dtype)
-        records["opcode"], records["length"], records["channel"] = Opcode.MESSAGE, self.size - 9, self.channel
+        records["opcode"], records["length"], records["channel"] = (
+            Opcode.MESSAGE,
+            self.size - 9,
+            self.channel,
+        )
         records["log_time"] = records["publish_time"] = time_ns
         messages = self._layout.new_messages(len(time_ns))
         for path, column in self.batch.columns.items():
@@ -180,23 +210,35 @@ def write_log(
 def copy_log(path: Path, logs: Sequence[Path], held_back: Mapping[str, TimeNs | None]) -> None:
     """Copy the messages of a log to MCAP, without those at some log times, or with None all, of some topics."""
     log = open_recording(logs, allow_damaged=True)
-    kept = {channel.id: channel for channel in log.channels if held_back.get(channel.topic, NEVER) is not None}
+    kept = {
+        channel.id: channel
+        for channel in log.channels
+        if held_back.get(channel.topic, NEVER) is not None
+    }
     encodings = {channel.encoding for channel in kept.values()}
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE)
         schemas, channels = dict[tuple[str, str, bytes], int](), dict[int, int]()
-        writer.start("ros2" if "cdr" in encodings else "ros1" if "ros1" in encodings else "", LIBRARY)
+        writer.start(
+            "ros2" if "cdr" in encodings else "ros1" if "ros1" in encodings else "", LIBRARY
+        )
         for channel in kept.values():
             schema = channel.type_name, channel.schema_encoding, channel.schema_data
             if schema not in schemas:
                 schemas[schema] = writer.register_schema(*schema) if any(schema) else 0
             metadata = dict(channel.metadata)
-            channels[channel.id] = writer.register_channel(channel.topic, channel.encoding, schemas[schema], metadata)
+            channels[channel.id] = writer.register_channel(
+                channel.topic, channel.encoding, schemas[schema], metadata
+            )
         for block in log.blocks(kept):
             absent = held_back.get(kept[block.channel_id].topic, NEVER)
-            block = block.part(np.flatnonzero(~np.isin(block.log_time, () if absent is None else absent)))
+            block = block.part(
+                np.flatnonzero(~np.isin(block.log_time, () if absent is None else absent))
+            )
             columns = (block.offsets, block.sizes, block.log_time, block.publish_time)
-            for offset, size, log_time, publish_time in zip(*(column.tolist() for column in columns), strict=True):
+            for offset, size, log_time, publish_time in zip(
+                *(column.tolist() for column in columns), strict=True
+            ):
                 data = bytes(block.buffer[offset : offset + size])
                 writer.add_message(channels[block.channel_id], log_time, data, publish_time)
         writer.finish()  # type: ignore[no-untyped-call]
@@ -207,9 +249,14 @@ def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
 
     The library adds one message after another; its chunk and its statistics are filled here with many at once.
     """
-    chunk, statistics = (vars(writer)[f"_Writer__{name}"] for name in ("chunk_builder", "statistics"))
+    chunk, statistics = (
+        vars(writer)[f"_Writer__{name}"] for name in ("chunk_builder", "statistics")
+    )
     time_ns = np.concatenate([messages.batch.time_ns for messages in batches])
-    batch_of = np.repeat(np.arange(len(batches), dtype=np.int32), [len(messages.batch.time_ns) for messages in batches])
+    batch_of = np.repeat(
+        np.arange(len(batches), dtype=np.int32),
+        [len(messages.batch.time_ns) for messages in batches],
+    )
     order = np.argsort(time_ns, kind="stable")
     time_ns, batch_of = time_ns[order], batch_of[order]
     channel = np.array([messages.channel for messages in batches])[batch_of]
@@ -218,12 +265,17 @@ def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
         statistics.channel_message_counts[number] = len(rows)
     if len(time_ns):
         statistics.message_count = len(time_ns)
-        statistics.message_start_time, statistics.message_end_time = int(time_ns[0]), int(time_ns[-1])
+        statistics.message_start_time, statistics.message_end_time = (
+            int(time_ns[0]),
+            int(time_ns[-1]),
+        )
 
     begin, start, done = 0, 0, np.zeros(len(batches), np.int64)
     while begin < len(ends):
         head = chunk.count  # of the first chunk, the schemas and channels
-        end = min(int(np.searchsorted(ends, start - head + CHUNK_BYTES, side="right")) + 1, len(ends))
+        end = min(
+            int(np.searchsorted(ends, start - head + CHUNK_BYTES, side="right")) + 1, len(ends)
+        )
         # The messages of a batch are neighbours there: they are serialised together and then dealt out.
         own = np.bincount(batch_of[begin:end], minlength=len(batches))
         records = [
@@ -238,7 +290,10 @@ def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
             entries: Any = np.stack([time_ns[begin:end][rows], offsets[rows]], axis=1)
             chunk.message_indices[number] = _ColumnIndex(number, entries)
         chunk.num_messages = end - begin
-        chunk.message_start_time, chunk.message_end_time = int(time_ns[begin]), int(time_ns[end - 1])
+        chunk.message_start_time, chunk.message_end_time = (
+            int(time_ns[begin]),
+            int(time_ns[end - 1]),
+        )
         writer.flush()  # type: ignore[no-untyped-call]
         begin, start, done = end, int(ends[end - 1]), done + own
 
@@ -246,13 +301,20 @@ def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
 def _by_channel(channel: NDArray[np.int64]) -> list[tuple[int, NDArray[np.intp]]]:
     """Return the channels in the order of their first messages, each with the rows of all its messages."""
     numbers, first = np.unique(channel, return_index=True)
-    return [(number, np.flatnonzero(channel == number)) for number in numbers[np.argsort(first)].tolist()]
+    return [
+        (number, np.flatnonzero(channel == number))
+        for number in numbers[np.argsort(first)].tolist()
+    ]
 
 
 # --- Dives and replays.
 
-ALTITUDE_M: Final = 20.0  # above a flat seabed, from which the ranges of the beams follow; no filter uses it
-VELOCITY_DIGITS: Final = 6  # decimals of what the instrument makes of its beams, m/s and rad: far below their noise
+ALTITUDE_M: Final = (
+    20.0  # above a flat seabed, from which the ranges of the beams follow; no filter uses it
+)
+VELOCITY_DIGITS: Final = (
+    6  # decimals of what the instrument makes of its beams, m/s and rad: far below their noise
+)
 ANGLE_DIGITS: Final = 9  # decimals of the reference's angles, rad
 _ATMOSPHERE_PA: Final = 101325.0
 _SEA_WATER_KGPM3: Final = 1025.0
@@ -286,14 +348,28 @@ def write_dive(path: Path, dive: Dive, *, is_compressed: bool = True) -> None:
         **components("angular_velocity", dive.imu.angular_rate_b),
         **components("linear_acceleration", dive.imu.specific_force_b),
     }
-    batches = [stamped("/imu", "sensor_msgs/msg/Imu", dive.imu.time_ns, IMU, imu), _dvl_batch(dive.dvl)]
+    batches = [
+        stamped("/imu", "sensor_msgs/msg/Imu", dive.imu.time_ns, IMU, imu),
+        _dvl_batch(dive.dvl),
+    ]
     if dive.reference is not None:
         rpy = np.round(rpy_from_mat(dive.reference.mat_nb), ANGLE_DIGITS)
         columns = solution(dive.reference.position, dive.reference.velocity_n, rpy)
-        batches.append(stamped("/reference", "insdvl_msgs/msg/NavSolution", dive.reference.time_ns, NED, columns))
+        batches.append(
+            stamped(
+                "/reference", "insdvl_msgs/msg/NavSolution", dive.reference.time_ns, NED, columns
+            )
+        )
     if dive.truth is not None:
-        columns = {"accel_bias_mps2": dive.truth.accel_bias_b, "gyro_bias_radps": dive.truth.gyro_bias_b}
-        batches.append(stamped("/truth/biases", "insdvl_msgs/msg/SensorBiases", dive.truth.time_ns, IMU, columns))
+        columns = {
+            "accel_bias_mps2": dive.truth.accel_bias_b,
+            "gyro_bias_radps": dive.truth.gyro_bias_b,
+        }
+        batches.append(
+            stamped(
+                "/truth/biases", "insdvl_msgs/msg/SensorBiases", dive.truth.time_ns, IMU, columns
+            )
+        )
     for name, sensor in dive.sensors.items():
         batches.append(_sensor_batch(name, sensor))
     compression = CompressionType.ZSTD if is_compressed else CompressionType.NONE
@@ -306,16 +382,25 @@ def _sensor_batch(name: str, sensor: SensorColumns) -> Batch:
     columns: dict[str, Column]
     if name == "depth":
         pressure_pa = _ATMOSPHERE_PA + _SEA_WATER_KGPM3 * STANDARD_GRAVITY_MPS2 * values[:, 0]
-        columns = {"fluid_pressure": np.round(pressure_pa, 1), "variance": 0.0}  # a hundredth of a millimetre of water
+        columns = {
+            "fluid_pressure": np.round(pressure_pa, 1),
+            "variance": 0.0,
+        }  # a hundredth of a millimetre of water
         return stamped("/pressure", "sensor_msgs/msg/FluidPressure", sensor.time_ns, IMU, columns)
     if name == "heading":
         if mat_nb is None:
             mat_nb = mat_from_rpy(np.concatenate([np.zeros((len(values), 2)), values], axis=1))
         quat = np.round(quat_enu_flu(mat_nb), 12)
         columns = components("quaternion", quat, "xyzw")
-        return stamped("/ahrs", "geometry_msgs/msg/QuaternionStamped", sensor.time_ns, BASE_LINK, columns)
+        return stamped(
+            "/ahrs", "geometry_msgs/msg/QuaternionStamped", sensor.time_ns, BASE_LINK, columns
+        )
     latitude_deg, longitude_deg = np.round(np.rad2deg(values[:, :2]), 10).T  # 11 um
-    columns = {"latitude": latitude_deg, "longitude": longitude_deg, "altitude": np.round(values[:, 2], 4)}
+    columns = {
+        "latitude": latitude_deg,
+        "longitude": longitude_deg,
+        "altitude": np.round(values[:, 2], 4),
+    }
     return stamped("/gnss", "sensor_msgs/msg/NavSatFix", sensor.time_ns, BASE_LINK, columns)
 
 
@@ -323,11 +408,18 @@ def _dvl_batch(dvl: DvlColumns) -> Batch:
     if dvl.beam_velocity_mps is None or dvl.beam_vectors_d is None:
         if dvl.velocity_d is None:
             raise ValueError("the DVL has neither beams nor velocities")
-        twist = {**components("twist.twist.linear", dvl.velocity_d), **components("twist.twist.angular", np.nan)}
-        return stamped("/dvl", "geometry_msgs/msg/TwistWithCovarianceStamped", dvl.time_ns, DVL, twist)
+        twist = {
+            **components("twist.twist.linear", dvl.velocity_d),
+            **components("twist.twist.angular", np.nan),
+        }
+        return stamped(
+            "/dvl", "geometry_msgs/msg/TwistWithCovarianceStamped", dvl.time_ns, DVL, twist
+        )
     vectors_d, good = dvl.beam_vectors_d, np.isfinite(dvl.beam_velocity_mps)
     if vectors_d.shape != (4, 3):
-        raise ValueError(f"marine_acoustic_msgs/Dvl has 4 beams, found vectors of shape {vectors_d.shape}")
+        raise ValueError(
+            f"marine_acoustic_msgs/Dvl has 4 beams, found vectors of shape {vectors_d.shape}"
+        )
     good_beams = good.sum(axis=1)
     any_good = good_beams > 0
     velocity_d = np.round(_velocity_from_beams(dvl.beam_velocity_mps, vectors_d), VELOCITY_DIGITS)
@@ -369,7 +461,9 @@ def _velocity_from_beams(beam_velocity_mps: Floats, beam_vectors_d: Floats) -> F
     adjugate = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
     determinant = turned(adjugate[:, :1], x)
     enough = good.sum(axis=1, keepdims=True) >= _BEAMS_FOR_VELOCITY
-    return np.divide(turned(adjugate, projected), determinant, out=np.full_like(projected, np.nan), where=enough)
+    return np.divide(
+        turned(adjugate, projected), determinant, out=np.full_like(projected, np.nan), where=enough
+    )
 
 
 def write_replay(
@@ -377,8 +471,12 @@ def write_replay(
     *,
     dive: Dive,
     histories: Sequence[History],
-    dvl: Mapping[str, tuple[TimeNs, Floats]],  # velocity and acceleration in body axes, (m,) and (m, 3)
-    errors: Mapping[str, Any],  # by filter, estimate minus reference: time_ns, (k,), and errors of (k, 3)
+    dvl: Mapping[
+        str, tuple[TimeNs, Floats]
+    ],  # velocity and acceleration in body axes, (m,) and (m, 3)
+    errors: Mapping[
+        str, Any
+    ],  # by filter, estimate minus reference: time_ns, (k,), and errors of (k, 3)
     tables: Tables,
     notes: Sequence[Note],
     config_toml: str,
@@ -386,11 +484,17 @@ def write_replay(
 ) -> None:
     """Write what the filters made of a dive; a `LogError` where a time does not fit a ROS stamp."""
     origin = histories[0].position[0]
-    batches = [batch for history in histories for batch in _filter_batches(history, errors.get(history.filter), origin)]
+    batches = [
+        batch
+        for history in histories
+        for batch in _filter_batches(history, errors.get(history.filter), origin)
+    ]
     for quantity, (type_name, column) in _DVL_MESSAGES.items():
         if quantity in dvl:
             time_ns, values_b = dvl[quantity]
-            batches.append(stamped(f"/insdvl/dvl/{quantity}", type_name, time_ns, IMU, {column: values_b}))
+            batches.append(
+                stamped(f"/insdvl/dvl/{quantity}", type_name, time_ns, IMU, {column: values_b})
+            )
     if dive.reference is not None:
         # As the log has it, inside the replay; poses count from where the first filter starts.
         shown = dive.reference.within(int(histories[0].time_ns[0]), int(histories[0].time_ns[-1]))
@@ -405,8 +509,15 @@ def write_replay(
             type_name = f"insdvl_msgs/msg/{layout.row.__name__}"
             batches.append(stamped(f"/insdvl/table/{layout.name}", type_name, end_ns, NED, columns))
     for note in notes:
-        text = f"{note.code} ({note.count}): {note.text}" + (f" hint: {note.hint}" if note.hint else "")
-        columns = {**stamp("stamp", end_ns), "level": _LOG_LEVELS[note.severity], "name": dive.name, "msg": text}
+        text = f"{note.code} ({note.count}): {note.text}" + (
+            f" hint: {note.hint}" if note.hint else ""
+        )
+        columns = {
+            **stamp("stamp", end_ns),
+            "level": _LOG_LEVELS[note.severity],
+            "name": dive.name,
+            "msg": text,
+        }
         batches.append(Batch("/insdvl/notes", "rcl_interfaces/msg/Log", end_ns, columns))
     metadata = {"version": version, "log": dive.name, "log_sha256": dive.sha256}
     write_log(path, batches, metadata, {"config.toml": ("application/toml", config_toml.encode())})
@@ -426,20 +537,27 @@ def _filter_batches(history: History, errors: Any, origin: Floats) -> list[Batch
             "accel_bias_mg": history.accel_bias_b / MG,
             "gyro_bias_degph": history.gyro_bias_b / DEG_PER_HOUR,
         }
-        batches.append(stamped(f"{topic}/state", "insdvl_msgs/msg/FilterState", history.time_ns, NED, columns))
+        batches.append(
+            stamped(f"{topic}/state", "insdvl_msgs/msg/FilterState", history.time_ns, NED, columns)
+        )
         odometry = [_odometry_batch(topic, motion, origin), _fix_batch(topic, motion)]
     if history.predicted.any():
         columns = {
-            f"{state.id}_{UNIT_NAMES[state.unit]}": history.sd[:, state.index] / state.factor for state in STATES
+            f"{state.id}_{UNIT_NAMES[state.unit]}": history.sd[:, state.index] / state.factor
+            for state in STATES
         }
-        batches.append(stamped(f"{topic}/sigma", "insdvl_msgs/msg/FilterSigma", history.time_ns, NED, columns))
+        batches.append(
+            stamped(f"{topic}/sigma", "insdvl_msgs/msg/FilterSigma", history.time_ns, NED, columns)
+        )
     if errors is not None:
         columns = {
             "position_ned_m": errors.position_error_ned_m,
             "velocity_ned_mps": errors.velocity_error_n,
             **angles(errors.attitude_error_rad),
         }
-        batches.append(stamped(f"{topic}/error", "insdvl_msgs/msg/FilterError", errors.time_ns, NED, columns))
+        batches.append(
+            stamped(f"{topic}/error", "insdvl_msgs/msg/FilterError", errors.time_ns, NED, columns)
+        )
     for innovations in history.innovations:
         columns = {"unit": innovations.unit, "nis": innovations.nis, "used": innovations.used}
         for name in ("measured", "innovation", "sd"):
@@ -448,16 +566,22 @@ def _filter_batches(history: History, errors: Any, origin: Floats) -> list[Batch
             lacking = np.full((len(values), max(0, 3 - values.shape[1])), np.nan)
             columns[name] = values if values.shape[1] == 3 else np.hstack([values, lacking])[:, :3]
         name = f"{topic}/innovation/{innovations.measurement}"
-        batches.append(stamped(name, "insdvl_msgs/msg/Innovation", innovations.time_ns, IMU, columns))
+        batches.append(
+            stamped(name, "insdvl_msgs/msg/Innovation", innovations.time_ns, IMU, columns)
+        )
     return batches + odometry
 
 
 def _motion_batches(topic: str, motion: ReferenceColumns, origin: Floats) -> list[Batch]:
     """Return a solution as it is, and its rows without missing parts as poses, if there are any."""
     columns = solution(motion.position, motion.velocity_n, rpy_from_mat(motion.mat_nb))
-    batches = [stamped(f"{topic}/state", "insdvl_msgs/msg/NavSolution", motion.time_ns, NED, columns)]
+    batches = [
+        stamped(f"{topic}/state", "insdvl_msgs/msg/NavSolution", motion.time_ns, NED, columns)
+    ]
     whole = np.logical_and.reduce(list(motion.known.values()))
-    return [*batches, _odometry_batch(topic, motion.rows(whole), origin)] if whole.any() else batches
+    return (
+        [*batches, _odometry_batch(topic, motion.rows(whole), origin)] if whole.any() else batches
+    )
 
 
 def _odometry_batch(topic: str, motion: ReferenceColumns, origin: Floats) -> Batch:

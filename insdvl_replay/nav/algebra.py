@@ -106,7 +106,11 @@ def skew(a: Vector) -> Matrix:
 @inlined
 def transpose(mat: Matrix) -> Matrix:
     """Return the transposed matrix, which for a rotation is its inverse."""
-    return (mat[0][0], mat[1][0], mat[2][0]), (mat[0][1], mat[1][1], mat[2][1]), (mat[0][2], mat[1][2], mat[2][2])
+    return (
+        (mat[0][0], mat[1][0], mat[2][0]),
+        (mat[0][1], mat[1][1], mat[2][1]),
+        (mat[0][2], mat[1][2], mat[2][2]),
+    )
 
 
 @inlined

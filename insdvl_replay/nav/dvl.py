@@ -31,7 +31,9 @@ class DvlVelocities:
     full_unit_cov_b: Floats  # (3, 3), the same for a ping with all beams
     beams_used: NDArray[np.int64]  # (m,), 3 or 4 for beams; 0 where the DVL reports velocities
     residual_mps: Floats  # (m,), rms of the beams' residuals over their degrees of freedom; NaN without redundancy
-    pings_without_velocity: int  # left out: fewer than three beams, beams in a plane, or an invalid velocity
+    pings_without_velocity: (
+        int  # left out: fewer than three beams, beams in a plane, or an invalid velocity
+    )
     pings_with_bad_residual: int  # left out: their beams disagree
 
     def within(self, start_ns: int, end_ns: int) -> "DvlVelocities":
@@ -53,7 +55,9 @@ class DvlBeams:
     directions_b: Floats  # (beams, 3), unit vectors
 
 
-def dvl_beams(dvl: DvlColumns, mounting: DvlMounting, start_ns: int, end_ns: int) -> DvlBeams | None:
+def dvl_beams(
+    dvl: DvlColumns, mounting: DvlMounting, start_ns: int, end_ns: int
+) -> DvlBeams | None:
     """Return the beams of a DVL after the start and up to the end; None where it reports velocities."""
     if dvl.beam_velocity_mps is None or dvl.beam_vectors_d is None:
         return None
@@ -84,12 +88,16 @@ def dvl_velocities(
     """
     if dvl.velocity_d is not None:
         velocity_d = dvl.velocity_d
-        full_unit_cov_d = whole_ping_cov(beam_vectors() if dvl.beam_vectors_d is None else dvl.beam_vectors_d)
+        full_unit_cov_d = whole_ping_cov(
+            beam_vectors() if dvl.beam_vectors_d is None else dvl.beam_vectors_d
+        )
         unit_cov_d = np.broadcast_to(full_unit_cov_d, (len(velocity_d), 3, 3))
         residual_mps = np.full(len(velocity_d), np.nan)
         beams_used = np.zeros(len(velocity_d), dtype=np.int64)
     elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
-        velocity_d, unit_cov_d, residual_mps = solve_beams(dvl.beam_velocity_mps, dvl.beam_vectors_d)
+        velocity_d, unit_cov_d, residual_mps = solve_beams(
+            dvl.beam_velocity_mps, dvl.beam_vectors_d
+        )
         full_unit_cov_d = whole_ping_cov(dvl.beam_vectors_d)
         beams_used = np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
     else:
@@ -120,7 +128,9 @@ def derivative_weights(offset_s: Floats, order: int) -> Floats:
         raise ValueError(f"order {order} needs a window above it, found {offset_s.shape[-1]}")
     powers = np.arange(order + 1)
     factorials = np.cumprod(np.maximum(powers, 1))
-    scale = np.max(np.abs(offset_s), axis=-1)[..., None, None]  # keeps powers of long windows near 1
+    scale = np.max(np.abs(offset_s), axis=-1)[
+        ..., None, None
+    ]  # keeps powers of long windows near 1
     L = (offset_s[..., None] / scale) ** powers / factorials
     weights: Floats = np.linalg.pinv(L) / scale ** powers[:, None]
     return weights
@@ -137,7 +147,9 @@ class SlopeWindows:
     middle_s: Floats  # (m,), mean time of the window, where the slope is valid
 
 
-def slope_windows(time_s: Floats, window: int, order: int = 1, max_gap_s: float = np.inf) -> SlopeWindows:
+def slope_windows(
+    time_s: Floats, window: int, order: int = 1, max_gap_s: float = np.inf
+) -> SlopeWindows:
     """Make the weights for the slope at the middle of each window of past velocities.
 
     Equations (21) to (23) of Levy and Klein, with the two-row B that they mean; see docs/equations/acceleration.md.
@@ -270,7 +282,9 @@ def acceleration_measurement(
     if sd_mps2 is not None:
         cov_b = np.broadcast_to(sd_mps2**2 * np.eye(3), velocity_cov_b.shape)
     else:
-        predicted_var = accel_white_mps_rts**2 * np.sum(windows.interval_weights**2 * windows.interval_s, axis=1)
+        predicted_var = accel_white_mps_rts**2 * np.sum(
+            windows.interval_weights**2 * windows.interval_s, axis=1
+        )
         fitted_cov = windowed_sum(windows.velocity_weights**2, velocity_cov_b)
         cov_b = fitted_cov + predicted_var[:, None, None] * np.eye(3)
     return Measurement(

@@ -15,7 +15,12 @@ from insdvl_replay.nav.algebra import Vector
 REACH_RAD: Final = 1e-7
 REACH_M: Final = 30.0
 
-for _formula in (wgs84.earth_rate_of, wgs84.gravity_of, wgs84.meridian_radius_of, wgs84.transverse_radius_of):
+for _formula in (
+    wgs84.earth_rate_of,
+    wgs84.gravity_of,
+    wgs84.meridian_radius_of,
+    wgs84.transverse_radius_of,
+):
     inlined(_formula)
 normal_gravity = inlined(wgs84.normal_gravity)
 _meridian_radius_m = inlined(wgs84.meridian_radius_m)
@@ -36,7 +41,9 @@ class LocalEarth(NamedTuple):
     gravity_gradient: float  # by height, 1/s^2
 
 
-NOWHERE: Final = LocalEarth(math.nan, math.nan, 1.0, 0.0, (0.0, 0.0, 0.0), math.nan, math.nan, math.nan, math.nan)
+NOWHERE: Final = LocalEarth(
+    math.nan, math.nan, 1.0, 0.0, (0.0, 0.0, 0.0), math.nan, math.nan, math.nan, math.nan
+)
 """What `local_earth_near` replaces wherever the vehicle is."""
 
 
@@ -88,7 +95,11 @@ def transport_curvature(earth: LocalEarth, height_m: float) -> Vector:
 @inlined
 def transport_rate_n(curvature: Vector, velocity_n: Vector) -> Vector:
     """Return w_en, the rate at which n turns because the vehicle moves over the curved Earth."""
-    return velocity_n[1] * curvature[0], -velocity_n[0] * curvature[1], -velocity_n[1] * curvature[2]
+    return (
+        velocity_n[1] * curvature[0],
+        -velocity_n[0] * curvature[1],
+        -velocity_n[1] * curvature[2],
+    )
 
 
 HOLD_AFTER_S: Final = 300.0

@@ -64,7 +64,9 @@ def layout_of(more: Collection[str]) -> StateLayout:
     for name, block in MORE_STATES.items():
         first[name] = row if name in more else -1
         row += len(block) if name in more else 0
-    return StateLayout(TWELVE + (len(MORE_STATES["position"]) if "position" in more else 0), **first)
+    return StateLayout(
+        TWELVE + (len(MORE_STATES["position"]) if "position" in more else 0), **first
+    )
 
 
 TWELVE_ALONE: Final = layout_of(())
@@ -85,19 +87,30 @@ def noise_density(
     accel_bias_walk_mps2_rts, gyro_bias_walk_radps_rts : float
         Random walk of the biases, m/s^2/sqrt(s) and rad/s/sqrt(s).
     """
-    densities = [accel_white_mps_rts, gyro_white_rad_rts, accel_bias_walk_mps2_rts, gyro_bias_walk_radps_rts]
+    densities = [
+        accel_white_mps_rts,
+        gyro_white_rad_rts,
+        accel_bias_walk_mps2_rts,
+        gyro_bias_walk_radps_rts,
+    ]
     return np.repeat(np.square(densities), 3)
 
 
 @inlined
 def error_rate(
-    motion: Motion, velocity_error: Vector, misalignment: Vector, accel_bias: Vector, gyro_bias: Vector
+    motion: Motion,
+    velocity_error: Vector,
+    misalignment: Vector,
+    accel_bias: Vector,
+    gyro_bias: Vector,
 ) -> tuple[Vector, Vector]:
     """Return the rates of the errors of velocity and attitude, the first six rows of ``F dx``."""
     coriolis = cross(velocity_error, add(motion.rate_ie_n, motion.rate_in_n))
     tilted = cross(misalignment, motion.force_n)
     velocity_error_rate = add(add(coriolis, tilted), rotate(motion.mat_nb, accel_bias))
-    turned = subtract(cross(misalignment, motion.rate_in_n), transport_rate_n(motion.curvature, velocity_error))
+    turned = subtract(
+        cross(misalignment, motion.rate_in_n), transport_rate_n(motion.curvature, velocity_error)
+    )
     return velocity_error_rate, add(turned, rotate(motion.mat_nb, gyro_bias))
 
 
@@ -120,7 +133,9 @@ def _grown(P: Floats, first: int, stride: int, step: Motion) -> tuple[Vector, Ve
     misalignment = (P[first + 3 * stride], P[first + 4 * stride], P[first + 5 * stride])
     accel_bias = (P[first + 6 * stride], P[first + 7 * stride], P[first + 8 * stride])
     gyro_bias = (P[first + 9 * stride], P[first + 10 * stride], P[first + 11 * stride])
-    velocity_growth, misalignment_growth = error_rate(step, velocity_error, misalignment, accel_bias, gyro_bias)
+    velocity_growth, misalignment_growth = error_rate(
+        step, velocity_error, misalignment, accel_bias, gyro_bias
+    )
     return add(velocity_error, velocity_growth), add(misalignment, misalignment_growth)
 
 
@@ -221,7 +236,9 @@ class PositionGrowth(NamedTuple):
 
 
 @inlined
-def position_growth(state: NavState, motion: Motion, earth: LocalEarth, dt: float) -> PositionGrowth:
+def position_growth(
+    state: NavState, motion: Motion, earth: LocalEarth, dt: float
+) -> PositionGrowth:
     """Return the blocks of F for the position, of the state and the motion at the end of an interval."""
     north, east, down = state.velocity_n
     to_north, to_east = curvatures(earth, state.position[2])
@@ -243,12 +260,17 @@ def position_growth(state: NavState, motion: Motion, earth: LocalEarth, dt: floa
     turned_by_north, turned_by_down = add(earth_by_north, transport_by_north), transport_by_down
     to_misalignment = transpose((scale(-1.0, turned_by_north), zero, scale(-1.0, turned_by_down)))
     return PositionGrowth(
-        scale_matrix(dt, within), scale_matrix(dt, to_velocity), scale_matrix(dt, to_misalignment), dt
+        scale_matrix(dt, within),
+        scale_matrix(dt, to_velocity),
+        scale_matrix(dt, to_misalignment),
+        dt,
     )
 
 
 @inlined
-def propagate_position_cov(P: Floats, each_state: tuple[float, ...], first: int, growth: PositionGrowth) -> None:
+def propagate_position_cov(
+    P: Floats, each_state: tuple[float, ...], first: int, growth: PositionGrowth
+) -> None:
     """Let the position's errors grow over an interval, and those of velocity and attitude by them, in place.
 
     Call it before `propagate_cov`: each uses the other's errors at the start of the interval.

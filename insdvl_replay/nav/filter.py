@@ -25,7 +25,13 @@ from insdvl_replay.nav.algebra import (
     write_row_matrix,
     write_row_vector,
 )
-from insdvl_replay.nav.earth_model import NOWHERE, GravityHeight, followed, gravity_at, local_earth_near
+from insdvl_replay.nav.earth_model import (
+    NOWHERE,
+    GravityHeight,
+    followed,
+    gravity_at,
+    local_earth_near,
+)
 from insdvl_replay.nav.error_model import (
     TWELVE,
     TWELVE_ALONE,
@@ -54,7 +60,16 @@ from insdvl_replay.nav.kalman import (
     update_cov,
 )
 from insdvl_replay.nav.levelling import Start
-from insdvl_replay.nav.measurements import BEAM, DEPTH, InsNow, Measurement, Memory, Stack, linearise, stacked
+from insdvl_replay.nav.measurements import (
+    BEAM,
+    DEPTH,
+    InsNow,
+    Measurement,
+    Memory,
+    Stack,
+    linearise,
+    stacked,
+)
 from insdvl_replay.nav.strapdown import NavState, propagate
 from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, next_node
 from insdvl_replay.nav.user_measurement import NoiseFactors, Predicts
@@ -74,7 +89,9 @@ class Records(NamedTuple):
     cov_row: NDArray[np.int64]  # row in ``cov``, -1 for none
     cov: Floats
     position: Floats
-    corrected: Floats  # sum of all corrections of the position; without rows where a filter makes none
+    corrected: (
+        Floats  # sum of all corrections of the position; without rows where a filter makes none
+    )
     velocity_n: Floats
     mat_nb: Floats
     accel_bias_b: Floats
@@ -164,7 +181,10 @@ def run_filter(
     vectors, of_states = (rows, 3), ((rows, len(start.constants)), (rows, n))
     corrected = (rows if layout.position >= 0 else 0, 3)
     shapes = vectors, corrected, vectors, (rows, 3, 3), vectors, vectors, *of_states
-    cov_row, cov = np.where(keep_cov, np.cumsum(keep_cov) - 1, -1), np.empty((int(keep_cov.sum()), n, n))
+    cov_row, cov = (
+        np.where(keep_cov, np.cumsum(keep_cov) - 1, -1),
+        np.empty((int(keep_cov.sum()), n, n)),
+    )
     records = Records(cov_row, cov, *map(np.empty, shapes))
     count, readings, width = stack.values.shape
     components, singles = (count, readings, width), (count, readings)
@@ -195,21 +215,43 @@ def run_filter(
         vector(start.gyro_bias_b),
     )
     memory = Memory(*np.zeros((3, int(timeline.ping.max()) + 1, 3)))
-    user = min((made.predict for made in measurements if made.predict is not None), key=is_compiled, default=None)
+    user = min(
+        (made.predict for made in measurements if made.predict is not None),
+        key=is_compiled,
+        default=None,
+    )
     run, arm_b = _run if user is None or is_compiled(user) else plain(_run), vector(lever_arm_b)
     rate_hz = heading_bias_rate_hz if n > TWELVE else None
     noise = NoiseSteps(np.empty(0), np.empty((0, 6)))
     if noise_factors is not None:
         more = np.asarray(noise_density)[:6] * (noise_factors.factors**2 - 1.0)
         noise = NoiseSteps((noise_factors.time_ns - timeline.event_ns[0]) * 1e-9, more)
-    run(timeline, state, matrices, density, noise, layout, rate_hz, stack, user, arm_b, memory, records, updates)
+    run(
+        timeline,
+        state,
+        matrices,
+        density,
+        noise,
+        layout,
+        rate_hz,
+        stack,
+        user,
+        arm_b,
+        memory,
+        records,
+        updates,
+    )
 
     innovations = []
     for m, made in enumerate(measurements):
         reading_ns = timeline.event_ns[timeline.rows[made.sensor] >= 0]
         used = np.flatnonzero(made.available[: len(reading_ns)])
-        found = {name: getattr(updates, name)[m, used] for name in ("nis", "used", "reopened", "log_det")}
-        found |= {name: getattr(updates, name)[m, used, : made.size] for name in ("innovation", "sd")}
+        found = {
+            name: getattr(updates, name)[m, used] for name in ("nis", "used", "reopened", "log_det")
+        }
+        found |= {
+            name: getattr(updates, name)[m, used, : made.size] for name in ("innovation", "sd")
+        }
         innovations.append(
             Innovations(
                 measurement=made.name,
@@ -248,7 +290,8 @@ def _run(  # noqa: C901
     noise_density: tuple[float, ...],
     more_noise: NoiseSteps,
     layout: StateLayout,
-    heading_bias_rate_hz: float | None,  # None for twelve states, so that nothing is compiled for more
+    heading_bias_rate_hz: float
+    | None,  # None for twelve states, so that nothing is compiled for more
     measurements: Stack,
     user: Predicts | None,
     lever_arm_b: Vector,
@@ -260,7 +303,12 @@ def _run(  # noqa: C901
     # The compiler knows the length of the tuple, and leaves out what twelve states do not need.
     layout = layout if len(noise_density) > TWELVE else TWELVE_ALONE
     P, P_by_row, dx, constants = matrices.P, matrices.P_by_row, matrices.dx, matrices.constants
-    now, earth, velocity_after_b, corrected = first_node(timeline), NOWHERE, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    now, earth, velocity_after_b, corrected = (
+        first_node(timeline),
+        NOWHERE,
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+    )
     gravity, noise_step = GravityHeight(state.position[2], 0.0, now.time_s), -1
     while True:
         row = timeline.record[now.event] if is_event(timeline, now) else -1
@@ -300,7 +348,10 @@ def _run(  # noqa: C901
                 fade(P, layout.heading_bias, kept)
                 constants[layout.heading_bias - layout.constants] *= kept
         propagate_cov(P_by_row, motion, noise_density, dt)
-        while noise_step + 1 < len(more_noise.time_s) and more_noise.time_s[noise_step + 1] <= before.time_s:
+        while (
+            noise_step + 1 < len(more_noise.time_s)
+            and more_noise.time_s[noise_step + 1] <= before.time_s
+        ):
             noise_step += 1
         if noise_step >= 0:
             density_b = more_noise.density_b[noise_step]
@@ -312,14 +363,20 @@ def _run(  # noqa: C901
             continue
 
         # Remember the motion at a ping: windows need the rates, and what the mechanisation alone has added.
-        ping, predicted, predicted_b = timeline.rows[PINGS, now.event], state.position, _velocity_b(state)
+        ping, predicted, predicted_b = (
+            timeline.rows[PINGS, now.event],
+            state.position,
+            _velocity_b(state),
+        )
         if ping >= 0:
             rate_ib_b = subtract(now.readings.angular_rate_b, state.gyro_bias_b)
             rate_nb_b = subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_in_n))
             rate_eb_b = subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_ie_n))
             write_row_vector(rate_nb_b, memory.rate_nb_b, ping)
             write_row_vector(rate_eb_b, memory.rate_eb_b, ping)
-            write_row_vector(subtract(predicted_b, velocity_after_b), memory.velocity_change_b, ping)
+            write_row_vector(
+                subtract(predicted_b, velocity_after_b), memory.velocity_change_b, ping
+            )
 
         # Apply the measurements in their order. Those of one reading, such as beams, add to dx and correct the state
         # together. If all beams of too many pings in a row were rejected, the velocity is opened and the beams of the
@@ -329,9 +386,22 @@ def _run(  # noqa: C901
             row = timeline.rows[measurements.sensor[m], now.event]
             if row >= 0 and measurements.available[m, row]:
                 # The innovation, less what the errors estimated before explain of it.
-                size, gate, noise = measurements.size[m], measurements.gate[m], measurements.noise[m]
-                H, HP, KT, rest = matrices.H[:size], matrices.HP[:size], matrices.KT[:size], matrices.rest[:size]
-                R, S, L = matrices.R[:size, :size], matrices.S[:size, :size], matrices.L[:size, :size]
+                size, gate, noise = (
+                    measurements.size[m],
+                    measurements.gate[m],
+                    measurements.noise[m],
+                )
+                H, HP, KT, rest = (
+                    matrices.H[:size],
+                    matrices.HP[:size],
+                    matrices.KT[:size],
+                    matrices.rest[:size],
+                )
+                R, S, L = (
+                    matrices.R[:size, :size],
+                    matrices.S[:size, :size],
+                    matrices.L[:size, :size],
+                )
                 z, standardised = matrices.z[:size], matrices.standardised[:size]
                 rate_ib_b = subtract(now.readings.angular_rate_b, state.gyro_bias_b)
                 ins = InsNow(
@@ -354,7 +424,12 @@ def _run(  # noqa: C901
                 _write_scaled(updates.noise_factor[m], measurements.cov[m, row], R)
 
                 # The gate, again with the noise that the innovation itself shows, and with an opened velocity.
-                is_followed, scaled, used, reopened = noise == ADAPTIVE and not is_again, False, False, False
+                is_followed, scaled, used, reopened = (
+                    noise == ADAPTIVE and not is_again,
+                    False,
+                    False,
+                    False,
+                )
                 while True:
                     innovation_cov(P, H, R, HP, S)
                     cholesky(S, L)
@@ -363,23 +438,39 @@ def _run(  # noqa: C901
                         break
                     used = nis <= gate
                     if used and not scaled and (is_followed or noise == STUDENT_T):
-                        factor = _follow_noise(m, 1.0, z, S, R, updates) if is_followed else outlier_factor(nis, size)
+                        factor = (
+                            _follow_noise(m, 1.0, z, S, R, updates)
+                            if is_followed
+                            else outlier_factor(nis, size)
+                        )
                         _write_scaled(factor, R, R)
                         scaled = True
                         continue
                     alone = measurements.kind[m] != BEAM
-                    reopened = not used and alone and locks_out(updates, m, nis, time_s, measurements.reopen_after[m])
+                    reopened = (
+                        not used
+                        and alone
+                        and locks_out(updates, m, nis, time_s, measurements.reopen_after[m])
+                    )
                     used = used or reopened
-                    updates.used[m, row], updates.reopened[m, row] = used, reopened or (is_again and used)
+                    updates.used[m, row], updates.reopened[m, row] = (
+                        used,
+                        reopened or (is_again and used),
+                    )
                     if not is_again:
                         updates.nis[m, row], log_det = nis, 0.0
                         for i in range(size):
                             log_det += math.log(L[i, i])
-                            updates.innovation[m, row, i], updates.sd[m, row, i] = z[i], math.sqrt(S[i, i])
+                            updates.innovation[m, row, i], updates.sd[m, row, i] = (
+                                z[i],
+                                math.sqrt(S[i, i]),
+                            )
                         updates.log_det[m, row] = 2.0 * log_det
                     if not reopened:
                         break
-                    open_state(P, _square(z), matrices.start_var, layout.position, updates, m, time_s)
+                    open_state(
+                        P, _square(z), matrices.start_var, layout.position, updates, m, time_s
+                    )
 
                 # The gain and the covariance; of a rejected innovation the part that would just have passed.
                 if used:
@@ -401,11 +492,20 @@ def _run(  # noqa: C901
                 continue
 
             # All of the reading is applied.
-            if rejected_square > 0.0 and not estimated and not is_again and measurements.kind[last] == BEAM:
-                is_again = locks_out(updates, last, rejected_square, time_s, measurements.reopen_after[last])
+            if (
+                rejected_square > 0.0
+                and not estimated
+                and not is_again
+                and measurements.kind[last] == BEAM
+            ):
+                is_again = locks_out(
+                    updates, last, rejected_square, time_s, measurements.reopen_after[last]
+                )
                 if is_again:
                     square = BEAMS_TO_AXES * rejected_square
-                    open_state(P, square, matrices.start_var, layout.position, updates, last, time_s)
+                    open_state(
+                        P, square, matrices.start_var, layout.position, updates, last, time_s
+                    )
                     m, rejected_square = first, 0.0
                     continue
             if estimated:
@@ -469,7 +569,13 @@ def locks_out(updates: Updates, m: int, nis: float, time_s: float, reopen_after:
 
 @inlined
 def open_state(
-    P: Floats, square: float, start_var: Floats, position: int, updates: Updates, m: int, time_s: float
+    P: Floats,
+    square: float,
+    start_var: Floats,
+    position: int,
+    updates: Updates,
+    m: int,
+    time_s: float,
 ) -> None:
     """Make the velocity as uncertain on each axis as the innovation is large: the next gain sets it to the DVL's.
 

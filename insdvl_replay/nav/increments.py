@@ -58,9 +58,21 @@ def readings_between(before: Readings, after: Readings, into_s: float, step_s: f
     share = into_s / step_s
     return Readings(
         _between(
-            before.specific_force_b, after.specific_force_b, before.force_bend_b, after.force_bend_b, into_s, step_s
+            before.specific_force_b,
+            after.specific_force_b,
+            before.force_bend_b,
+            after.force_bend_b,
+            into_s,
+            step_s,
         ),
-        _between(before.angular_rate_b, after.angular_rate_b, before.rate_bend_b, after.rate_bend_b, into_s, step_s),
+        _between(
+            before.angular_rate_b,
+            after.angular_rate_b,
+            before.rate_bend_b,
+            after.rate_bend_b,
+            into_s,
+            step_s,
+        ),
         _on_line(before.force_bend_b, after.force_bend_b, share),
         _on_line(before.rate_bend_b, after.rate_bend_b, share),
     )
@@ -68,7 +80,12 @@ def readings_between(before: Readings, after: Readings, into_s: float, step_s: f
 
 @inlined
 def _between(
-    before: Vector, after: Vector, bend_before: Vector, bend_after: Vector, into_s: float, step_s: float
+    before: Vector,
+    after: Vector,
+    bend_before: Vector,
+    bend_after: Vector,
+    into_s: float,
+    step_s: float,
 ) -> Vector:
     share = into_s / step_s
     bend = _on_line(bend_before, bend_after, (1.0 + share) / 3.0)
@@ -81,13 +98,24 @@ def _on_line(before: Vector, after: Vector, share: float) -> Vector:
 
 
 @inlined
-def increments(before: Readings, after: Readings, accel_bias_b: Vector, gyro_bias_b: Vector, dt: float) -> Increments:
+def increments(
+    before: Readings, after: Readings, accel_bias_b: Vector, gyro_bias_b: Vector, dt: float
+) -> Increments:
     """Sum up readings over an interval of ``dt`` seconds without a sample inside; the biases are taken off here."""
     mean_rate_b = subtract(
-        _mean(before.angular_rate_b, after.angular_rate_b, before.rate_bend_b, after.rate_bend_b, dt), gyro_bias_b
+        _mean(
+            before.angular_rate_b, after.angular_rate_b, before.rate_bend_b, after.rate_bend_b, dt
+        ),
+        gyro_bias_b,
     )
     mean_force_b = subtract(
-        _mean(before.specific_force_b, after.specific_force_b, before.force_bend_b, after.force_bend_b, dt),
+        _mean(
+            before.specific_force_b,
+            after.specific_force_b,
+            before.force_bend_b,
+            after.force_bend_b,
+            dt,
+        ),
         accel_bias_b,
     )
     rate_change = subtract(after.angular_rate_b, before.angular_rate_b)
@@ -95,12 +123,19 @@ def increments(before: Readings, after: Readings, accel_bias_b: Vector, gyro_bia
     coning = cross(mean_rate_b, rate_change)
     # The mean of the attitudes at both ends makes a steady force too small, by what is taken off its change here.
     steady = scale(dt, cross(mean_rate_b, mean_force_b))
-    sculling = subtract(cross(mean_rate_b, subtract(force_change, steady)), cross(rate_change, mean_force_b))
+    sculling = subtract(
+        cross(mean_rate_b, subtract(force_change, steady)), cross(rate_change, mean_force_b)
+    )
     return Increments(
-        add(mean_force_b, scale(dt / 12.0, sculling)), scale(dt, add(mean_rate_b, scale(dt / 12.0, coning)))
+        add(mean_force_b, scale(dt / 12.0, sculling)),
+        scale(dt, add(mean_rate_b, scale(dt / 12.0, coning))),
     )
 
 
 @inlined
-def _mean(before: Vector, after: Vector, bend_before: Vector, bend_after: Vector, dt: float) -> Vector:
-    return subtract(scale(0.5, add(before, after)), scale(dt * dt / 12.0, add(bend_before, bend_after)))
+def _mean(
+    before: Vector, after: Vector, bend_before: Vector, bend_after: Vector, dt: float
+) -> Vector:
+    return subtract(
+        scale(0.5, add(before, after)), scale(dt * dt / 12.0, add(bend_before, bend_after))
+    )

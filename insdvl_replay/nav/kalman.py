@@ -10,7 +10,16 @@ from typing import Final
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.runtime import inlined
-from insdvl_replay.nav.algebra import Vector, add, compose, cross, rotate, rotation_from_vector, scale, subtract
+from insdvl_replay.nav.algebra import (
+    Vector,
+    add,
+    compose,
+    cross,
+    rotate,
+    rotation_from_vector,
+    scale,
+    subtract,
+)
 from insdvl_replay.nav.earth_model import LocalEarth
 from insdvl_replay.nav.error_model import StateLayout, without_error
 from insdvl_replay.nav.strapdown import NavState
@@ -238,7 +247,12 @@ def significant_factor(found: float, var: float) -> float:
 
 @inlined
 def correct(
-    state: NavState, constants: Floats, P: Floats, dx: Floats, layout: StateLayout, earth: LocalEarth
+    state: NavState,
+    constants: Floats,
+    P: Floats,
+    dx: Floats,
+    layout: StateLayout,
+    earth: LocalEarth,
 ) -> NavState:
     """Take ``dx`` out of position, velocity and attitude, and add it to biases and constants.
 
@@ -254,7 +268,10 @@ def correct(
     misalignment, before_n = (dx[3], dx[4], dx[5]), state.velocity_n
     invariant_error = add((dx[0], dx[1], dx[2]), cross(before_n, misalignment))
     turn_back = rotation_from_vector(scale(-1.0, misalignment))
-    velocity_n, mat_nb = rotate(turn_back, subtract(before_n, invariant_error)), compose(turn_back, state.mat_nb)
+    velocity_n, mat_nb = (
+        rotate(turn_back, subtract(before_n, invariant_error)),
+        compose(turn_back, state.mat_nb),
+    )
     change_n = subtract(before_n, velocity_n)
     keep_invariant_error(P, change_n)
     # Likewise for dv - v k / (1 + k_hat) + C e_z x v psi, which a DVL's velocities measure.
@@ -262,7 +279,9 @@ def correct(
         factor = 1.0 + constants[layout.dvl_scale - layout.constants]
         _add_to_velocity_error(P, layout.dvl_scale, scale(-1.0 / factor, change_n))
     if layout.dvl_yaw >= 0:
-        _add_to_velocity_error(P, layout.dvl_yaw, cross((mat_nb[0][2], mat_nb[1][2], mat_nb[2][2]), change_n))
+        _add_to_velocity_error(
+            P, layout.dvl_yaw, cross((mat_nb[0][2], mat_nb[1][2], mat_nb[2][2]), change_n)
+        )
     position, at = state.position, layout.position
     if at >= 0:
         position = without_error(position, (dx[at], dx[at + 1], dx[at + 2]), earth)

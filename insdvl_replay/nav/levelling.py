@@ -112,7 +112,9 @@ def find_level(
     # The rotation from b at each time to b at the first. Products of neighbours are doubled in reach until each
     # contains all before it. In inertial space, the Earth turns about an axis that is fixed in b at the start.
     step_s: Any = np.diff(time_s)
-    summed = increments(_rows(at, slice(None, -1)), _rows(at, slice(1, None)), NOTHING, NOTHING, step_s)
+    summed = increments(
+        _rows(at, slice(None, -1)), _rows(at, slice(1, None)), NOTHING, NOTHING, step_s
+    )
     turned = np.concatenate([np.eye(3)[None], mat_from_vector(np.column_stack(summed.turn_b))])
     reach = 1
     while reach < len(turned):
@@ -121,8 +123,12 @@ def find_level(
     mat = mat_from_vector(-time_s[:, None] * rate_ie_b) @ turned
     rate_eb_b = rate_ib_b - np.einsum("kji,j->ki", mat, rate_ie_b)
     turned_force_b = np.einsum("kij,kj->ki", mat, force_b)
-    mean_force_b = np.einsum("kij,kj->ki", 0.5 * (mat[1:] + mat[:-1]), np.column_stack(summed.mean_force_b))
-    force_sum = np.concatenate([np.zeros((1, 3)), np.cumsum(step_s[:, None] * mean_force_b, axis=0)])
+    mean_force_b = np.einsum(
+        "kij,kj->ki", 0.5 * (mat[1:] + mat[:-1]), np.column_stack(summed.mean_force_b)
+    )
+    force_sum = np.concatenate(
+        [np.zeros((1, 3)), np.cumsum(step_s[:, None] * mean_force_b, axis=0)]
+    )
     mat_sum = _integral(mat, time_s)
     # A gyro's bias turns what is carried to the start by mat_sum times it.
     swung = _integral(skew(turned_force_b) @ mat_sum, time_s)
@@ -138,7 +144,9 @@ def find_level(
         pings: int,
     ) -> Level:
         later = np.cumsum(weights[::-1])[::-1]
-        white = accel_white_mps_rts**2 * float(np.sum(later**2 * np.diff(time_s[rows], prepend=0.0)))
+        white = accel_white_mps_rts**2 * float(
+            np.sum(later**2 * np.diff(time_s[rows], prepend=0.0))
+        )
         return Level(
             weights @ (velocity - force_sum[rows]),
             velocity_b,
@@ -152,15 +160,30 @@ def find_level(
 
     # Without a DVL, the velocity counts as equal at the end and at the start.
     ends, unseen = np.array([0, len(time_s) - 1]), UNSEEN_MPS2**2 * np.eye(3)
-    difference, still, per_gyro_bias = np.array([-1.0, 1.0]) / time_s[-1], np.zeros((2, 3)), np.zeros((2, 3, 3))
-    unaided = level(ends, difference, still, per_gyro_bias, unseen, np.full(3, np.nan), np.full((3, 3), np.nan), 0)
+    difference, still, per_gyro_bias = (
+        np.array([-1.0, 1.0]) / time_s[-1],
+        np.zeros((2, 3)),
+        np.zeros((2, 3, 3)),
+    )
+    unaided = level(
+        ends,
+        difference,
+        still,
+        per_gyro_bias,
+        unseen,
+        np.full(3, np.nan),
+        np.full((3, 3), np.nan),
+        0,
+    )
     if len(ping_ns) < 2:
         return unaided
 
     # With one, a straight line through the pings. Their noise is that of the settings, or their scatter if larger.
     rows, cov_b = np.searchsorted(time_ns, ping_ns), velocity_cov_b[inside]
     velocity = np.einsum(
-        "kij,kj->ki", mat[rows], velocities.velocity_b[inside] - np.cross(rate_eb_b[rows], lever_arm_b)
+        "kij,kj->ki",
+        mat[rows],
+        velocities.velocity_b[inside] - np.cross(rate_eb_b[rows], lever_arm_b),
     )
     free, ping_s = velocity - force_sum[rows], time_s[rows] - time_s[rows].mean()
     weights = ping_s / np.sum(ping_s**2)
@@ -173,11 +196,22 @@ def find_level(
     ping_cov_b = larger * cov_b[0]
     if len(rows) >= FEWEST_SCATTERING:
         unit_cov_b = velocities.unit_cov_b[inside]
-        ping_cov_b = scatter / (float(np.trace(unit_cov_b.mean(axis=0))) * (len(rows) - 2)) * unit_cov_b[0]
+        ping_cov_b = (
+            scatter / (float(np.trace(unit_cov_b.mean(axis=0))) * (len(rows) - 2)) * unit_cov_b[0]
+        )
     # The first ping errs less than the line's intercept, which contains the whole error of the accelerometers.
     velocity_b = free[0] - slope * time_s[rows[0]]
     per_gyro_bias = mat[rows] @ skew(lever_arm_b) - skew(velocity) @ mat_sum[rows]
-    aided = level(rows, weights, velocity, per_gyro_bias, larger * slope_cov, velocity_b, ping_cov_b, len(rows))
+    aided = level(
+        rows,
+        weights,
+        velocity,
+        per_gyro_bias,
+        larger * slope_cov,
+        velocity_b,
+        ping_cov_b,
+        len(rows),
+    )
     return min(aided, unaided, key=lambda found: float(np.trace(found.noise_cov_b)))
 
 
@@ -188,7 +222,12 @@ def _readings_at(samples: ImuColumns, sample_s: Floats, time_s: Floats) -> Any:
     into_s: Any = np.clip(time_s, sample_s[0], sample_s[-1]) - sample_s[row]
     step_s: Any = np.maximum(sample_s[after] - sample_s[row], np.finfo(float).tiny)
     columns = (samples.specific_force_b, samples.angular_rate_b)
-    whole = Readings(*(tuple(column.T) for column in (*columns, *(_bends(column, sample_s) for column in columns))))
+    whole = Readings(
+        *(
+            tuple(column.T)
+            for column in (*columns, *(_bends(column, sample_s) for column in columns))
+        )
+    )
     return readings_between(_rows(whole, row), _rows(whole, after), into_s, step_s)
 
 
@@ -227,7 +266,9 @@ class Start:
     cov: Floats  # (n, n), of the error states, SI units
     accel_bias_b: Floats = field(default_factory=lambda: np.zeros(3))  # known beforehand, m/s^2
     gyro_bias_b: Floats = field(default_factory=lambda: np.zeros(3))  # rad/s
-    constants: Floats = field(default_factory=lambda: np.zeros(0))  # (c,), of the sensors, that have states
+    constants: Floats = field(
+        default_factory=lambda: np.zeros(0)
+    )  # (c,), of the sensors, that have states
     is_heading_sensed: bool = False  # the heading is the sensor's, with its bias
 
     @property
@@ -236,7 +277,9 @@ class Start:
         return np.sqrt(np.diagonal(self.cov))
 
 
-def with_more_states(start: Start, more_sd: Floats, constants: int, *, heading_bias: bool = False) -> Start:
+def with_more_states(
+    start: Start, more_sd: Floats, constants: int, *, heading_bias: bool = False
+) -> Start:
     """Add states to a start, independent of all others except the bias of a heading that was the sensor's.
 
     Parameters
@@ -253,7 +296,9 @@ def with_more_states(start: Start, more_sd: Floats, constants: int, *, heading_b
     n, cov = len(start.cov), np.diag(np.concatenate([start.sd, more_sd]) ** 2)
     cov[:n, :n] = start.cov
     if heading_bias and start.is_heading_sensed:
-        by_heading = np.append(start.cov[:, PHI.stop - 1] / start.cov[PHI.stop - 1, PHI.stop - 1], 1.0)
+        by_heading = np.append(
+            start.cov[:, PHI.stop - 1] / start.cov[PHI.stop - 1, PHI.stop - 1], 1.0
+        )
         rows = [*range(n), len(cov) - 1]
         cov[len(cov) - 1, len(cov) - 1] = 0.0
         cov[np.ix_(rows, rows)] += more_sd[-1] ** 2 * np.outer(by_heading, by_heading)
@@ -293,7 +338,9 @@ def start_cov(
     if level is not None:
         tilt = slice(PHI.start, PHI.start + 2)
         # C_hat' e_d is gravity's direction in b, so that phi x e_d = -C times its error.
-        per_gravity = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]) @ mat_nb / np.linalg.norm(level.gravity_b)
+        per_gravity = (
+            np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]) @ mat_nb / np.linalg.norm(level.gravity_b)
+        )
         effect[tilt, BA] = per_gravity @ level.per_accel_bias
         effect[tilt, BG] = per_gravity @ level.per_gyro_bias
         own[tilt, tilt] = per_gravity @ level.noise_cov_b @ per_gravity.T

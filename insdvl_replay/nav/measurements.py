@@ -76,15 +76,29 @@ class Measurement:
     axes: tuple[str, ...] = ()  # names of the components; empty for one component
     sensor: int = PINGS  # a row of `timeline.Timeline.rows`
     gate: float = np.inf  # largest NIS that is used
-    reopen_after: int = NEVER_REOPENED  # rejections in a row that open the velocity's uncertainty; 0: never
-    velocity_weights: Floats = field(default_factory=lambda: NO_WINDOW)  # (k, w), c of the window's velocities
-    interval_weights: Floats = field(default_factory=lambda: NO_WINDOW)  # (k, w - 1), W of the window's intervals
-    sensor_arm_b: Floats = field(default_factory=lambda: np.zeros(3))  # IMU to a sensor that is not the DVL, m
+    reopen_after: int = (
+        NEVER_REOPENED  # rejections in a row that open the velocity's uncertainty; 0: never
+    )
+    velocity_weights: Floats = field(
+        default_factory=lambda: NO_WINDOW
+    )  # (k, w), c of the window's velocities
+    interval_weights: Floats = field(
+        default_factory=lambda: NO_WINDOW
+    )  # (k, w - 1), W of the window's intervals
+    sensor_arm_b: Floats = field(
+        default_factory=lambda: np.zeros(3)
+    )  # IMU to a sensor that is not the DVL, m
     direction_b: Floats = field(default_factory=lambda: np.zeros(3))  # of a beam
     noise: int = FIXED  # how R is taken, see `kalman`
-    goes_on: bool = False  # the next measurement is of the same reading; both together correct the state
-    predict: Predicts | None = None  # of user-defined measurements, this one is number ``kind - USER``
-    holds_height: bool = False  # measures the velocity down: gravity follows the INS's height, see `earth_model`
+    goes_on: bool = (
+        False  # the next measurement is of the same reading; both together correct the state
+    )
+    predict: Predicts | None = (
+        None  # of user-defined measurements, this one is number ``kind - USER``
+    )
+    holds_height: bool = (
+        False  # measures the velocity down: gravity follows the INS's height, see `earth_model`
+    )
 
     @property
     def size(self) -> int:
@@ -102,7 +116,13 @@ class Measurement:
 
 
 def sensor_measurement(
-    name: str, unit: str, kind: int, time_ns: TimeNs, values: Floats, sd: Floats, axes: tuple[str, ...] = ()
+    name: str,
+    unit: str,
+    kind: int,
+    time_ns: TimeNs,
+    values: Floats,
+    sd: Floats,
+    axes: tuple[str, ...] = (),
 ) -> Measurement:
     """Return a measurement at every reading, shape (k, s), without a gate; ``sd``, shape (s,) or (k, s), is its noise.
 
@@ -138,7 +158,10 @@ class Stack(NamedTuple):
 
 def stacked(measurements: Sequence[Measurement]) -> Stack:
     """Stack measurements, at least one, for the loop."""
-    count, width = max(len(made.available) for made in measurements), max(made.size for made in measurements)
+    count, width = (
+        max(len(made.available) for made in measurements),
+        max(made.size for made in measurements),
+    )
     window = max(1, *(made.velocity_weights.shape[1] for made in measurements))
     shapes = (), (width,), (width, width), (window,), (window - 1,)
     available, values, cov, velocity_weights, interval_weights = (
@@ -146,11 +169,19 @@ def stacked(measurements: Sequence[Measurement]) -> Stack:
     )
     for m, made in enumerate(measurements):
         k, size, (windows, length) = len(made.available), made.size, made.velocity_weights.shape
-        available[m, :k], values[m, :k, :size], cov[m, :k, :size, :size] = made.available, made.values, made.cov
+        available[m, :k], values[m, :k, :size], cov[m, :k, :size, :size] = (
+            made.available,
+            made.values,
+            made.cov,
+        )
         velocity_weights[m, :windows, window - length :] = made.velocity_weights
         interval_weights[m, :windows, window - length :] = made.interval_weights
-    by_measurement = (np.array([getattr(made, name) for made in measurements]) for name in Stack._fields[5:])
-    return Stack(available.astype(np.bool_), values, cov, velocity_weights, interval_weights, *by_measurement)
+    by_measurement = (
+        np.array([getattr(made, name) for made in measurements]) for name in Stack._fields[5:]
+    )
+    return Stack(
+        available.astype(np.bool_), values, cov, velocity_weights, interval_weights, *by_measurement
+    )
 
 
 class Memory(NamedTuple):
@@ -230,10 +261,14 @@ def _linearise_dvl(
         first, predicted_b = row - n + 1, (0.0, 0.0, 0.0)
         for j in range(max(0, -first), n):
             arm_velocity_b = cross(row_vector(ins.memory.rate_eb_b, first + j), ins.lever_arm_b)
-            predicted_b = add(predicted_b, scale(measurements.velocity_weights[m, row, j], arm_velocity_b))
+            predicted_b = add(
+                predicted_b, scale(measurements.velocity_weights[m, row, j], arm_velocity_b)
+            )
             if j > 0:
                 change_b = row_vector(ins.memory.velocity_change_b, first + j)
-                predicted_b = add(predicted_b, scale(measurements.interval_weights[m, row, j - 1], change_b))
+                predicted_b = add(
+                    predicted_b, scale(measurements.interval_weights[m, row, j - 1], change_b)
+                )
         against_rate = skew(scale(-1.0, row_vector(ins.memory.rate_nb_b, row)))
         turning = compose(against_rate, velocity_turned)
         by_misalignment = (
@@ -242,7 +277,9 @@ def _linearise_dvl(
             add(gravity_turned[2], turning[2]),
         )
         velocity_b = rotate(mat_bn, ins.velocity_n)
-        write_blocks((compose(against_rate, mat_bn), by_misalignment, IDENTITY, skew(velocity_b)), H)
+        write_blocks(
+            (compose(against_rate, mat_bn), by_misalignment, IDENTITY, skew(velocity_b)), H
+        )
     else:
         # The velocity at the DVL, C' v + w_eb x l. Beams may be heard without a ping of the velocity.
         rate_eb_b = row_vector(ins.memory.rate_eb_b, row) if kind == VELOCITY else ins.rate_eb_b
@@ -293,21 +330,30 @@ def _linearise_sensor(
         for j in range(H.shape[1]):
             H[i, j] = 0.0
     kind, position = measurements.kind[m], layout.position
-    reading, arm_n = measurements.values[m, row], rotate(ins.mat_nb, row_vector(measurements.sensor_arm_b, m))
+    reading, arm_n = (
+        measurements.values[m, row],
+        rotate(ins.mat_nb, row_vector(measurements.sensor_arm_b, m)),
+    )
     constant = 0.0
     if kind == DEPTH:
         H[0, 3], H[0, 4] = arm_n[1], -arm_n[0]
         if position >= 0:
             H[0, position + 2] = 1.0
         if layout.depth_zero >= 0:
-            H[0, layout.depth_zero], constant = -1.0, ins.constants[layout.depth_zero - layout.constants]
+            H[0, layout.depth_zero], constant = (
+                -1.0,
+                ins.constants[layout.depth_zero - layout.constants],
+            )
         z[0] = arm_n[2] - ins.position[2] + constant - reading[0]
     elif kind == HEADING:
         north, east, down = ins.mat_nb[0][0], ins.mat_nb[1][0], ins.mat_nb[2][0]
         steep = down / (north * north + east * east)
         H[0, 3], H[0, 4], H[0, 5] = -steep * north, -steep * east, 1.0
         if layout.heading_bias >= 0:
-            H[0, layout.heading_bias], constant = -1.0, ins.constants[layout.heading_bias - layout.constants]
+            H[0, layout.heading_bias], constant = (
+                -1.0,
+                ins.constants[layout.heading_bias - layout.constants],
+            )
         z[0] = nearest_turn(math.atan2(east, north) + constant - reading[0])
     else:
         # A fix may lack the height.
@@ -321,7 +367,9 @@ def _linearise_sensor(
 
 
 @inlined
-def _linearise_user(measurements: Stack, m: int, row: int, ins: InsNow, user: Predicts, z: Floats, H: Floats) -> None:
+def _linearise_user(
+    measurements: Stack, m: int, row: int, ins: InsNow, user: Predicts, z: Floats, H: Floats
+) -> None:
     """Let the user's prediction write z and H, and subtract the reading. No gate would reject an infinite z."""
     size, known = len(z), np.empty(INS_SIZE)
     for i in range(3):
@@ -332,6 +380,10 @@ def _linearise_user(measurements: Stack, m: int, row: int, ins: InsNow, user: Pr
     predicted, jacobian = np.zeros(size), np.zeros((size, H.shape[1]))
     user(measurements.kind[m] - USER, known, predicted, jacobian)
     for i in range(size):
-        z[i] = predicted[i] - measurements.values[m, row, i] if math.isfinite(predicted[i]) else math.nan
+        z[i] = (
+            predicted[i] - measurements.values[m, row, i]
+            if math.isfinite(predicted[i])
+            else math.nan
+        )
         for j in range(H.shape[1]):
             H[i, j] = jacobian[i, j]

@@ -37,7 +37,14 @@ from insdvl_replay.nav.earth_model import (
     transport_curvature,
     transport_rate_n,
 )
-from insdvl_replay.nav.error_model import TWELVE, TWELVE_ALONE, add_noise, over, propagate_cov, propagate_errors
+from insdvl_replay.nav.error_model import (
+    TWELVE,
+    TWELVE_ALONE,
+    add_noise,
+    over,
+    propagate_cov,
+    propagate_errors,
+)
 from insdvl_replay.nav.kalman import multiply
 from insdvl_replay.nav.measurements import InsNow, Measurement, Memory, Stack, linearise, stacked
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
@@ -92,7 +99,13 @@ def nominal_pings(
         *np.empty((3, pings, TWELVE, TWELVE)),
     )
     mat_nb = np.ascontiguousarray(nominal.mat_nb)
-    states = (nominal.position, nominal.velocity_n, mat_nb, nominal.accel_bias_b, nominal.gyro_bias_b)
+    states = (
+        nominal.position,
+        nominal.velocity_n,
+        mat_nb,
+        nominal.accel_bias_b,
+        nominal.gyro_bias_b,
+    )
     _walk_motion(timeline, states, tuple(noise_density.tolist()), earth_rate, found)
     return found
 
@@ -114,7 +127,11 @@ def _state_at(states: States, row: int) -> NavState:
 
 @compiled
 def _walk_motion(
-    timeline: Timeline, nominal: States, noise_density: tuple[float, ...], earth_rate: bool, found: NominalPings
+    timeline: Timeline,
+    nominal: States,
+    noise_density: tuple[float, ...],
+    earth_rate: bool,
+    found: NominalPings,
 ) -> None:
     """Mechanise from one recorded event to the next, and let errors grow and noise gather from ping to ping."""
     transition, step, noise = np.eye(TWELVE), np.eye(TWELVE), np.zeros((TWELVE, TWELVE))
@@ -131,8 +148,13 @@ def _walk_motion(
         errors_motion = motion
         if not earth_rate:
             # The same way on an Earth that is flat and at rest takes another specific force.
-            coriolis_n, still = cross(add(motion.rate_ie_n, motion.rate_in_n), before_n), (0.0, 0.0, 0.0)
-            errors_motion = Motion(still, still, subtract(motion.force_n, coriolis_n), motion.mat_nb, still)
+            coriolis_n, still = (
+                cross(add(motion.rate_ie_n, motion.rate_in_n), before_n),
+                (0.0, 0.0, 0.0),
+            )
+            errors_motion = Motion(
+                still, still, subtract(motion.force_n, coriolis_n), motion.mat_nb, still
+            )
         propagate_errors(step_by_row, noise_density, over(errors_motion, dt))
         propagate_cov(noise_by_row, errors_motion, noise_density, dt)
         gap = timeline.gap[before.event]
@@ -174,7 +196,13 @@ def whitened_rows(pings: NominalPings, measurement: Measurement, lever_arm_b: Fl
 def jacobians(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats) -> Floats:
     """Return the H of a measurement at every ping, shape (m, 3, 12); zero without a measurement."""
     H = np.zeros((len(measurement.available), 3, TWELVE))
-    _write_jacobians(stacked((measurement,)), np.flatnonzero(measurement.available), pings, vector(lever_arm_b), H)
+    _write_jacobians(
+        stacked((measurement,)),
+        np.flatnonzero(measurement.available),
+        pings,
+        vector(lever_arm_b),
+        H,
+    )
     return H
 
 
@@ -321,7 +349,11 @@ def named_directions(
     tuple of ErrorDirection
         In an order in which each is simpler than those after it.
     """
-    zero, axes, earth = np.zeros(3), ("north", "east", "down"), local_earth_at(float(position[0]), float(position[2]))
+    zero, axes, earth = (
+        np.zeros(3),
+        ("north", "east", "down"),
+        local_earth_at(float(position[0]), float(position[2])),
+    )
 
     def rate_en_n(moving_n: Floats) -> Floats:
         curvature = transport_curvature(earth, float(position[2]))
@@ -330,23 +362,33 @@ def named_directions(
     rate_ie_n = np.array(earth.rate_ie_n) if earth_rate else zero
     rate_in_n = rate_ie_n + rate_en_n(velocity_n)
     coriolis_n = rate_ie_n + rate_in_n
-    force_n = np.cross(coriolis_n, velocity_n) - np.array([0.0, 0.0, normal_gravity(position[0], position[2])])
+    force_n = np.cross(coriolis_n, velocity_n) - np.array(
+        [0.0, 0.0, normal_gravity(position[0], position[2])]
+    )
     velocities, tilts = [], []
     for axis, across, unit in zip(axes, ("east", "north", ""), np.eye(3), strict=True):
         error = np.concatenate([unit, zero, zero, zero])
         velocities.append(ErrorDirection(f"dv_{axis[0]}", f"velocity error {axis}", error))
         label = f"misalignment about {axis} with accelerometer bias {across}"
-        label = (label if across else "heading with velocity error across") + " and gyro bias" * earth_rate
+        label = (
+            label if across else "heading with velocity error across"
+        ) + " and gyro bias" * earth_rate
         dv = -np.cross(velocity_n, unit)
         ba = mat_nb.T @ (np.cross(force_n, unit) + np.cross(coriolis_n, dv))
         bg = mat_nb.T @ (np.cross(rate_in_n, unit) + rate_en_n(dv))
-        tilts.append(ErrorDirection(f"phi_{axis[0]} held", label, np.concatenate([dv, unit, ba, bg])))
+        tilts.append(
+            ErrorDirection(f"phi_{axis[0]} held", label, np.concatenate([dv, unit, ba, bg]))
+        )
     down_n = np.array([0.0, 0.0, 1.0])
     down_b, across_b = mat_nb.T @ down_n, -mat_nb.T @ np.cross(velocity_n, down_n)
-    gyro = ErrorDirection("bg_d", "gyro bias about down", np.concatenate([zero, zero, zero, down_b]))
+    gyro = ErrorDirection(
+        "bg_d", "gyro bias about down", np.concatenate([zero, zero, zero, down_b])
+    )
     # A heading that drifts by the gyro bias bends the way as steadily as the accelerometer bias does.
     bent_error = np.concatenate([zero, zero, across_b, down_b])
-    bent = ErrorDirection("bg_d held", "gyro bias about down with accelerometer bias across", bent_error)
+    bent = ErrorDirection(
+        "bg_d held", "gyro bias about down with accelerometer bias across", bent_error
+    )
     return (*velocities, *tilts, gyro, bent)
 
 
@@ -371,11 +413,15 @@ def name_unobservable(
         At most 12 less the rank; in the order of ``directions``.
     """
     unnamed, found = observability.unobservable, set()
-    for direction in sorted(directions, key=lambda named: observability.response(named.scaled(prior_sd))):
+    for direction in sorted(
+        directions, key=lambda named: observability.response(named.scaled(prior_sd))
+    ):
         part = unnamed.T @ (unnamed @ direction.scaled(prior_sd))
         if part @ part > 0.5:
             found.add(direction.id)
             # The rest is at right angles to the part that was named.
-            _, _, basis = np.linalg.svd(unnamed @ (np.eye(TWELVE) - np.outer(part, part) / (part @ part)))
+            _, _, basis = np.linalg.svd(
+                unnamed @ (np.eye(TWELVE) - np.outer(part, part) / (part @ part))
+            )
             unnamed = basis[: len(unnamed) - 1]
     return tuple(direction for direction in directions if direction.id in found)

@@ -83,11 +83,15 @@ def run_outage(
     for measurement in measurements:
         rows = timeline.rows[measurement.sensor, events]
         rows = rows[rows >= 0]
-        inside.append(measurement.rows(slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0)))
+        inside.append(
+            measurement.rows(slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0))
+        )
     velocity, *others = inside
     kept = (velocity.held_out(), *(other for other in others if other.available.any()))
     factors = None if noise_factors is None else noise_factors.within(*window_ns)
-    return run_filter(history.filter, window, start, measurements=kept, noise_factors=factors, **settings)
+    return run_filter(
+        history.filter, window, start, measurements=kept, noise_factors=factors, **settings
+    )
 
 
 def restart(history: History, drift: GravityDrift, time_ns: int) -> Start:
@@ -96,7 +100,9 @@ def restart(history: History, drift: GravityDrift, time_ns: int) -> Start:
     With twelve states its height is the one at which the filter takes gravity: after long times without a velocity,
     the filter's own has drifted.
     """
-    row, cov_row = (int(np.searchsorted(times, time_ns)) for times in (history.time_ns, history.cov_ns))
+    row, cov_row = (
+        int(np.searchsorted(times, time_ns)) for times in (history.time_ns, history.cov_ns)
+    )
     if cov_row == len(history.cov_ns) or history.cov_ns[cov_row] != time_ns:
         raise ValueError(f"the history of {history.filter} holds no P at {time_ns}")
     latitude, longitude, height_m = history.position[row]

@@ -6,8 +6,23 @@ Source: equations (24) and (25) of Levy and Klein; Groves, chapter 5.
 from typing import NamedTuple
 
 from insdvl_replay.core.runtime import inlined
-from insdvl_replay.nav.algebra import Matrix, Vector, add, compose, cross, rotate, rotation_from_vector, scale, subtract
-from insdvl_replay.nav.earth_model import LocalEarth, curvatures, transport_curvature, transport_rate_n
+from insdvl_replay.nav.algebra import (
+    Matrix,
+    Vector,
+    add,
+    compose,
+    cross,
+    rotate,
+    rotation_from_vector,
+    scale,
+    subtract,
+)
+from insdvl_replay.nav.earth_model import (
+    LocalEarth,
+    curvatures,
+    transport_curvature,
+    transport_rate_n,
+)
 from insdvl_replay.nav.increments import Readings, increments
 
 
@@ -45,7 +60,10 @@ def propagate(
     curvature = transport_curvature(earth, height_m)
     rate_in_n = add(earth.rate_ie_n, transport_rate_n(curvature, velocity_n))
     # The attitude turns on both sides, each by its exact exponential.
-    body_turn, frame_turn = rotation_from_vector(turn_b), rotation_from_vector(scale(-dt, rate_in_n))
+    body_turn, frame_turn = (
+        rotation_from_vector(turn_b),
+        rotation_from_vector(scale(-dt, rate_in_n)),
+    )
     mat_nb = compose(frame_turn, compose(state.mat_nb, body_turn))
     force_n = scale(0.5, add(rotate(state.mat_nb, force_b), rotate(mat_nb, force_b)))
     felt_n = add(force_n, (0.0, 0.0, gravity))
@@ -59,5 +77,7 @@ def propagate(
         state.position[1] + moved_n[1] * to_east / earth.cos_latitude,
         state.position[2] - moved_n[2],
     )
-    state_after = NavState(position, velocity_after_n, mat_nb, state.accel_bias_b, state.gyro_bias_b)
+    state_after = NavState(
+        position, velocity_after_n, mat_nb, state.accel_bias_b, state.gyro_bias_b
+    )
     return state_after, Motion(earth.rate_ie_n, rate_in_n, force_n, mat_nb, curvature)

@@ -41,7 +41,9 @@ class Gaps:
 
     def where(self, keep: NDArray[np.bool_]) -> "Gaps":
         """Keep some of the gaps."""
-        return Gaps(self.start_ns[keep], self.end_ns[keep], self.noise_density[keep], self.rate_sd_radps)
+        return Gaps(
+            self.start_ns[keep], self.end_ns[keep], self.noise_density[keep], self.rate_sd_radps
+        )
 
     def within(self, start_ns: int, end_ns: int) -> "Gaps":
         """Keep the gaps that a span touches."""
@@ -68,7 +70,10 @@ class Gaps:
         """Return the nodes that a time line needs: both ends of each gap and some between."""
         steps = np.ceil(self.length_s / BRIDGE_STEP_S).astype(np.int64)
         nodes = [
-            start + np.linspace(0, end - start, int(count) + 1, dtype=np.int64)  # times since 1970 are no floats
+            start
+            + np.linspace(
+                0, end - start, int(count) + 1, dtype=np.int64
+            )  # times since 1970 are no floats
             for start, end, count in zip(self.start_ns, self.end_ns, steps, strict=True)
         ]
         return np.concatenate([np.empty(0, np.int64), *nodes])
@@ -88,12 +93,18 @@ NO_GAPS: Final = Gaps(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0,
 class Timeline(NamedTuple):
     """Samples and events, whose times are the nodes between which the filter propagates."""
 
-    sample_ns: TimeNs  # (s,); those that cover the span, and one more on either side where the IMU has one
+    sample_ns: (
+        TimeNs  # (s,); those that cover the span, and one more on either side where the IMU has one
+    )
     specific_force_b: Floats  # (s, 3), m/s^2
     angular_rate_b: Floats  # (s, 3), rad/s
     event_ns: TimeNs  # (e,), strictly increasing, from start to end; one node with a sample of the same time
-    rows: NDArray[np.int64]  # (sensors, e), row of each sensor's reading at each event, -1 for none; pings first
-    record: NDArray[np.int64]  # (e,), row of the history for each event, -1 for none; the first has one
+    rows: NDArray[
+        np.int64
+    ]  # (sensors, e), row of each sensor's reading at each event, -1 for none; pings first
+    record: NDArray[
+        np.int64
+    ]  # (e,), row of the history for each event, -1 for none; the first has one
     gap: NDArray[np.int64]  # (e,), row of the long gap after each event, -1 for none
     gap_noise_density: Floats  # (g, 12), see `Gaps`
 
@@ -150,7 +161,10 @@ def build_timeline(
     """
     if start_ns < imu.time_ns[0] or end_ns > imu.time_ns[-1]:
         raise ValueError("the span lies outside the IMU's samples")
-    sensors_ns = [time_ns[: np.searchsorted(time_ns, end_ns, "right")] for time_ns in (ping_ns, beams_ns, *others_ns)]
+    sensors_ns = [
+        time_ns[: np.searchsorted(time_ns, end_ns, "right")]
+        for time_ns in (ping_ns, beams_ns, *others_ns)
+    ]
     if any(len(time_ns) and time_ns[0] <= start_ns for time_ns in sensors_ns):
         raise ValueError("a reading lies before the start")
 
@@ -191,7 +205,10 @@ def samples_around(sample_ns: TimeNs, start_ns: int, end_ns: int) -> slice:
 def first_node(timeline: Timeline) -> Node:
     """Return the node at the start."""
     sample = 0
-    while sample + 1 < len(timeline.sample_ns) and timeline.sample_ns[sample + 1] <= timeline.event_ns[0]:
+    while (
+        sample + 1 < len(timeline.sample_ns)
+        and timeline.sample_ns[sample + 1] <= timeline.event_ns[0]
+    ):
         sample += 1
     return _node(timeline, timeline.event_ns[0], sample, 0)
 
@@ -224,16 +241,26 @@ def _node(timeline: Timeline, time_ns: int, sample: int, event: int) -> Node:
     before = _readings_at(timeline, sample)
     if time_s == before_s:
         return Node(time_ns, time_s, sample, event, before)
-    into_s, step_s = time_s - before_s, (timeline.sample_ns[sample + 1] - start_ns) * 1e-9 - before_s
+    into_s, step_s = (
+        time_s - before_s,
+        (timeline.sample_ns[sample + 1] - start_ns) * 1e-9 - before_s,
+    )
     return Node(
-        time_ns, time_s, sample, event, readings_between(before, _readings_at(timeline, sample + 1), into_s, step_s)
+        time_ns,
+        time_s,
+        sample,
+        event,
+        readings_between(before, _readings_at(timeline, sample + 1), into_s, step_s),
     )
 
 
 @inlined
 def _readings_at(timeline: Timeline, sample: int) -> Readings:
     """Read a sample, and how readings bend there; at the first and the last sample as at the ones next to them."""
-    force_b, rate_b = row_vector(timeline.specific_force_b, sample), row_vector(timeline.angular_rate_b, sample)
+    force_b, rate_b = (
+        row_vector(timeline.specific_force_b, sample),
+        row_vector(timeline.angular_rate_b, sample),
+    )
     samples = len(timeline.sample_ns)
     if samples < 3:
         return Readings(force_b, rate_b, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

@@ -30,7 +30,9 @@ class Solution:
     # those that are not known
     cov: Floats | None = None
     cov_ns: TimeNs | None = None  # (c,), its times, if they are not those of the rows
-    innovation_b: Floats | None = None  # (k, 3), predicted minus measured velocity of the DVL; NaN where there is none
+    innovation_b: Floats | None = (
+        None  # (k, 3), predicted minus measured velocity of the DVL; NaN where there is none
+    )
     innovation_cov: Floats | None = None  # (k, 3, 3), their covariance S
 
 
@@ -51,9 +53,13 @@ class StartFile(Struct, frozen=True):
     velocity_ned_mps_sd: Axes
     roll_pitch_heading_deg: Axes
     roll_pitch_heading_deg_sd: Axes
-    accelerometer_bias_mps2: Annotated[Axes, Meta(description="reading minus true: forward, starboard, down")]
+    accelerometer_bias_mps2: Annotated[
+        Axes, Meta(description="reading minus true: forward, starboard, down")
+    ]
     accelerometer_bias_mps2_sd: Axes
-    gyro_bias_radps: Annotated[Axes, Meta(description="reading minus true: forward, starboard, down")]
+    gyro_bias_radps: Annotated[
+        Axes, Meta(description="reading minus true: forward, starboard, down")
+    ]
     gyro_bias_radps_sd: Axes
     dvl_lever_arm_m: Annotated[Axes, Meta(description="IMU to DVL: forward, starboard, down")]
 
@@ -77,21 +83,41 @@ class CandidateStart(Start):
             "longitude_deg": (self.position[1] / DEG, position_sd[1] / DEG),
             "height_m": (self.position[2], position_sd[2]),
             "velocity_ned_mps": (self.velocity_n, sd[0:3]),
-            "roll_pitch_heading_deg": (rpy_from_mat(self.mat_nb) / DEG, np.sqrt(np.diagonal(level_cov)) / DEG),
+            "roll_pitch_heading_deg": (
+                rpy_from_mat(self.mat_nb) / DEG,
+                np.sqrt(np.diagonal(level_cov)) / DEG,
+            ),
             "accelerometer_bias_mps2": (self.accel_bias_b, sd[6:9]),
             "gyro_bias_radps": (self.gyro_bias_b, sd[9:12]),
         }
-        content: dict[str, Any] = {"time_ns": self.time_ns, "dvl_lever_arm_m": self.dvl_lever_arm_b.tolist()}
+        content: dict[str, Any] = {
+            "time_ns": self.time_ns,
+            "dvl_lever_arm_m": self.dvl_lever_arm_b.tolist(),
+        }
         for name, (value, sigma) in values.items():
-            content[name], content[f"{name}_sd"] = np.asarray(value).tolist(), np.asarray(sigma).tolist()
-        return msgspec.json.format(msgspec.json.encode(msgspec.convert(content, StartFile)), indent=1) + b"\n"
+            content[name], content[f"{name}_sd"] = (
+                np.asarray(value).tolist(),
+                np.asarray(sigma).tolist(),
+            )
+        return (
+            msgspec.json.format(msgspec.json.encode(msgspec.convert(content, StartFile)), indent=1)
+            + b"\n"
+        )
 
     @classmethod
     def from_json(cls, text: str | bytes) -> "CandidateStart":
         """Read what `to_json` writes."""
         given = msgspec.json.decode(text, type=StartFile)
-        rpy, rpy_sd = (np.array(deg) * DEG for deg in (given.roll_pitch_heading_deg, given.roll_pitch_heading_deg_sd))
-        sd = given.velocity_ned_mps_sd, (0.0,) * 3, given.accelerometer_bias_mps2_sd, given.gyro_bias_radps_sd
+        rpy, rpy_sd = (
+            np.array(deg) * DEG
+            for deg in (given.roll_pitch_heading_deg, given.roll_pitch_heading_deg_sd)
+        )
+        sd = (
+            given.velocity_ned_mps_sd,
+            (0.0,) * 3,
+            given.accelerometer_bias_mps2_sd,
+            given.gyro_bias_radps_sd,
+        )
         cov = np.diag(np.concatenate(sd) ** 2)
         cov[3:6, 3:6] = misalignment_cov(rpy_sd[None], rpy[2:])[0]
         return cls(

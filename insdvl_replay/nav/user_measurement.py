@@ -56,7 +56,9 @@ class NoiseFactors:
     """Factors of the white noise of the readings. Each row holds until the next; before the first they are one."""
 
     time_ns: TimeNs  # (k,), strictly increasing
-    factors: Floats  # (k, 6), of the standard deviations of accelerometers and gyros, axis by axis in b
+    factors: (
+        Floats  # (k, 6), of the standard deviations of accelerometers and gyros, axis by axis in b
+    )
 
     def within(self, start_ns: int, end_ns: int) -> "NoiseFactors":
         """Keep the row that holds at the start, if one does, and those up to the end."""
@@ -124,7 +126,9 @@ def load_class(word: str, base: type[Kind]) -> type[Kind]:
     found = getattr(imported, name, None)
     if found is None:
         near = get_close_matches(name, vars(imported), n=1)
-        raise ValueError(f"is not in {module}" + (f"; the nearest name is {near[0]}" if near else ""))
+        raise ValueError(
+            f"is not in {module}" + (f"; the nearest name is {near[0]}" if near else "")
+        )
     if not (isinstance(found, type) and issubclass(found, base)):
         raise ValueError(f"is not a class derived from {base.__name__}")
     return found
@@ -159,7 +163,10 @@ def _require_whole(user: UserMeasurement) -> None:
     mistakes = (
         (not isinstance(user.name, str), f"has the name {user.name!r}, which is not text"),
         (not isinstance(user.unit, str), f"has the unit {user.unit!r}, which is not text"),
-        (not (name.isidentifier() and is_whole(name)), f"has the name '{name}', which is not allowed in tables"),
+        (
+            not (name.isidentifier() and is_whole(name)),
+            f"has the name '{name}', which is not allowed in tables",
+        ),
         (is_reserved(name), f"has the name '{name}', which is a built-in measurement"),
         (type(user).readings is UserMeasurement.readings, "has no method readings(self, dive)"),
         (user.predict is UserMeasurement.predict, "has no method predict(ins, z, H)"),
@@ -216,7 +223,9 @@ def joined(predictions: Sequence[Predict], *, compiled: bool) -> Predicts:
         chosen = first_or(predict, numba.njit(error_model="numpy")(chosen) if compiled else chosen)
     if not compiled:
         return chosen
-    found: Predicts = numba.cfunc(types.void(types.int64, *_signature().args), error_model="numpy")(chosen)
+    found: Predicts = numba.cfunc(types.void(types.int64, *_signature().args), error_model="numpy")(
+        chosen
+    )
     return found
 
 
@@ -229,14 +238,22 @@ def _signature() -> Any:
 
 def checked_readings(readings: UserReadings) -> UserReadings:
     """Require what the filter relies on, shapes (k,), (k, s) and (k, s); a ValueError says what is wrong."""
-    time_ns, values, sd = np.asarray(readings.time_ns), _numbers("values", readings.values), _numbers("sd", readings.sd)
+    time_ns, values, sd = (
+        np.asarray(readings.time_ns),
+        _numbers("values", readings.values),
+        _numbers("sd", readings.sd),
+    )
     if values.ndim == 1 and values.shape == time_ns.shape:
         values = values[:, None]
     if values.ndim != 2 or not 1 <= values.shape[1] <= 4 or time_ns.shape != values.shape[:1]:
         shapes = f"{time_ns.shape} and {values.shape}"
-        raise ValueError(f"returns times and values of shapes {shapes}, not (k,) and (k, s), s from 1 to 4")
+        raise ValueError(
+            f"returns times and values of shapes {shapes}, not (k,) and (k, s), s from 1 to 4"
+        )
     try:
-        sd = np.broadcast_to(sd[:, None] if sd.shape == time_ns.shape and values.shape[1] == 1 else sd, values.shape)
+        sd = np.broadcast_to(
+            sd[:, None] if sd.shape == time_ns.shape and values.shape[1] == 1 else sd, values.shape
+        )
     except ValueError as error:
         shapes = f"{sd.shape} for values of shape {values.shape}"
         raise ValueError(f"returns sd of shape {shapes}, not (s,) or (k, s)") from error
@@ -253,11 +270,15 @@ def checked_factors(given: tuple[TimeNs, Floats]) -> NoiseFactors:
     try:
         times, found = given
     except (TypeError, ValueError) as error:
-        raise ValueError(f"returns {type(given).__name__}, not two arrays: times and factors") from error
+        raise ValueError(
+            f"returns {type(given).__name__}, not two arrays: times and factors"
+        ) from error
     time_ns, factors = np.asarray(times), _numbers("factors", found)
     if time_ns.ndim != 1 or factors.shape not in ((len(time_ns), 2), (len(time_ns), 6)):
         shapes = f"{time_ns.shape} and {factors.shape}"
-        raise ValueError(f"returns times and factors of shapes {shapes}, not (k,) and (k, 2) or (k, 6)")
+        raise ValueError(
+            f"returns times and factors of shapes {shapes}, not (k,) and (k, 2) or (k, 6)"
+        )
     _require_increasing(time_ns)
     _require_rows("factors that are not finite and above 0", np.isfinite(factors) & (factors > 0.0))
     return NoiseFactors(time_ns, np.repeat(factors, 6 // factors.shape[1], axis=1))

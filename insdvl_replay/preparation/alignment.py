@@ -9,7 +9,15 @@ from msgspec.structs import replace as changed
 
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import check_start, start_latitude_deg
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ImuColumns, ReferenceColumns, apart_s, at_time
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    apart_s,
+    at_time,
+)
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import BY_SENSOR, DEG, DEG_PER_HOUR, MG, PHI
 from insdvl_replay.core.words import HeadingSource, Severity
@@ -39,8 +47,12 @@ from insdvl_replay.preparation.start_sources import (
 )
 
 FAR_S: Final = 1.0  # readings further from the start are not used for it
-HEADING_LIMIT_DEG: Final = 10.0  # no compass of a vehicle errs by more, even with the declination left in
-GIVEN_HEADING_LIMIT_DEG: Final = 5.0  # a heading that somebody read off a compass, or a plan, is as near as this
+HEADING_LIMIT_DEG: Final = (
+    10.0  # no compass of a vehicle errs by more, even with the declination left in
+)
+GIVEN_HEADING_LIMIT_DEG: Final = (
+    5.0  # a heading that somebody read off a compass, or a plan, is as near as this
+)
 TILT_LIMIT: Final = 5.0 * DEG  # no AHRS errs by more, nor do accelerometers
 LEAST_DVL_SD_MPS: Final = 5e-4  # of a ping, whatever its neighbours show: readings are rounded
 LATITUDE_LIMIT_DEG: Final = 0.1  # a latitude that a user gives in round numbers is as near as this
@@ -54,8 +66,12 @@ class Alignment:
     start: Start
     notes: tuple[Note, ...]
     initial: Initial | None = None  # the settings, with what other sensors filled in
-    spread_cov: Floats | None = None  # (n, n) of random starts, by [initial]; None: as that of the start
-    used_ns: Mapping[str, int] = field(default_factory=dict)  # by sensor, the time of the reading that the start took
+    spread_cov: Floats | None = (
+        None  # (n, n) of random starts, by [initial]; None: as that of the start
+    )
+    used_ns: Mapping[str, int] = field(
+        default_factory=dict
+    )  # by sensor, the time of the reading that the start took
     heading_source: HeadingSource = HeadingSource.SETTINGS
 
     @property
@@ -68,7 +84,10 @@ class Alignment:
         """The start as a reference of one row."""
         start = self.start
         return ReferenceColumns(
-            np.array([self.start_ns]), start.position[None], start.velocity_n[None], start.mat_nb[None]
+            np.array([self.start_ns]),
+            start.position[None],
+            start.velocity_n[None],
+            start.mat_nb[None],
         )
 
 
@@ -85,7 +104,13 @@ def align(
     What the reference lacks comes from other sensors, from gravity (roll, pitch), from the DVL (velocity) and from the
     settings (heading, position), each with a note. Started level or by an AHRS, the reference gives the position alone.
     """
-    imu, reference, initial, notes, used_ns = dive.imu, dive.reference, config.initial, list[Note](), dict[str, int]()
+    imu, reference, initial, notes, used_ns = (
+        dive.imu,
+        dive.reference,
+        config.initial,
+        list[Note](),
+        dict[str, int](),
+    )
     moving = reference if initial.source == "reference" else None
     posed = moving if moving is not None and moving.has_attitude else None
     is_located = reference is not None and reference.has_position
@@ -115,7 +140,9 @@ def align(
         notes.append(note("start_heading_sensor", heading=heading_deg, away=away_s))
         initial = changed(initial, heading_deg=heading_deg)
     sensor_sd_deg = level_sd_deg, level_sd_deg, config.heading.sd_deg if is_heading_sensed else 0.0
-    sds_deg = tuple(map(max, initial.misalignment_sd_deg, sensor_sd_deg))  # no surer than the sensor is
+    sds_deg = tuple(
+        map(max, initial.misalignment_sd_deg, sensor_sd_deg)
+    )  # no surer than the sensor is
     initial = changed(initial, misalignment_sd_deg=sds_deg)
     if not is_located and "position" in dive.sensors and initial.latitude_deg is None:
         fix, away_s = nearest("position")
@@ -153,7 +180,10 @@ def align(
 
     # Attitude.
     arm_b, baseline = np.array(config.dvl.lever_arm_m), resolve_filters(config)[0]
-    accel_bias_b, gyro_bias_b = np.array(initial.accel_bias_mg) * MG, np.array(initial.gyro_bias_degph) * DEG_PER_HOUR
+    accel_bias_b, gyro_bias_b = (
+        np.array(initial.accel_bias_mg) * MG,
+        np.array(initial.gyro_bias_degph) * DEG_PER_HOUR,
+    )
     level, samples = None, levelling_samples(imu, start_ns)
     if posed is not None:
         mat_nb = posed.mat_nb[np.searchsorted(posed.time_ns, start_ns)]
@@ -168,9 +198,15 @@ def align(
             )
         if sensed_mat_nb is None and heading_deg is None:
             raise ValueError("the heading is still to be fitted: run.prepare_with_heading does it")
-        heading = (heading_deg or 0.0) * DEG if sensed_mat_nb is None else float(rpy_from_mat(sensed_mat_nb)[2])
+        heading = (
+            (heading_deg or 0.0) * DEG
+            if sensed_mat_nb is None
+            else float(rpy_from_mat(sensed_mat_nb)[2])
+        )
         unbiased = ImuColumns(
-            samples.time_ns, samples.specific_force_b - accel_bias_b, samples.angular_rate_b - gyro_bias_b
+            samples.time_ns,
+            samples.specific_force_b - accel_bias_b,
+            samples.angular_rate_b - gyro_bias_b,
         )
         level = find_level(
             unbiased,
@@ -182,15 +218,24 @@ def align(
             heading=heading,
             latitude=float(position[0]),
         )
-        mat_nb = mat_from_rpy(np.array([*level.roll_pitch, heading])) if sensed_mat_nb is None else sensed_mat_nb
+        mat_nb = (
+            mat_from_rpy(np.array([*level.roll_pitch, heading]))
+            if sensed_mat_nb is None
+            else sensed_mat_nb
+        )
 
     # Velocity: the reference's, else that of the nearest ping; after levelling, of the first, carried to the start.
     by_dvl, dvl_velocity_n = None, None
-    if moving is not None and apart_s(moving.time_ns, moving.velocity_n, np.array([start_ns]))[0] <= FAR_S:
+    if (
+        moving is not None
+        and apart_s(moving.time_ns, moving.velocity_n, np.array([start_ns]))[0] <= FAR_S
+    ):
         velocity_n = at_time(moving.time_ns, moving.velocity_n, start_ns)
     else:
         rate_ie_b, covs_b = mat_nb.T @ earth_rate_n(position[0]), baseline.velocity_cov(velocities)
-        by_dvl = _velocity_by_dvl(imu, velocities, covs_b, level, start_ns, arm_b, gyro_bias_b + rate_ie_b)
+        by_dvl = _velocity_by_dvl(
+            imu, velocities, covs_b, level, start_ns, arm_b, gyro_bias_b + rate_ie_b
+        )
         velocity_n = dvl_velocity_n = mat_nb @ by_dvl.velocity_b
         notes.append(note("start_velocity_dvl", away=abs(by_dvl.ping_ns - start_ns) * 1e-9))
     levelled_by = level if sensed_mat_nb is None else None
@@ -208,7 +253,10 @@ def align(
         )
         found_sd = source_sd(dive, config, velocities, sources, start_ns, float(position[0]))
         velocity_cov_n = None if by_dvl is None else by_dvl.cov_n(mat_nb)
-        spread_cov, cov = cov, start_cov(found_sd.states, mat_nb, levelled_by, dvl_velocity_n, velocity_cov_n)
+        spread_cov, cov = (
+            cov,
+            start_cov(found_sd.states, mat_nb, levelled_by, dvl_velocity_n, velocity_cov_n),
+        )
         initial = changed(initial, position_sd_m=found_sd.position_m)
         notes.append(source_note(sources, cov))
 
@@ -218,12 +266,25 @@ def align(
     start_heading_deg = float(rpy_from_mat(mat_nb)[2]) / DEG
     if posed is None:
         notes += _heading_notes(reference, start_heading_deg, start_ns)
-    elif heading_deg is not None and _apart_deg(heading_deg, start_heading_deg) > GIVEN_HEADING_LIMIT_DEG:
-        notes.append(note("start_heading_idle", configured=heading_deg, found=start_heading_deg % 360.0))
+    elif (
+        heading_deg is not None
+        and _apart_deg(heading_deg, start_heading_deg) > GIVEN_HEADING_LIMIT_DEG
+    ):
+        notes.append(
+            note("start_heading_idle", configured=heading_deg, found=start_heading_deg % 360.0)
+        )
     if fix is not None:
         moved = moved_position(position, -(mat_nb @ np.array(config.position.lever_arm_m)))
         position = np.where(np.isfinite(fix), moved, position)
-    start = Start(position, velocity_n, mat_nb, cov, accel_bias_b, gyro_bias_b, is_heading_sensed=is_heading_sensed)
+    start = Start(
+        position,
+        velocity_n,
+        mat_nb,
+        cov,
+        accel_bias_b,
+        gyro_bias_b,
+        is_heading_sensed=is_heading_sensed,
+    )
     return Alignment(start_ns, start, tuple(notes), initial, spread_cov, used_ns, heading_source)
 
 
@@ -281,7 +342,9 @@ def _position_source(*, located: bool, fixed: bool) -> PositionSource:
     return PositionSource.SENSOR if fixed else PositionSource.SETTINGS
 
 
-def _sensor_attitude(dive: Dive, heading_deg: float | None, start_ns: int, end_ns: int) -> tuple[int, Floats, Note]:
+def _sensor_attitude(
+    dive: Dive, heading_deg: float | None, start_ns: int, end_ns: int
+) -> tuple[int, Floats, Note]:
     """Return time and value of the AHRS's first attitude in the span; a configured heading replaces its own."""
     time_ns, mats_nb = dive.sensors["heading"].time_ns, dive.sensors["heading"].mat_nb
     if mats_nb is None:
@@ -309,8 +372,14 @@ def _sensor_attitude(dive: Dive, heading_deg: float | None, start_ns: int, end_n
 
 def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) -> int:
     """Find the first attitude in the span, if possible one that has a position near it."""
-    inside = reference.known["attitudes"] & (reference.time_ns >= start_ns) & (reference.time_ns < end_ns)
-    located = inside & (apart_s(reference.time_ns, reference.position[:, :2], reference.time_ns) <= FAR_S)
+    inside = (
+        reference.known["attitudes"]
+        & (reference.time_ns >= start_ns)
+        & (reference.time_ns < end_ns)
+    )
+    located = inside & (
+        apart_s(reference.time_ns, reference.position[:, :2], reference.time_ns) <= FAR_S
+    )
     inside = located if located.any() else inside
     if not inside.any():
         raise LogError(
@@ -320,16 +389,22 @@ def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) 
     return int(reference.time_ns[np.argmax(inside)])
 
 
-def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns: int) -> tuple[Floats, list[Note]]:
+def _reference_position(
+    reference: ReferenceColumns, initial: Initial, start_ns: int
+) -> tuple[Floats, list[Note]]:
     """Interpolate the reference's position at the start; its height may be missing."""
     horizontal, notes = reference.position[:, :2].copy(), list[Note]()
     first_longitude = horizontal[np.argmax(np.isfinite(horizontal).all(axis=1)), 1]
-    horizontal[:, 1] = wrap_angle(horizontal[:, 1] - first_longitude)  # so that 180 deg lies between no two rows
+    horizontal[:, 1] = wrap_angle(
+        horizontal[:, 1] - first_longitude
+    )  # so that 180 deg lies between no two rows
     quantities = {"position": horizontal, "height": reference.position[:, 2:]}
     if not reference.known["heights"].any():
         del quantities["height"]
         notes.append(note("start_height_configured", height=initial.height_m))
-    found = {name: at_time(reference.time_ns, values, start_ns) for name, values in quantities.items()}
+    found = {
+        name: at_time(reference.time_ns, values, start_ns) for name, values in quantities.items()
+    }
     for quantity, values in quantities.items():
         far_s = float(apart_s(reference.time_ns, values, np.array([start_ns]))[0])
         if far_s > FAR_S:
@@ -337,8 +412,15 @@ def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns:
             break
     (latitude, longitude), (height_m,) = found["position"], found.get("height", (initial.height_m,))
     latitude_deg = float(latitude) / DEG
-    if initial.latitude_deg is not None and abs(initial.latitude_deg - latitude_deg) > LATITUDE_LIMIT_DEG:
-        notes.append(note("start_latitude_contradiction", configured=initial.latitude_deg, found=latitude_deg))
+    if (
+        initial.latitude_deg is not None
+        and abs(initial.latitude_deg - latitude_deg) > LATITUDE_LIMIT_DEG
+    ):
+        notes.append(
+            note(
+                "start_latitude_contradiction", configured=initial.latitude_deg, found=latitude_deg
+            )
+        )
     return np.array([latitude, float(wrap_angle(longitude + first_longitude)), height_m]), notes
 
 
@@ -346,7 +428,9 @@ def _apart_deg(heading_deg: float, other_deg: float) -> float:
     return abs(float(wrap_angle(np.asarray((heading_deg - other_deg) * DEG)))) / DEG
 
 
-def _heading_notes(reference: ReferenceColumns | None, heading_deg: float, start_ns: int) -> list[Note]:
+def _heading_notes(
+    reference: ReferenceColumns | None, heading_deg: float, start_ns: int
+) -> list[Note]:
     """Compare the heading with the reference's, where one is near enough to the start."""
     if reference is None or not reference.has_attitude:
         return []
@@ -356,7 +440,9 @@ def _heading_notes(reference: ReferenceColumns | None, heading_deg: float, start
     is_far = abs(int(known.time_ns[row]) - start_ns) * 1e-9 > FAR_S
     if is_far or _apart_deg(heading_deg, found_deg) <= HEADING_LIMIT_DEG:
         return []
-    return [note("start_heading_contradiction", heading=heading_deg % 360.0, found=found_deg % 360.0)]
+    return [
+        note("start_heading_contradiction", heading=heading_deg % 360.0, found=found_deg % 360.0)
+    ]
 
 
 def _level_notes(level: Level, mat_nb: Floats, cov: Floats, *, is_sensed: bool) -> list[Note]:
@@ -368,7 +454,13 @@ def _level_notes(level: Level, mat_nb: Floats, cov: Floats, *, is_sensed: bool) 
         tilt = np.arctan2(np.linalg.norm(np.cross(gravity_b, down_b)), gravity_b @ down_b)
         if not level.pings or tilt <= TILT_LIMIT:
             return []
-        return [note("start_tilt_contradiction", sensed=rpy_deg, measured=np.array(level.roll_pitch) / DEG)]
+        return [
+            note(
+                "start_tilt_contradiction",
+                sensed=rpy_deg,
+                measured=np.array(level.roll_pitch) / DEG,
+            )
+        ]
     # About the vehicle's level forward and starboard axes.
     level_axes = mat_from_rpy(np.array([0.0, 0.0, rpy_deg[2] * DEG]))
     sd_deg = np.sqrt(np.diagonal(level_axes.T @ cov[PHI, PHI] @ level_axes)) / DEG

@@ -54,7 +54,9 @@ def history_of_candidate(
     """
     key = f"filters.{name}"
     columns = _columns(solution, start, start_ns, int(baseline.time_ns[-1]))
-    history, _, notes = recorded_history(name, columns, SolutionSettings(), imu, baseline, evaluated_ns, key)
+    history, _, notes = recorded_history(
+        name, columns, SolutionSettings(), imu, baseline, evaluated_ns, key
+    )
     _require_this_dive(history, baseline, imu, solution.time_ns[0])
     met = _innovations(solution, velocities)
     return replace(history, has_own_start=False, innovations=() if met is None else (met,)), notes
@@ -62,7 +64,9 @@ def history_of_candidate(
 
 def failed_history(name: str, reason: str, baseline: History, imu: ImuColumns) -> History:
     """Return the history of a candidate that gave no trajectory."""
-    empty = ReferenceColumns(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3)))
+    empty = ReferenceColumns(
+        np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3))
+    )
     columns = SolutionColumns(empty, None, empty.time_ns, np.empty((0, 9, 9)))
     history, *_ = recorded_history(name, columns, SolutionSettings(), imu, baseline, empty.time_ns)
     return replace(history, failure=f"{name} {reason}")
@@ -103,19 +107,33 @@ def _require_this_dive(history: History, baseline: History, imu: ImuColumns, fir
     """
     columns = {"position": history.position[:, 0], "velocity_n": history.velocity_n[:, 0]}
     columns["mat_nb"] = history.mat_nb[:, 0, 0]
-    known, reason = {name: np.isfinite(column) for name, column in columns.items() if np.isfinite(column).any()}, ""
+    known, reason = (
+        {
+            name: np.isfinite(column)
+            for name, column in columns.items()
+            if np.isfinite(column).any()
+        },
+        "",
+    )
     if not known:
         raise CandidateError("gives a solution without a row in the time of the replay")
     for name, rows in known.items():
         if (share := float(rows.mean())) < WELL_COVERED:
-            last_s, end_s = (seconds(history.time_ns[at], history.time_ns[0]) for at in (np.flatnonzero(rows)[-1], -1))
+            last_s, end_s = (
+                seconds(history.time_ns[at], history.time_ns[0])
+                for at in (np.flatnonzero(rows)[-1], -1)
+            )
             raise CandidateError(
                 f"gives {MOTION[name]} for only {100.0 * share:.0f} % of the replay, the last at {last_s:.1f} of "
                 f"{end_s:.1f} s"
             )
     if "position" in known:
         row = int(np.argmax(known["position"] & (history.time_ns >= first_ns)))
-        apart_m = float(np.hypot(*north_east_m(history.position[row], baseline.position[row], baseline.position[row])))
+        apart_m = float(
+            np.hypot(
+                *north_east_m(history.position[row], baseline.position[row], baseline.position[row])
+            )
+        )
         if apart_m > FARTHEST_START_M:
             reason = f"it begins {apart_m:.3g} m from the start"
     if "velocity_n" in known:
@@ -128,12 +146,17 @@ def _require_this_dive(history: History, baseline: History, imu: ImuColumns, fir
         rows = np.flatnonzero(known["mat_nb"] & np.isfinite(baseline.mat_nb).all(axis=(1, 2)))
         since_s = seconds(history.time_ns[rows], history.time_ns[0])
         rows = rows[np.unique(np.searchsorted(since_s, np.arange(0.0, since_s[-1], COMPARED_S)))]
-        own, other = (np.swapaxes(run.mat_nb[rows[:-1]], 1, 2) @ run.mat_nb[rows[1:]] for run in (history, baseline))
+        own, other = (
+            np.swapaxes(run.mat_nb[rows[:-1]], 1, 2) @ run.mat_nb[rows[1:]]
+            for run in (history, baseline)
+        )
         if _apart_deg(own, other) > LARGEST_TURN_DEG:
             rate_b = 0.5 * (imu.angular_rate_b[1:] + imu.angular_rate_b[:-1])
             steps = mat_from_vector(rate_b * seconds(imu.time_ns[1:], imu.time_ns[:-1])[:, None])
             samples = pairwise(np.searchsorted(imu.time_ns, history.time_ns[rows]))
-            by_gyros = np.array([reduce(np.matmul, steps[first:last], np.eye(3)) for first, last in samples])
+            by_gyros = np.array(
+                [reduce(np.matmul, steps[first:last], np.eye(3)) for first, last in samples]
+            )
             if (rms_deg := _apart_deg(own, by_gyros)) > LARGEST_TURN_DEG:
                 reason = f"its turns in {COMPARED_S:g} s differ from the gyros' by {rms_deg:.2g} deg (rms)"
     if reason:
@@ -150,13 +173,21 @@ def _innovations(solution: Solution, velocities: DvlVelocities) -> Innovations |
     """Return the innovations of the DVL's velocity, in the axes of the IMU."""
     if solution.innovation_b is None or solution.innovation_cov is None:
         return None
-    known = np.isfinite(solution.innovation_b).all(axis=1) & np.isfinite(solution.innovation_cov).all(axis=(1, 2))
-    time_ns, own, pings = np.intersect1d(solution.time_ns[known], velocities.time_ns, return_indices=True)
+    known = np.isfinite(solution.innovation_b).all(axis=1) & np.isfinite(
+        solution.innovation_cov
+    ).all(axis=(1, 2))
+    time_ns, own, pings = np.intersect1d(
+        solution.time_ns[known], velocities.time_ns, return_indices=True
+    )
     innovation, cov = solution.innovation_b[known][own], solution.innovation_cov[known][own]
     sign, log_det = np.linalg.slogdet(cov)
     variance = np.diagonal(cov, axis1=1, axis2=2)
     if not len(time_ns) or np.any(sign <= 0.0) or np.any(variance <= 0.0):
-        lacks = "at no time of a ping" if not len(time_ns) else "with a covariance that is not positive definite"
+        lacks = (
+            "at no time of a ping"
+            if not len(time_ns)
+            else "with a covariance that is not positive definite"
+        )
         raise CandidateError(f"gives innovations {lacks}")
     solved = np.linalg.solve(cov, innovation[..., None])[..., 0]
     count = len(time_ns)

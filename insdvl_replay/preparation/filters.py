@@ -27,18 +27,40 @@ from insdvl_replay.nav.dvl import (
 )
 from insdvl_replay.nav.error_model import noise_density
 from insdvl_replay.nav.levelling import Start
-from insdvl_replay.nav.measurements import DEPTH, FIX, HEADING, PUBLISHED, WINDOWED, Measurement, sensor_measurement
+from insdvl_replay.nav.measurements import (
+    DEPTH,
+    FIX,
+    HEADING,
+    PUBLISHED,
+    WINDOWED,
+    Measurement,
+    sensor_measurement,
+)
 from insdvl_replay.nav.timeline import FIRST_OTHER, NO_GAPS, Gaps
 from insdvl_replay.preparation.notes import note
 
 NO_SENSORS: Final[Mapping[str, Measurement]] = MappingProxyType({})
 NO_READINGS: Final[Mapping[str, int]] = MappingProxyType({})
-FAR_M: Final = 1000.0  # neither a track reckoned until the start nor a position from a map is off by more
-SILENT_S, SILENT_READINGS = 30.0, 20.0  # a pause between readings is noted above this, and so many usual ones
-MEASUREMENT_NOISE: Final = {"fixed": kalman.FIXED, "adaptive": kalman.ADAPTIVE, "student-t": kalman.STUDENT_T}
+FAR_M: Final = (
+    1000.0  # neither a track reckoned until the start nor a position from a map is off by more
+)
+SILENT_S, SILENT_READINGS = (
+    30.0,
+    20.0,
+)  # a pause between readings is noted above this, and so many usual ones
+MEASUREMENT_NOISE: Final = {
+    "fixed": kalman.FIXED,
+    "adaptive": kalman.ADAPTIVE,
+    "student-t": kalman.STUDENT_T,
+}
 KINDS: Final = {"depth": DEPTH, "heading": HEADING, "position": FIX}
-KNOWN_M, UNKNOWN_M = 1e-3, 1e3  # sd of the depth sensor's zero: from the settings, or to be found by the first reading
-MORE_SD: Final[dict[str, Callable[[Config], tuple[float, ...]]]] = {  # of more states at the start, SI units
+KNOWN_M, UNKNOWN_M = (
+    1e-3,
+    1e3,
+)  # sd of the depth sensor's zero: from the settings, or to be found by the first reading
+MORE_SD: Final[
+    dict[str, Callable[[Config], tuple[float, ...]]]
+] = {  # of more states at the start, SI units
     "position": lambda config: config.initial.position_sd_m,
     "dvl_scale": lambda config: (0.01 * config.initial.dvl_scale_sd_pct,),
     "dvl_yaw": lambda config: (DEG * config.initial.dvl_yaw_sd_deg,),
@@ -59,14 +81,20 @@ class ResolvedFilter:
     """A filter with its own settings, or the common ones in their place."""
 
     name: str
-    aiding: tuple[str, ...]  # ``velocity``, ``acceleration``, in the order in which they are applied
+    aiding: tuple[
+        str, ...
+    ]  # ``velocity``, ``acceleration``, in the order in which they are applied
     dvl_noise: DvlNoise
     inertial_noise: InertialNoise
     gate_probability: float
-    gate_reopen_after: int  # rejected velocities in a row after which the INS is set to the DVL; 0: never
+    gate_reopen_after: (
+        int  # rejected velocities in a row after which the INS is set to the DVL; 0: never
+    )
     acceleration: Acceleration
     states: tuple[str, ...]  # names in `states.MORE_STATES`, beside the twelve
-    held_out: tuple[str, ...]  # sensors that are held out: the filter is compared with them and not aided by them
+    held_out: tuple[
+        str, ...
+    ]  # sensors that are held out: the filter is compared with them and not aided by them
     measurement_noise: int  # how R of velocity and beams is taken, see `nav.kalman`
     more_sd: Floats  # (n - 12,) sd of the states beside the twelve at the start, SI units
     more_density: Floats  # (n - 12,) density of their process noise
@@ -75,7 +103,9 @@ class ResolvedFilter:
 
     def gate(self, size: int) -> float:
         """Return the largest NIS of so many components that is used; infinite where every innovation is."""
-        from insdvl_replay.evaluation.consistency import chi_square_quantile  # scipy: only before filters run
+        from insdvl_replay.evaluation.consistency import (
+            chi_square_quantile,
+        )  # scipy: only before filters run
 
         return chi_square_quantile(self.gate_probability, size)
 
@@ -91,7 +121,9 @@ class ResolvedFilter:
 
     def velocity_cov(self, velocities: DvlVelocities) -> Floats:
         """Return the covariance of each ping's velocity, shape (m, 3, 3), m^2/s^2."""
-        return velocity_cov(velocities, self.dvl_noise.sd_mps, for_one_beam=self.dvl_noise.key == "beam_sd_mps")
+        return velocity_cov(
+            velocities, self.dvl_noise.sd_mps, for_one_beam=self.dvl_noise.key == "beam_sd_mps"
+        )
 
     def beam_sd_mps(self, velocities: DvlVelocities) -> float:
         """Return the noise of one beam; that of a velocity is the mean over its axes of what all beams make."""
@@ -113,7 +145,10 @@ class ResolvedFilter:
         """
         arm_b, time_ns, found = mounting.lever_arm_b, velocities.time_ns, list[Measurement]()
         cov_b = self.velocity_cov(velocities) + gaps.swing_cov(time_ns, arm_b)
-        from_velocities: dict[str, Any] = {"noise": self.measurement_noise, "reopen_after": self.gate_reopen_after}
+        from_velocities: dict[str, Any] = {
+            "noise": self.measurement_noise,
+            "reopen_after": self.gate_reopen_after,
+        }
         for aid in (aid for aid in self.aiding if aid not in self.held_out):
             if aid == "velocity":
                 found.append(replace(velocity_measurement(velocities, cov_b), **from_velocities))
@@ -128,11 +163,16 @@ class ResolvedFilter:
                 for beam in by_beam:
                     # All beams swing together and are used independently: together they must say as much as one.
                     swing_var = len(by_beam) * (swing_cov_b @ beam.direction_b @ beam.direction_b)
-                    found.append(replace(beam, cov=beam.cov + swing_var[:, None, None], **from_velocities))
+                    found.append(
+                        replace(beam, cov=beam.cov + swing_var[:, None, None], **from_velocities)
+                    )
             elif aid == "acceleration":
                 settings = self.acceleration
                 windows = slope_windows(
-                    seconds(time_ns, time_ns[:1]), settings.window, settings.order, settings.max_window_gap_s
+                    seconds(time_ns, time_ns[:1]),
+                    settings.window,
+                    settings.order,
+                    settings.max_window_gap_s,
                 )
                 acceleration = acceleration_measurement(
                     velocities,
@@ -159,7 +199,9 @@ def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter
     needed = {*filter_.states, *states_for(aid for aid in filter_.aiding if aid not in held_out)}
     states = tuple(block for block in MORE_STATES if block in needed)
     more_sd = np.array([sd for block in states for sd in MORE_SD[block](config)], dtype=np.float64)
-    fades = np.array([block == "heading_bias" for block in states for _ in MORE_STATES[block]], dtype=np.float64)
+    fades = np.array(
+        [block == "heading_bias" for block in states for _ in MORE_STATES[block]], dtype=np.float64
+    )
     inertial = {key: getattr(config.noise, key) for key in InertialNoise.__struct_fields__}
     own_noise = {key: value for key in inertial if (value := getattr(filter_, key)) is not None}
     keys: tuple[Literal["beam_sd_mps", "velocity_sd_mps"], ...] = ("beam_sd_mps", "velocity_sd_mps")
@@ -190,7 +232,9 @@ def resolve_filters(config: Config) -> tuple[ResolvedFilter, ...]:
 
 def dvl_mounting(config: Config) -> DvlMounting:
     """Return how the configuration says that the DVL is mounted."""
-    return DvlMounting.from_rpy(config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale)
+    return DvlMounting.from_rpy(
+        config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale
+    )
 
 
 def prepare_sensors(
@@ -199,7 +243,9 @@ def prepare_sensors(
     start: Start,
     start_ns: int,
     end_ns: int,
-    used_ns: Mapping[str, int] = NO_READINGS,  # by sensor, the reading that the start took, which is not used again
+    used_ns: Mapping[
+        str, int
+    ] = NO_READINGS,  # by sensor, the reading that the start took, which is not used again
 ) -> tuple[dict[str, Measurement], tuple[Note, ...]]:
     """Prepare the sensors of a dive, without a gate; their rows of a time line begin at `timeline.FIRST_OTHER`."""
     found, notes = dict[str, Measurement](), list[Note]()
@@ -215,7 +261,11 @@ def prepare_sensors(
         arm_m, late_s = (0.0, 0.0, 0.0), (int(time_ns[0]) - start_ns) / NS_PER_S
         if name == "depth":
             # The sensor's own zero is at the water's surface, or anywhere: values are below the ellipsoid.
-            arm_m, surface_m, sd = config.depth.lever_arm_m, config.depth.surface_height_m, [config.depth.sd_m]
+            arm_m, surface_m, sd = (
+                config.depth.lever_arm_m,
+                config.depth.surface_height_m,
+                [config.depth.sd_m],
+            )
             if surface_m is None:
                 arm_down_m = float((start.mat_nb @ np.array(arm_m))[2])
                 surface_m = float(start.position[2]) - arm_down_m + float(values[0, 0])
@@ -236,7 +286,9 @@ def prepare_sensors(
             else:
                 sd.append(height_sd_m)
         axes = SENSORS[name].components[: values.shape[1]]
-        made = sensor_measurement(name, SENSORS[name].unit, KINDS[name], time_ns, values, np.array(sd), axes)
+        made = sensor_measurement(
+            name, SENSORS[name].unit, KINDS[name], time_ns, values, np.array(sd), axes
+        )
         made.available[time_ns == used_ns.get(name)] = False
         found[name] = replace(made, sensor=row, sensor_arm_b=np.array(arm_m))
     return found, tuple(notes)
@@ -264,5 +316,7 @@ def held_out_notes(config: Config) -> list[Note]:
         for sensor in config.evaluation.held_out
     }
     return [
-        note("{sensor}_held_out", sensor=sensor, filters=", ".join(names)) for sensor, names in aided.items() if names
+        note("{sensor}_held_out", sensor=sensor, filters=", ".join(names))
+        for sensor, names in aided.items()
+        if names
     ]

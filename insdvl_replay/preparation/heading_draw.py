@@ -30,7 +30,9 @@ class HeadingDraw:
     start: Start
     sd_deg: float
     error_deg: float
-    filters: Collection[str]  # candidates that are run here, with the baseline's name; empty where there are none
+    filters: Collection[
+        str
+    ]  # candidates that are run here, with the baseline's name; empty where there are none
     solutions: Collection[str]  # recorded, so that the baseline alone runs
 
 
@@ -69,7 +71,9 @@ def depends_on_heading(filter_: ResolvedFilter, config: Config) -> bool:
     """
     used = {aid for aid in filter_.aiding if aid not in filter_.held_out}
     is_aided = not used.isdisjoint(("heading", "position")) or not used <= {*AIDING}
-    return is_aided or not {*config.filters[filter_.name].states}.isdisjoint(("heading_bias", "position"))
+    return is_aided or not {*config.filters[filter_.name].states}.isdisjoint(
+        ("heading_bias", "position")
+    )
 
 
 def turned_start(start: Start, error: float, sd: float) -> Start:
@@ -93,5 +97,9 @@ def _seeds(dive: Dive, prepared: Prepared, seed: int) -> tuple[int, ...]:
     """Return numbers by which dives differ, also those of equal length; they depend neither on name nor on format."""
     found = dive.imu_fingerprint
     digests = () if found is None else tuple(int(digest, 16) for digest in found.digests)
-    sizes = len(dive.imu.time_ns), len(prepared.velocities.time_ns), prepared.end_ns - prepared.alignment.start_ns
+    sizes = (
+        len(dive.imu.time_ns),
+        len(prepared.velocities.time_ns),
+        prepared.end_ns - prepared.alignment.start_ns,
+    )
     return (seed, STREAM, *sizes, *digests)

@@ -45,14 +45,21 @@ Outage = tuple[int, int]  # times of the last ping before it, and of the last pi
 SHOWN: Final = "example: docs/own_filter.md"
 NO_END: Final = int(np.iinfo(np.int64).max)
 APART_NS: Final = 60 * NS_PER_S  # between two outages of one call: user code mostly looks back less
-ONE_BY_ONE: Final = 4  # outages that are asked for one by one; more take four calls, if the user's code allows
+ONE_BY_ONE: Final = (
+    4  # outages that are asked for one by one; more take four calls, if the user's code allows
+)
 ALIKE: Final = 1e-3  # in the noise of a reading: a network rounds otherwise with more pings at once
 DOWN, POSITION = 2, 12  # columns of H: the velocity down, and the first of the position
 # Steps of velocity m/s, misalignment rad, specific force m/s^2, angular rate rad/s and position m: far above rounding,
 # far below what bends.
 _STEPS: Final = (1e-5, 1e-6, 1e-5, 1e-7, 0.01)
-_TOLERANCE: Final = 0.1  # share by which an entry of H may differ from differences: it may be simplified
-_OUTSIDE: Final = ("math domain error", "expected ")  # errors of `math` outside a domain, up to Python 3.13 and later
+_TOLERANCE: Final = (
+    0.1  # share by which an entry of H may differ from differences: it may be simplified
+)
+_OUTSIDE: Final = (
+    "math domain error",
+    "expected ",
+)  # errors of `math` outside a domain, up to Python 3.13 and later
 
 _T = TypeVar("_T")
 
@@ -70,7 +77,9 @@ def prepare_user_measurements(
 
     Their rows of the time line follow those of the ``sensors``, a number. Each prediction is tried at the start.
     """
-    plugins = dict.fromkeys(plugin for filter_ in filters for plugin in filter_.aiding if ":" in plugin)
+    plugins = dict.fromkeys(
+        plugin for filter_ in filters for plugin in filter_.aiding if ":" in plugin
+    )
     found, notes = dict[str, Measurement](), list[Note]()
     predictions, compiled = dict[str, Predict](), dict[str, Predict]()
     for row, plugin in enumerate(plugins, start=FIRST_OTHER + sensors):
@@ -78,13 +87,19 @@ def prepare_user_measurements(
         readings = _inside(readings, [(start_ns, end_ns)])
         if not len(readings.time_ns):
             text = f"{plugin} has no reading between the start and the end of the replay"
-            raise ConfigError(text, "readings need times in int64 ns, on the clock of the IMU stamps")
+            raise ConfigError(
+                text, "readings need times in int64 ns, on the clock of the IMU stamps"
+            )
         holds_height = False
         for filter_ in (filter_ for filter_ in filters if plugin in filter_.aiding):
-            holds_height, found_notes = _tried_prediction(plugin, user, readings.values.shape[1], filter_, start)
+            holds_height, found_notes = _tried_prediction(
+                plugin, user, readings.values.shape[1], filter_, start
+            )
             notes += found_notes
         notes += silence_notes(user.name, readings.time_ns, start_ns, end_ns)
-        found[plugin] = replace(_measurement(user.name, user.unit, readings), sensor=row, holds_height=holds_height)
+        found[plugin] = replace(
+            _measurement(user.name, user.unit, readings), sensor=row, holds_height=holds_height
+        )
         predictions[plugin] = _uncompiled_prediction(plugin, user, SHOWN)
         if (prediction := compiled_prediction(user.predict)) is not None:
             compiled[plugin] = prediction
@@ -101,19 +116,34 @@ def prepare_user_measurements(
     # the same where they run beside others that are not compiled.
     order = sorted(plugins, key=lambda plugin: plugin not in compiled)
     by_compiled = joined([*compiled.values()], compiled=True) if compiled else None
-    by_all = joined([predictions[plugin] for plugin in order], compiled=False) if len(compiled) < len(order) else None
+    by_all = (
+        joined([predictions[plugin] for plugin in order], compiled=False)
+        if len(compiled) < len(order)
+        else None
+    )
     for number, plugin in enumerate(order):
         predict = by_compiled if plugin in compiled else by_all
         found[plugin] = replace(found[plugin], kind=USER + number, predict=predict)
-    uncompiled = [note("user_measurement_plain", plugin=plugin) for plugin in plugins if plugin not in compiled]
+    uncompiled = [
+        note("user_measurement_plain", plugin=plugin)
+        for plugin in plugins
+        if plugin not in compiled
+    ]
     return found, (*uncompiled, *dict.fromkeys(notes))
 
 
-def prepare_user_noise(dive: Dive, config: Config, filters: Sequence[ResolvedFilter]) -> dict[str, NoiseFactors]:
+def prepare_user_noise(
+    dive: Dive, config: Config, filters: Sequence[ResolvedFilter]
+) -> dict[str, NoiseFactors]:
     """Ask the classes that filters name in ``noise_factors``."""
-    plugins = dict.fromkeys(filter_.noise_factors for filter_ in filters if filter_.noise_factors is not None)
+    plugins = dict.fromkeys(
+        filter_.noise_factors for filter_ in filters if filter_.noise_factors is not None
+    )
     asked = {plugin: _asked(plugin, UserNoise, dive, config)[1] for plugin in plugins}
-    return {plugin: NoiseFactors(readings.time_ns, readings.values) for plugin, readings in asked.items()}
+    return {
+        plugin: NoiseFactors(readings.time_ns, readings.values)
+        for plugin, readings in asked.items()
+    }
 
 
 # --- Readings. Factors of noise are taken for readings, which hold until the next.
@@ -129,7 +159,11 @@ def _asked(
 ) -> tuple[Any, UserReadings]:
     """Get the readings from a new object, which has no state of earlier calls."""
     given, held_out = given_dive(dive, config, outages, end_ns), config.evaluation.held_out
-    topics = f"dive.topics has {listed(sorted(given.topics))}" if given.topics else "dive.topics is empty"
+    topics = (
+        f"dive.topics has {listed(sorted(given.topics))}"
+        if given.topics
+        else "dive.topics is empty"
+    )
     hint = f"{topics}; to add a topic, write a section [topics.NAME]"
     if held_out:
         hint += f"; evaluation.held_out removes {listed(held_out)}, and topics and solutions that contain it"
@@ -137,7 +171,9 @@ def _asked(
         user: Any = load_plugin(plugin, base)
         if isinstance(user, UserNoise):
             what = "noise_factors(self, dive)"
-            noise = checked_factors(_called(plugin, user, what, lambda: user.noise_factors(given), hint))
+            noise = checked_factors(
+                _called(plugin, user, what, lambda: user.noise_factors(given), hint)
+            )
             return user, UserReadings(noise.time_ns, noise.factors, noise.factors)
         readings = _called(plugin, user, "readings(self, dive)", lambda: user.readings(given), hint)
         if not isinstance(readings, UserReadings):
@@ -145,7 +181,9 @@ def _asked(
             raise ConfigError(text, SHOWN)
         return user, checked_readings(readings)
     except ValueError as error:
-        raise ConfigError(f"{plugin} {error}", f"{SHOWN}; PYTHONPATH must contain the folder of the module") from error
+        raise ConfigError(
+            f"{plugin} {error}", f"{SHOWN}; PYTHONPATH must contain the folder of the module"
+        ) from error
 
 
 def _called(plugin: str, user: object, what: str, call: Callable[[], _T], hint: str) -> _T:
@@ -155,15 +193,21 @@ def _called(plugin: str, user: object, what: str, call: Callable[[], _T], hint: 
     except UserError:
         raise
     except (Exception, SystemExit) as error:  # sys.exit would end the run without a message
-        raise ConfigError(f"{plugin}: {what} fails{failure_text(error, type(user))}", hint) from error
+        raise ConfigError(
+            f"{plugin}: {what} fails{failure_text(error, type(user))}", hint
+        ) from error
 
 
 def _measurement(name: str, unit: str, readings: UserReadings) -> Measurement:
     axes = COMPONENTS[:width] if (width := readings.values.shape[1]) > 1 else ()
-    return sensor_measurement(name, unit, USER, readings.time_ns, readings.values, readings.sd, axes)
+    return sensor_measurement(
+        name, unit, USER, readings.time_ns, readings.values, readings.sd, axes
+    )
 
 
-def _inside(readings: UserReadings, spans: Sequence[Outage], *, holds: bool = False) -> UserReadings:
+def _inside(
+    readings: UserReadings, spans: Sequence[Outage], *, holds: bool = False
+) -> UserReadings:
     """Keep the readings after the start of any of some spans, up to its end; and what holds at the start."""
     columns = readings.time_ns, readings.values, readings.sd
     parts = [tuple(column[:0] for column in columns)]
@@ -190,7 +234,9 @@ def _uncompiled_prediction(plugin: str, user: UserMeasurement, hint: str) -> Pre
                 raise
             z[:] = np.nan
 
-    return lambda ins, z, H: _called(plugin, user, "predict(ins, z, H)", lambda: as_compiled(ins, z, H), hint)
+    return lambda ins, z, H: _called(
+        plugin, user, "predict(ins, z, H)", lambda: as_compiled(ins, z, H), hint
+    )
 
 
 def _tried_prediction(
@@ -209,7 +255,10 @@ def _tried_prediction(
     def predicted(error: Floats) -> tuple[Floats, Floats]:
         """Return z and H of an INS that is off by an error, shape (15,), in the order of H, from a vehicle at rest."""
         mat_nb, ins = start.mat_nb + skew(error[3:6]) @ start.mat_nb, np.empty(INS_SIZE)
-        ins[0:3], ins[3:6] = moved_position(start.position, error[12:15]), start.velocity_n + error[0:3]
+        ins[0:3], ins[3:6] = (
+            moved_position(start.position, error[12:15]),
+            start.velocity_n + error[0:3],
+        )
         force_b = start.mat_nb.T @ np.array([0.0, 0.0, -9.8]) + error[6:9]
         ins[6:15], ins[15:18], ins[18:21] = mat_nb.ravel(), force_b, error[9:12]
         z, H = np.zeros(size), np.zeros((size, count))
@@ -225,7 +274,9 @@ def _tried_prediction(
         step = np.zeros(15)
         step[column] = _STEPS[column // 3]
         with np.errstate(all="ignore"):
-            differences[:, column] = (predicted(step)[0] - predicted(-step)[0]) / (2.0 * step[column])
+            differences[:, column] = (predicted(step)[0] - predicted(-step)[0]) / (
+                2.0 * step[column]
+            )
 
     notes = list[Note]()
     at: dict[str, Any] = {"plugin": plugin, "filter": filter_.name}
@@ -242,7 +293,15 @@ def _tried_prediction(
         row, column = wrong[0]
         given, found = H[row, column], differences[row, column]
         notes.append(
-            note("user_measurement_jacobian wrong", len(wrong), row=row, column=column, given=given, found=found, **at)
+            note(
+                "user_measurement_jacobian wrong",
+                len(wrong),
+                row=row,
+                column=column,
+                given=given,
+                found=found,
+                **at,
+            )
         )
     return bool(np.any(np.abs(H[:, DOWN]) > 0.5)), notes
 
@@ -250,7 +309,9 @@ def _tried_prediction(
 # --- What is held back.
 
 
-def given_dive(dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END) -> Dive:
+def given_dive(
+    dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END
+) -> Dive:
     """Return the dive that user code is given: up to a time, without held-out sensors and without pings in outages.
 
     The reference and solutions may be made of either, and are absent with it. So are topics that carry it. Outages are
@@ -260,7 +321,9 @@ def given_dive(dive: Dive, config: Config, outages: Sequence[Outage] = (), end_n
     if not (held_out or outages):
         return dive
     roles = {channel.topic: channel.role for channel in dive.channels}
-    carried = {name: topic.sensor or roles.get(topic.topic, "") for name, topic in config.topics.items()}
+    carried = {
+        name: topic.sensor or roles.get(topic.topic, "") for name, topic in config.topics.items()
+    }
     mixed = {name for name, role in carried.items() if role.startswith(("reference", "filters."))}
 
     def known(time_ns: TimeNs, *, dvl: bool = True) -> NDArray[np.bool_]:
@@ -277,9 +340,13 @@ def given_dive(dive: Dive, config: Config, outages: Sequence[Outage] = (), end_n
             for name, columns in dive.sensors.items()
             if name not in held_out
         },
-        solutions={} if held_out else {name: columns.where(known) for name, columns in dive.solutions.items()},
+        solutions={}
+        if held_out
+        else {name: columns.where(known) for name, columns in dive.solutions.items()},
         topics={
-            name: columns.rows(known(columns.time_ns, dvl=name in mixed or carried.get(name) == "dvl"))
+            name: columns.rows(
+                known(columns.time_ns, dvl=name in mixed or carried.get(name) == "dvl")
+            )
             for name, columns in dive.topics.items()
             if not held_out or (name not in mixed and carried.get(name) not in held_out)
         },
@@ -313,7 +380,9 @@ def in_outages(
             for plugin, whole in plugins.items():
                 readings = _in_outages(plugin, UserMeasurement, whole.size, dive, config, group)
                 made = _measurement(whole.name, whole.unit, readings)
-                columns = {name: getattr(made, name) for name in ("valid_ns", "values", "cov", "available")}
+                columns = {
+                    name: getattr(made, name) for name in ("valid_ns", "values", "cov", "available")
+                }
                 found[plugin] = replace(whole, **columns)
             for plugin in noise:
                 readings = _in_outages(plugin, UserNoise, 6, dive, config, group)
@@ -332,7 +401,9 @@ def _in_outages(
     holds = base is UserNoise
 
     def asked(outages: Sequence[Outage], end_ns: int = NO_END) -> UserReadings:
-        readings = _inside(_asked(plugin, base, dive, config, outages, end_ns)[1], outages, holds=holds)
+        readings = _inside(
+            _asked(plugin, base, dive, config, outages, end_ns)[1], outages, holds=holds
+        )
         if (found := readings.values.shape[1]) != size:
             text = f"{plugin} returns readings of {found} components in an outage, but {size} otherwise"
             raise ConfigError(text, SHOWN)

@@ -12,7 +12,12 @@ from insdvl_replay import logs
 from insdvl_replay.checks.imu import length_refusal
 from insdvl_replay.checks.reference import plausibility_notes, without_frozen
 from insdvl_replay.checks.reference_delay import with_reference_delay
-from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes, solution_notes
+from insdvl_replay.checks.sensors import (
+    contradiction_notes,
+    depth_at_start_notes,
+    sensor_notes,
+    solution_notes,
+)
 from insdvl_replay.core.config import Config, Imu, Span
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
@@ -46,12 +51,16 @@ from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import prepare_user_measurements, prepare_user_noise
 
 MOST_DROPPED: Final = 0.5  # of the pings: a residual limit that drops more is a mistake
-RESIDUAL_HINT: Final = "set dvl.max_beam_residual_mps to several times the noise of a beam, or leave it out"
+RESIDUAL_HINT: Final = (
+    "set dvl.max_beam_residual_mps to several times the noise of a beam, or leave it out"
+)
 FEWEST_PINGS: Final = 3  # with fewer, a replay is one of the IMU alone
 LEAST_COVERED: Final = 0.5  # of the time of the IMU by the DVL, from its first to its last velocity
 MOST_OUTSIDE: Final = 0.2  # of the pings: sensors that do not start and stop together explain fewer
 LONGEST_BRIDGE_S: Final = 3600.0  # longer gaps cannot be bridged
-WIDEST_ATTITUDE_RAD: Final = np.pi / 2.0  # where an attitude may be off by more, errors no longer add up
+WIDEST_ATTITUDE_RAD: Final = (
+    np.pi / 2.0
+)  # where an attitude may be off by more, errors no longer add up
 IN_LINE: Final = np.eye(3)  # the axes of the reference are those of the IMU
 
 
@@ -68,17 +77,25 @@ class Prepared:
     beams: DvlBeams | None  # inside the span, if a filter is aided by them
     sensors: dict[str, Measurement]  # what else was read, by sensor or ``module:Class``
     notes: tuple[Note, ...]
-    noise: dict[str, NoiseFactors] = field(default_factory=dict)  # of the user's, by ``module:Class``
+    noise: dict[str, NoiseFactors] = field(
+        default_factory=dict
+    )  # of the user's, by ``module:Class``
 
     @property
     def sensor_sd(self) -> dict[str, Floats]:
         """Noise of the components of one reading of each sensor, shape (s,), in its SI unit."""
-        variances = {name: np.diagonal(sensor.cov, axis1=1, axis2=2) for name, sensor in self.sensors.items()}
+        variances = {
+            name: np.diagonal(sensor.cov, axis1=1, axis2=2) for name, sensor in self.sensors.items()
+        }
         return {name: np.sqrt(np.median(variance, axis=0)) for name, variance in variances.items()}
 
 
 def read_checked_dive(
-    path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False, name: str | None = None
+    path: Path | Sequence[Path],
+    config: Config,
+    *,
+    allow_damaged: bool = False,
+    name: str | None = None,
 ) -> Dive:
     """Read a dive, and note what cannot be true in its columns; LogError where the tables would be wrong."""
     dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
@@ -114,10 +131,14 @@ def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
     return replace(dive, reference=None)
 
 
-def reference_as_configured(reference: ReferenceColumns, imu: ImuColumns, config: Config) -> ReferenceColumns:
+def reference_as_configured(
+    reference: ReferenceColumns, imu: ImuColumns, config: Config
+) -> ReferenceColumns:
     """Turn and move a reference as ``[reference]`` says."""
     mounting_rpy = np.array(config.reference.mounting_rpy_deg) * DEG
-    return reference_at_imu(reference, imu, np.array(config.reference.lever_arm_m), mat_from_rpy(mounting_rpy))
+    return reference_at_imu(
+        reference, imu, np.array(config.reference.lever_arm_m), mat_from_rpy(mounting_rpy)
+    )
 
 
 def reference_at_imu(
@@ -136,7 +157,10 @@ def reference_at_imu(
         mat_nb = mat_nb @ mat_br.T
         reference = replace(reference, mat_nb=mat_nb)
     if np.any(lever_arm_b):
-        sample_s, row_s = seconds(imu.time_ns, imu.time_ns[0]), seconds(reference.time_ns, imu.time_ns[0])
+        sample_s, row_s = (
+            seconds(imu.time_ns, imu.time_ns[0]),
+            seconds(reference.time_ns, imu.time_ns[0]),
+        )
         rate_ib_b = np.column_stack(
             [np.interp(row_s, sample_s, column, np.nan, np.nan) for column in imu.angular_rate_b.T]
         )
@@ -145,7 +169,8 @@ def reference_at_imu(
         reference = replace(
             reference,
             position=moved_position(reference.position, -(mat_nb @ lever_arm_b)),
-            velocity_n=reference.velocity_n - np.einsum("kij,kj->ki", mat_nb, np.cross(rate_eb_b, lever_arm_b)),
+            velocity_n=reference.velocity_n
+            - np.einsum("kij,kj->ki", mat_nb, np.cross(rate_eb_b, lever_arm_b)),
         )
     known = np.any(list(reference.known.values()), axis=0)
     return reference if known.all() else reference.rows(known)
@@ -178,13 +203,19 @@ def prepare_dive(dive: Dive, config: Config, *, fitted_heading_sd: float | None 
     start_ns, end_ns = _span(dive, velocities, config)
     gaps = find_gaps(dive.imu.time_ns, config.imu)
     with error_context(dive.name):
-        start_ns, end_ns, gap_notes = apply_gap_policy(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
+        start_ns, end_ns, gap_notes = apply_gap_policy(
+            gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0])
+        )
         alignment = align(dive, config, velocities, start_ns, end_ns, fitted_heading_sd)
         start, start_ns = alignment.start, alignment.start_ns
         config = changed(config, initial=alignment.initial or config.initial)
         filters = resolve_filters(config)
-        sensors, sensor_notes = prepare_sensors(dive.sensors, config, start, start_ns, end_ns, alignment.used_ns)
-        own, own_notes = prepare_user_measurements(dive, config, filters, len(sensors), start, start_ns, end_ns)
+        sensors, sensor_notes = prepare_sensors(
+            dive.sensors, config, start, start_ns, end_ns, alignment.used_ns
+        )
+        own, own_notes = prepare_user_measurements(
+            dive, config, filters, len(sensors), start, start_ns, end_ns
+        )
         noise = prepare_user_noise(dive, config, filters)
     inside = velocities.within(start_ns, end_ns)
     if not len(inside.time_ns):
@@ -210,7 +241,18 @@ def prepare_dive(dive: Dive, config: Config, *, fitted_heading_sd: float | None 
     by_beams = any("beams" in filter_.aiding for filter_ in filters)
     beams = dvl_beams(dive.dvl, mounting, start_ns, end_ns) if by_beams else None
     gaps = gaps.within(start_ns, end_ns)
-    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, beams, sensors | own, tuple(notes), noise)
+    return Prepared(
+        inside,
+        alignment,
+        end_ns,
+        gaps,
+        mounting,
+        filters,
+        beams,
+        sensors | own,
+        tuple(notes),
+        noise,
+    )
 
 
 def _ping_notes(dive: Dive, velocities: DvlVelocities, limit_mps: float | None) -> list[Note]:
@@ -228,7 +270,15 @@ def _ping_notes(dive: Dive, velocities: DvlVelocities, limit_mps: float | None) 
         notes.append(note("dvl_no_velocity", lost))
     if bad:
         most = " most" if bad > MOST_DROPPED * (bad + solved) else ""
-        notes.append(note(f"dvl_bad_residual{most}", bad, limit=limit_mps, solved=bad + solved, hint=RESIDUAL_HINT))
+        notes.append(
+            note(
+                f"dvl_bad_residual{most}",
+                bad,
+                limit=limit_mps,
+                solved=bad + solved,
+                hint=RESIDUAL_HINT,
+            )
+        )
     if three := int(np.sum(velocities.beams_used == 3)):
         notes.append(note("dvl_three_beams", three))
     return notes
@@ -310,13 +360,22 @@ def apply_gap_policy(
             unknown_deg = turned_rad.max() / DEG
             why = f" (at {imu.gap_rate_degps:g} deg/s the attitude may change by {unknown_deg:.0f} deg in a gap)"
             hint = "if the vehicle cannot turn so fast, set a smaller imu.gap_rate_degps to bridge the gaps"
-        values: dict[str, Any] = {"start": from_s, "end": to_s, "left_out": left_out_s, "why": why, "hint": hint}
+        values: dict[str, Any] = {
+            "start": from_s,
+            "end": to_s,
+            "left_out": left_out_s,
+            "why": why,
+            "hint": hint,
+        }
         notes.append(note("imu_split", len(split.start_ns), gaps=described(split), **values))
         (start_ns, end_ns), bridged = kept_ns, bridged.within(*kept_ns)
     if count := len(bridged.start_ns):
         hint = "to replay the longest part without gaps: --set imu.long_gaps=split"
         if bridged.length_s.max() > LONGEST_BRIDGE_S:
-            raise LogError(f"{described(bridged)}; a gap of over {LONGEST_BRIDGE_S:g} s cannot be bridged", hint)
+            raise LogError(
+                f"{described(bridged)}; a gap of over {LONGEST_BRIDGE_S:g} s cannot be bridged",
+                hint,
+            )
         notes.append(note("imu_long_gaps", count, gaps=described(bridged), hint=hint))
     return start_ns, end_ns, tuple(notes)
 
@@ -325,7 +384,10 @@ def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> list[Note]:
     """Note long outages of the DVL, in which gravity is held."""
     ends_ns = np.concatenate([[start_ns], ping_ns, [end_ns]])
     length_ns = np.diff(ends_ns)
-    count, longest = int(np.count_nonzero(length_ns > nanoseconds(HOLD_AFTER_S))), int(np.argmax(length_ns))
+    count, longest = (
+        int(np.count_nonzero(length_ns > nanoseconds(HOLD_AFTER_S))),
+        int(np.argmax(length_ns)),
+    )
     if not count:
         return []
     longest_s, since_s = length_ns[longest] / NS_PER_S, (ends_ns[longest] - start_ns) / NS_PER_S

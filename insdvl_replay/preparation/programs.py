@@ -34,9 +34,20 @@ from insdvl_replay.preparation.solution_files import LONGEST_LINE, checked_solut
 TIMEOUT_S: Final = 600.0
 LONGEST_OUTPUT: Final = 1 << 16  # bytes of stdout, and of stderr, that are kept of one run
 LONGEST_PART: Final = 1 << 20  # bytes of an answer that are read at once
-MARK, HEADER = b"solution", struct.Struct("<8sQ")  # before each answer of a class: that it is one, and its length
-DIVE_FILES: Final = {"class": "{}.pickle", "clean": "{}.mcap", "log": "{}_log.mcap"}  # by input, of a dive's name
-_TOPICS: Final = {"/pressure": "depth", "/ahrs": "heading", "/gnss": "position"}  # as `logs.write_dive` writes them
+MARK, HEADER = (
+    b"solution",
+    struct.Struct("<8sQ"),
+)  # before each answer of a class: that it is one, and its length
+DIVE_FILES: Final = {
+    "class": "{}.pickle",
+    "clean": "{}.mcap",
+    "log": "{}_log.mcap",
+}  # by input, of a dive's name
+_TOPICS: Final = {
+    "/pressure": "depth",
+    "/ahrs": "heading",
+    "/gnss": "position",
+}  # as `logs.write_dive` writes them
 Process = subprocess.Popen[bytes]
 
 
@@ -50,22 +61,32 @@ class UserProcesses:
         self.too_late = f"did not end within {self.timeout_s:g} s"
         self.cpu_s = math.nan  # processor seconds of the first run
         self._running, self._is_stopped = set[Process](), threading.Event()
-        self._idle: queue.SimpleQueue[Process] = queue.SimpleQueue()  # of a class, ready for another run
+        self._idle: queue.SimpleQueue[Process] = (
+            queue.SimpleQueue()
+        )  # of a class, ready for another run
         folder.mkdir()
 
-    def run(self, run: str, dive_file: Path, start: CandidateStart, *, new_process: bool = False) -> Solution:
+    def run(
+        self, run: str, dive_file: Path, start: CandidateStart, *, new_process: bool = False
+    ) -> Solution:
         """Run the filter over a dive, from a start; the name of the run names its files.
 
         A run in a ``new_process`` is in one that no other run of a class was in.
         """
         if self.settings.candidate is not None:
-            return self._run_class(self.settings.candidate, run, dive_file, start, new_process=new_process)
+            return self._run_class(
+                self.settings.candidate, run, dive_file, start, new_process=new_process
+            )
         folder = self.folder / run
         folder.mkdir()
         start_file, solution_file = folder / "start.json", folder / "solution"
         start_file.write_bytes(start.to_json())
         words = list(self.settings.program or ())
-        for place, path in {"{dive}": dive_file, "{start}": start_file, "{solution}": solution_file}.items():
+        for place, path in {
+            "{dive}": dive_file,
+            "{start}": start_file,
+            "{solution}": solution_file,
+        }.items():
             words = [word.replace(place, str(path)) for word in words]
         try:
             begun_s = _children_s()
@@ -81,7 +102,11 @@ class UserProcesses:
                 raise CandidateError(_ended(code))
             return read_solution(solution_file, start)
         except CandidateError as error:
-            lines = [line.strip() for line in _tail(self.folder / f"{run}: stderr").splitlines() if line.strip()]
+            lines = [
+                line.strip()
+                for line in _tail(self.folder / f"{run}: stderr").splitlines()
+                if line.strip()
+            ]
             raise CandidateError(
                 ": ".join([str(error), *(visible(line)[:LONGEST_LINE] for line in lines[-1:])])
             ) from error
@@ -94,7 +119,9 @@ class UserProcesses:
         if math.isnan(self.cpu_s):
             self.cpu_s = cpu_s
 
-    def _run_class(self, word: str, run: str, dive_file: Path, start: CandidateStart, *, new_process: bool) -> Solution:
+    def _run_class(
+        self, word: str, run: str, dive_file: Path, start: CandidateStart, *, new_process: bool
+    ) -> Solution:
         """Give a run to an idle process of the class, or to a new one."""
         try:
             if new_process:
@@ -102,7 +129,14 @@ class UserProcesses:
             process = self._idle.get_nowait()
         except queue.Empty:
             path = os.pathsep.join(entry or "." for entry in sys.path)
-            command = [sys.executable, "-P", "-u", "-c", f"from {__name__} import run_class; run_class()", word]
+            command = [
+                sys.executable,
+                "-P",
+                "-u",
+                "-c",
+                f"from {__name__} import run_class; run_class()",
+                word,
+            ]
             process = self._started(command, "", subprocess.PIPE, os.environ | {"PYTHONPATH": path})
         try:
             answer, cpu_s = self._answer(process, (dive_file, start))
@@ -148,10 +182,17 @@ class UserProcesses:
             raise CandidateError(self.too_late) from error
 
     def _started(
-        self, words: list[str], name: str, pipe: int | None = None, env: Mapping[str, str] | None = None
+        self,
+        words: list[str],
+        name: str,
+        pipe: int | None = None,
+        env: Mapping[str, str] | None = None,
     ) -> Process:
         """Start a process in a group of its own; what it prints goes to files in the folder, or stdout to a pipe."""
-        with (self.folder / f"{name}stdout").open("ab") as out, (self.folder / f"{name}stderr").open("ab") as err:
+        with (
+            (self.folder / f"{name}stdout").open("ab") as out,
+            (self.folder / f"{name}stderr").open("ab") as err,
+        ):
             stdin, stdout = pipe or subprocess.DEVNULL, pipe or out
             try:
                 process = subprocess.Popen(
@@ -184,8 +225,12 @@ class UserProcesses:
     @property
     def printed(self) -> str:
         """Everything that its runs have printed."""
-        texts = {path.name: text for path in sorted(self.folder.glob("*std*")) if (text := _tail(path))}
-        return "".join(text if name == "stderr" else f"--- {name}\n{text}" for name, text in texts.items())
+        texts = {
+            path.name: text for path in sorted(self.folder.glob("*std*")) if (text := _tail(path))
+        }
+        return "".join(
+            text if name == "stderr" else f"--- {name}\n{text}" for name, text in texts.items()
+        )
 
 
 def _children_s() -> float:
@@ -257,12 +302,18 @@ def solution_of_class(word: str, dive_file: Path, start: CandidateStart) -> Solu
     return checked_solution(solution)
 
 
-def run_as_program(kind: type[Candidate], dive_file: Path, start_file: Path, solution_file: Path) -> None:
+def run_as_program(
+    kind: type[Candidate], dive_file: Path, start_file: Path, solution_file: Path
+) -> None:
     """Run a class over the files that a program is given."""
     start = CandidateStart.from_json(start_file.read_bytes())
     dive = logs.read_dive(dive_file, Config())
-    if sensors := tuple(_TOPICS[channel.topic] for channel in dive.channels if channel.topic in _TOPICS):
+    if sensors := tuple(
+        _TOPICS[channel.topic] for channel in dive.channels if channel.topic in _TOPICS
+    ):
         dive = logs.read_dive(dive_file, Config(evaluation=Evaluation(held_out=sensors)))
     solution = checked_solution(kind().run(dive, start))
     with solution_file.open("wb") as file:
-        np.savez(file, **{name: column for name, column in vars(solution).items() if column is not None})
+        np.savez(
+            file, **{name: column for name, column in vars(solution).items() if column is not None}
+        )

@@ -50,9 +50,15 @@ from insdvl_replay.preparation.solutions import recorded_history
 
 T = TypeVar("T")
 
-WORTH_A_THREAD = 20_000  # IMU samples from which filters run in threads; with fewer, threads cost what they save
-MOST_DRAWN_SAMPLES = 20_000_000  # IMU samples, in all runs from random starts together: three seconds of work
-MOST_DRAWN_TIMES = 5_000  # times of the reference at which the errors of each of these runs are kept
+WORTH_A_THREAD = (
+    20_000  # IMU samples from which filters run in threads; with fewer, threads cost what they save
+)
+MOST_DRAWN_SAMPLES = (
+    20_000_000  # IMU samples, in all runs from random starts together: three seconds of work
+)
+MOST_DRAWN_TIMES = (
+    5_000  # times of the reference at which the errors of each of these runs are kept
+)
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,9 @@ class RunPlan:
     windows: OutagePlan  # without the DVL
     starts: int  # from which each candidate runs, the dive's own among them; 0 without a reference
     seed: int
-    heading: HeadingDraw | None = None  # a second start of those that depend on the heading of the first
+    heading: HeadingDraw | None = (
+        None  # a second start of those that depend on the heading of the first
+    )
 
 
 @dataclass(frozen=True)
@@ -73,22 +81,38 @@ class Runs:
     histories: tuple[History, ...]
     drawn: tuple[DrawnErrors, ...]  # from random starts; empty without a reference
     outages: OutageRuns  # in windows without the DVL, of those that can be run there
-    spread: tuple[History, ...]  # of the filters, from the dive's own start as uncertain as [initial]
-    motions: dict[str, ReferenceColumns]  # of recorded solutions, by name: positions and velocities of each sample
+    spread: tuple[
+        History, ...
+    ]  # of the filters, from the dive's own start as uncertain as [initial]
+    motions: dict[
+        str, ReferenceColumns
+    ]  # of recorded solutions, by name: positions and velocities of each sample
     notes: tuple[Note, ...]
-    user_outages: Mapping[str, OutageRuns] = field(default_factory=dict)  # of filters of the user's, with the baseline
+    user_outages: Mapping[str, OutageRuns] = field(
+        default_factory=dict
+    )  # of filters of the user's, with the baseline
     printed: Mapping[str, str] = field(default_factory=dict)  # by filters of the user's
-    cpu_s: Mapping[str, float] = field(default_factory=dict)  # processor seconds of one run over the dive, by filter
-    not_repeatable: Mapping[str, str] = field(default_factory=dict)  # by filter of the user's whose answers differ: why
-    turned: tuple[History, ...] = ()  # from the plan's second start: baseline, then candidates that depend on it
+    cpu_s: Mapping[str, float] = field(
+        default_factory=dict
+    )  # processor seconds of one run over the dive, by filter
+    not_repeatable: Mapping[str, str] = field(
+        default_factory=dict
+    )  # by filter of the user's whose answers differ: why
+    turned: tuple[
+        History, ...
+    ] = ()  # from the plan's second start: baseline, then candidates that depend on it
 
 
-def plan_runs(dive: Dive, prepared: Prepared, config: Config, *, starts: int | None = None) -> RunPlan:
+def plan_runs(
+    dive: Dive, prepared: Prepared, config: Config, *, starts: int | None = None
+) -> RunPlan:
     """Choose the times at which errors are judged, the windows without the DVL, and the number of starts."""
     span = prepared.alignment.start_ns, prepared.end_ns
     starts = config.evaluation.starts if starts is None else starts
     return RunPlan(
-        evaluated_times(dive.reference, *span, filters=len(config.filters) - len(config.user_candidates)),
+        evaluated_times(
+            dive.reference, *span, filters=len(config.filters) - len(config.user_candidates)
+        ),
         plan_outages(prepared.velocities.time_ns, prepared.gaps.overlap, *span),
         starts if dive.reference is not None else 0,
         config.evaluation.seed,
@@ -103,9 +127,14 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
     """
     report_stage("running the filters")
     return_freed_memory()
-    timeline, cov_ns = prepared_timeline(dive, prepared), np.union1d(plan.evaluated_ns, plan.windows.start_ns)
+    timeline, cov_ns = (
+        prepared_timeline(dive, prepared),
+        np.union1d(plan.evaluated_ns, plan.windows.start_ns),
+    )
     timed = _side_by_side(
-        timeline, lambda filter_: _timed(lambda: run_one(filter_, prepared, timeline, cov_ns=cov_ns)), prepared.filters
+        timeline,
+        lambda filter_: _timed(lambda: run_one(filter_, prepared, timeline, cov_ns=cov_ns)),
+        prepared.filters,
     )
     histories = tuple(history for history, _ in timed)
     cpu_s = {history.filter: seconds for history, seconds in timed}
@@ -113,7 +142,9 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
     if prepared.alignment.spread_cov is not None:
         start = prepared.alignment.spread_start
         spread = _side_by_side(
-            timeline, lambda filter_: run_one(filter_, prepared, timeline, start=start), prepared.filters
+            timeline,
+            lambda filter_: run_one(filter_, prepared, timeline, start=start),
+            prepared.filters,
         )
     outages = run_outages(dive, prepared, timeline, config, histories, plan.windows)
     turned = _from_drawn_heading(prepared, timeline, plan.heading)
@@ -127,8 +158,12 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
             turned = (*turned, _compared_alone(found))
     drawn: tuple[DrawnErrors, ...] = ()
     if plan.starts:
-        drawn = with_solutions(run_from_drawn_starts(dive, prepared, plan.starts, plan.seed), histories, dive)
-    return Runs(histories, drawn, outages, spread, motions, tuple(notes), cpu_s=cpu_s, turned=turned)
+        drawn = with_solutions(
+            run_from_drawn_starts(dive, prepared, plan.starts, plan.seed), histories, dive
+        )
+    return Runs(
+        histories, drawn, outages, spread, motions, tuple(notes), cpu_s=cpu_s, turned=turned
+    )
 
 
 def _timed(work: Callable[[], T]) -> tuple[T, float]:
@@ -138,7 +173,9 @@ def _timed(work: Callable[[], T]) -> tuple[T, float]:
     return found, time.thread_time() - begun_s
 
 
-def _from_drawn_heading(prepared: Prepared, timeline: Timeline, draw: HeadingDraw | None) -> tuple[History, ...]:
+def _from_drawn_heading(
+    prepared: Prepared, timeline: Timeline, draw: HeadingDraw | None
+) -> tuple[History, ...]:
     """Run baseline and candidates from the second start, of which only the track counts."""
     if draw is None:
         return ()
@@ -152,10 +189,14 @@ def _from_drawn_heading(prepared: Prepared, timeline: Timeline, draw: HeadingDra
 
 def _compared_alone(history: History) -> History:
     """Let go of the innovations that a comparison of tracks does not need."""
-    return replace(history, innovations=tuple(met for met in history.innovations if met.is_held_out))
+    return replace(
+        history, innovations=tuple(met for met in history.innovations if met.is_held_out)
+    )
 
 
-def _side_by_side(timeline: Timeline, work: Callable[..., T], *arguments: Sequence[Any]) -> tuple[T, ...]:
+def _side_by_side(
+    timeline: Timeline, work: Callable[..., T], *arguments: Sequence[Any]
+) -> tuple[T, ...]:
     """Do something for every filter, on a long dive for each in a thread of its own."""
     if len(timeline.sample_ns) < WORTH_A_THREAD:
         return tuple(map(work, *arguments))
@@ -227,7 +268,9 @@ def run_outages(
     """
     report_stage("DVL outage test")
     groups, windows_ns = list[tuple[Sequence[Outage], Prepared, Timeline]](), tuple(plan.windows_ns)
-    for windows, sensors, noise in in_outages(dive, config, prepared.sensors, prepared.noise, windows_ns):
+    for windows, sensors, noise in in_outages(
+        dive, config, prepared.sensors, prepared.noise, windows_ns
+    ):
         part = replace(prepared, sensors=sensors, noise=noise)
         is_same = sensors is prepared.sensors
         groups.append((windows, part, timeline if is_same else prepared_timeline(dive, part)))
@@ -241,20 +284,26 @@ def run_outages(
             others = (measurement for measurement in aiding if measurement.sensor >= FIRST_OTHER)
             kept, settings = (velocity, *others), _filter_settings(filter_, part)
             for window in windows:
-                found[window] = outage_run(run_outage(history, drift, line, window, kept, **settings))
+                found[window] = outage_run(
+                    run_outage(history, drift, line, window, kept, **settings)
+                )
         return tuple(found[window] for window in plan.windows_ns)
 
     runs = _side_by_side(timeline, outages, prepared.filters, histories)
     distance_m = distance_along_m(prepared.velocities.time_ns, prepared.velocities.velocity_b)
     return OutageRuns(
-        plan, distance_m, {filter_.name: run for filter_, run in zip(prepared.filters, runs, strict=True)}
+        plan,
+        distance_m,
+        {filter_.name: run for filter_, run in zip(prepared.filters, runs, strict=True)},
     )
 
 
 # --- Random starts.
 
 
-def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int = 0) -> tuple[DrawnErrors, ...]:
+def run_from_drawn_starts(
+    dive: Dive, prepared: Prepared, count: int, seed: int = 0
+) -> tuple[DrawnErrors, ...]:
     """Run every filter from the dive's own start and from others that err as P0 says, and keep their true errors.
 
     The ``count`` of starts includes the dive's own. All filters have the same draws, and other dives have others. The
@@ -268,14 +317,22 @@ def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int 
 
     def run(work: tuple[ResolvedFilter, Start]) -> DrawnErrors:
         filter_, start = work
-        return run_from_start(run_one(filter_, prepared, timeline, start=start), reference, dive.truth)
+        return run_from_start(
+            run_one(filter_, prepared, timeline, start=start), reference, dive.truth
+        )
 
-    runs = list(parallel_map(run, [(filter_, start) for filter_ in prepared.filters for start in starts]))
+    runs = list(
+        parallel_map(run, [(filter_, start) for filter_ in prepared.filters for start in starts])
+    )
     own_sd = prepared.alignment.spread_cov is None
-    return tuple(drawn_errors(runs[row : row + count], own_sd=own_sd) for row in range(0, len(runs), count))
+    return tuple(
+        drawn_errors(runs[row : row + count], own_sd=own_sd) for row in range(0, len(runs), count)
+    )
 
 
-def drawn_part(dive: Dive, prepared: Prepared, count: int, seed: int) -> tuple[tuple[Start, ...], Dive, Prepared]:
+def drawn_part(
+    dive: Dive, prepared: Prepared, count: int, seed: int
+) -> tuple[tuple[Start, ...], Dive, Prepared]:
     """Draw starts; return them with the part of the dive, and the times of its reference, over which they are run."""
     if dive.reference is None:
         raise ValueError(f"{dive.name}: errors need a reference")
@@ -285,9 +342,13 @@ def drawn_part(dive: Dive, prepared: Prepared, count: int, seed: int) -> tuple[t
     alignment = prepared.alignment
     starts = (alignment.start, *drawn_starts(alignment.spread_start, count, (*sizes, seed))[1:])
     # The first part of the dive, and some times of its reference.
-    last = int(np.searchsorted(time_ns, start_ns)) + MOST_DRAWN_SAMPLES // (count * len(prepared.filters))
+    last = int(np.searchsorted(time_ns, start_ns)) + MOST_DRAWN_SAMPLES // (
+        count * len(prepared.filters)
+    )
     end_ns = min(prepared.end_ns, int(time_ns[min(last, len(time_ns) - 1)]))
-    inside = np.flatnonzero((dive.reference.time_ns >= start_ns) & (dive.reference.time_ns <= end_ns))
+    inside = np.flatnonzero(
+        (dive.reference.time_ns >= start_ns) & (dive.reference.time_ns <= end_ns)
+    )
     chosen = inside[:: max(1, math.ceil(len(inside) / MOST_DRAWN_TIMES))]
     reference = dive.reference.rows(np.isin(np.arange(len(dive.reference.time_ns)), chosen))
     return starts, replace(dive, reference=reference), replace(prepared, end_ns=end_ns)
@@ -302,7 +363,9 @@ HEADING_STEP_DEG: Final = 1.0
 LONGEST_SILENCE_S: Final = 5.0  # of the DVL, in which the track goes on as well as before
 SHORTEST_TRACK_S: Final = 30.0  # before a gap of the IMU, that is compared by itself
 BIAS_STEP: Final = 0.2  # in the bias's standard deviation beforehand
-HELD_BIAS_DEGPH: Final = 1.0  # a filter that may move its biases takes errors of beams and accelerometers for a turn
+HELD_BIAS_DEGPH: Final = (
+    1.0  # a filter that may move its biases takes errors of beams and accelerometers for a turn
+)
 LEAST_SURE_DEG: Final = 15.0  # a heading that a track gives no better says nothing
 HEADING_DIGITS, BIAS_DIGITS = 2, 1  # decimals; neither is known so well
 
@@ -323,7 +386,9 @@ def prepare_with_heading(dive: Dive, config: Config) -> Prepared:
     An attitude of the reference to start from goes before a fit.
     """
     initial, reference = config.initial, dive.reference
-    starts_posed = initial.source == "reference" and reference is not None and reference.has_attitude
+    starts_posed = (
+        initial.source == "reference" and reference is not None and reference.has_attitude
+    )
     if initial.heading_deg != FIT or starts_posed:
         return prepare_dive(dive, config)
     fitted = fitted_start(dive, config)
@@ -363,20 +428,35 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
             break
         # From a start and from two next to it: the filter itself estimates a part of heading and bias, and turns.
         histories = list[History]()
-        for heading_step, bias_step in ((0.0, 0.0), (HEADING_STEP_DEG, 0.0), (0.0, bias_step_degph)):
+        for heading_step, bias_step in (
+            (0.0, 0.0),
+            (HEADING_STEP_DEG, 0.0),
+            (0.0, bias_step_degph),
+        ):
             started = _started(
-                initial, heading_deg + heading_step, bias_degph + bias_step, gyro_bias_sd_degph=HELD_BIAS_DEGPH
+                initial,
+                heading_deg + heading_step,
+                bias_degph + bias_step,
+                gyro_bias_sd_degph=HELD_BIAS_DEGPH,
             )
             prepared = prepare_dive(dive, changed(config, initial=started))
-            histories.append(run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared)))
+            histories.append(
+                run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared))
+            )
         seen_ns = _before_a_gap(placed.time_ns, prepared.gaps)
         compared_ns, piece = _tracked(seen_ns, prepared.velocities.time_ns)
-        time_ns, ours, theirs = np.intersect1d(histories[0].time_ns, compared_ns, return_indices=True)
+        time_ns, ours, theirs = np.intersect1d(
+            histories[0].time_ns, compared_ns, return_indices=True
+        )
         piece = piece[theirs]
         theirs = np.searchsorted(placed.time_ns, time_ns)
-        tracks, origin = [history.position[ours] for history in histories], placed.position[theirs[:1]]
+        tracks, origin = (
+            [history.position[ours] for history in histories],
+            placed.position[theirs[:1]],
+        )
         reference_m, track_m, turned_m, biased_m = (
-            np.stack(north_east_m(track, origin, origin), axis=1) for track in (placed.position[theirs], *tracks)
+            np.stack(north_east_m(track, origin, origin), axis=1)
+            for track in (placed.position[theirs], *tracks)
         )
         per_heading_m = (turned_m - track_m) / (HEADING_STEP_DEG * DEG)
         per_bias_m = (biased_m - track_m) / (bias_step_degph * DEG_PER_HOUR)
@@ -393,7 +473,9 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
     # A bias that walks is, over the dive, another than at the start.
     time_s = np.ptp(placed.time_ns) * 1e-9
     bias_sd = np.hypot(found.bias_sd, config.noise.gyro_bias_walk_radps_rts * np.sqrt(time_s / 3.0))
-    return FittedStart(heading_deg, found.heading_sd / DEG, bias_degph, float(bias_sd) / DEG_PER_HOUR)
+    return FittedStart(
+        heading_deg, found.heading_sd / DEG, bias_degph, float(bias_sd) / DEG_PER_HOUR
+    )
 
 
 def _before_a_gap(time_ns: TimeNs, gaps: Gaps) -> TimeNs:
@@ -449,7 +531,9 @@ def require_described(dive: Dive) -> None:
     if misread := next((note for note in dive.notes if note.code in MISREAD), None):
         raise MisfitError(f"{dive.name}: {misread.text}", misread.hint)
     if dive.truth is None:
-        raise MisfitError(f"{dive.name}: nobody has described its sensors", "give their settings with -c")
+        raise MisfitError(
+            f"{dive.name}: nobody has described its sensors", "give their settings with -c"
+        )
 
 
 def require_fit_of(dive: Dive, config: Config) -> None:
@@ -466,6 +550,8 @@ def baseline_fit(dive: Dive, config: Config) -> tuple[float, float]:
     dive = with_reference_at_imu(dive, config)
     alone = changed(config, filters={config.baseline: config.filters[config.baseline]})
     prepared = prepare_with_heading(dive, alone)
-    innovations = run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared)).innovations[0]
+    innovations = run_one(
+        prepared.filters[0], prepared, prepared_timeline(dive, prepared)
+    ).innovations[0]
     sizes = innovations.nis * innovations.weight / innovations.dof
     return float(np.mean(sizes)), float(np.mean(~innovations.used))

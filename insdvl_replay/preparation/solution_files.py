@@ -20,7 +20,12 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m
 from insdvl_replay.geometry.rotation import mat_from_rpy
-from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution, misalignment_cov
+from insdvl_replay.nav.user_candidate import (
+    CandidateError,
+    CandidateStart,
+    Solution,
+    misalignment_cov,
+)
 
 MOST_COVARIANCES: Final = 20_000  # of one solution, evenly chosen
 NO_ROTATION: Final = 0.01  # largest error of C C^T
@@ -31,7 +36,10 @@ ATTITUDE: Final = ("roll_deg", "pitch_deg", "heading_deg")
 POSITION: Final = ("latitude_deg", "longitude_deg", "height_m")
 INNOVATION: Final = ("innovation_x_mps", "innovation_y_mps", "innovation_z_mps")
 _GROUPS: Final = (POSITION, VELOCITY, ATTITUDE, INNOVATION)
-_COLUMNS: Final = ("time_ns", *(f"{name}{end}" for group in _GROUPS for name in group for end in ("", "_sd")))
+_COLUMNS: Final = (
+    "time_ns",
+    *(f"{name}{end}" for group in _GROUPS for name in group for end in ("", "_sd")),
+)
 _SHAPES: Final = {
     "position": (3,), "velocity_n": (3,), "mat_nb": (3, 3), "cov": (9, 9),
     "innovation_b": (3,), "innovation_cov": (3, 3),
@@ -67,10 +75,14 @@ def checked_solution(solution: Solution) -> Solution:
         count = len(cov_ns) if name == "cov" and cov_ns is not None else len(time_ns)
         if values.shape != (count, *shape):
             wrong(f"{name} of shape {values.shape}, not {(count, *shape)}")
-        needed = values[:, :2] if name == "position" else values.reshape(count, -1)  # a position may lack its height
+        needed = (
+            values[:, :2] if name == "position" else values.reshape(count, -1)
+        )  # a position may lack its height
         bad = np.flatnonzero(~np.isfinite(needed).all(axis=1))
         if name in MOTION and len(bad):
-            wrong(f"{MOTION[name]} that are not finite in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}")
+            wrong(
+                f"{MOTION[name]} that are not finite in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}"
+            )
         if name.endswith("cov") and np.any(np.diagonal(values, axis1=1, axis2=2) < 0.0):
             wrong(f"{name} with negative variances")
     if (mat_nb := columns.get("mat_nb")) is not None:
@@ -78,11 +90,15 @@ def checked_solution(solution: Solution) -> Solution:
             off = np.abs(mat_nb @ np.swapaxes(mat_nb, 1, 2) - np.eye(3)).max(axis=(1, 2))
             bad = np.flatnonzero(~(off <= NO_ROTATION) | (np.linalg.det(mat_nb) < 0.0))
         if len(bad):
-            wrong(f"attitudes that are no rotations in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}")
+            wrong(
+                f"attitudes that are no rotations in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}"
+            )
     if not set(columns) & set(MOTION):
         wrong("no position, no velocity and no attitude")
     if "innovation_b" in columns and "innovation_cov" not in columns:
-        wrong("innovations without their covariance; in CSV these are innovation_x_mps_sd and so on")
+        wrong(
+            "innovations without their covariance; in CSV these are innovation_x_mps_sd and so on"
+        )
     return Solution(time_ns, cov_ns=cov_ns, **columns)
 
 
@@ -91,7 +107,11 @@ def read_solution(path: Path, start: CandidateStart) -> Solution:
     try:
         data = read_regular(path, MOST_BYTES)
     except OSError as error:
-        text = "wrote no solution" if isinstance(error, FileNotFoundError) else f"wrote a solution: {error.strerror}"
+        text = (
+            "wrote no solution"
+            if isinstance(error, FileNotFoundError)
+            else f"wrote a solution: {error.strerror}"
+        )
         raise CandidateError(text) from error
     if not data.strip():
         raise CandidateError("wrote an empty solution")
@@ -102,13 +122,17 @@ def read_solution(path: Path, start: CandidateStart) -> Solution:
         except (
             TypeError, ValueError, KeyError, EOFError, OSError, NotImplementedError, zipfile.BadZipFile, zlib.error,
         ) as error:  # fmt: skip
-            raise CandidateError(f"wrote a solution that is not of run_as_program: {error}") from error
+            raise CandidateError(
+                f"wrote a solution that is not of run_as_program: {error}"
+            ) from error
     if not data.startswith(logs.MAGIC) and data.lstrip()[:1] not in b"#+-.0123456789":
         return checked_solution(_read_csv(data))
     try:
         read, notes = logs.read_solution(path)
     except LogError as error:
-        raise CandidateError(f"wrote a solution that cannot be read: {visible(error.inside(path))}") from error
+        raise CandidateError(
+            f"wrote a solution that cannot be read: {visible(error.inside(path))}"
+        ) from error
     if wrong := next((note for note in notes if note.severity == Severity.WARNING), None):
         raise CandidateError(f"wrote a solution that cannot be used: {visible(wrong.text)}")
     motion, position = read.motion, read.motion.position
@@ -120,7 +144,9 @@ def read_solution(path: Path, start: CandidateStart) -> Solution:
         position = moved_position(np.broadcast_to(start.position, from_start.shape), from_start)
     cov_ns = read.cov_ns if np.isfinite(read.cov).any() else None
     given = position, motion.velocity_n, motion.mat_nb, read.cov
-    placed, velocity_n, mat_nb, cov = (values if np.isfinite(values).any() else None for values in given)
+    placed, velocity_n, mat_nb, cov = (
+        values if np.isfinite(values).any() else None for values in given
+    )
     return Solution(motion.time_ns, placed, velocity_n, mat_nb, cov, cov_ns)
 
 
@@ -137,16 +163,22 @@ def _read_csv(data: bytes) -> Solution:
         if rest:  # a number may end within its exponent
             with suppress(ValueError, OverflowError):
                 lines = 1 + len(pd.read_csv(io.BytesIO(whole_lines), dtype=numbers))
-                raise CandidateError(f"wrote a solution that is cut off in line {lines + 1}") from error
+                raise CandidateError(
+                    f"wrote a solution that is cut off in line {lines + 1}"
+                ) from error
         raise CandidateError(f"wrote a solution that is not CSV of numbers: {why}") from error
     if not isinstance(table.index, pd.RangeIndex):
-        raise CandidateError("wrote a solution whose rows are longer than its header: are there decimal commas?")
+        raise CandidateError(
+            "wrote a solution whose rows are longer than its header: are there decimal commas?"
+        )
     if table.empty:
         raise CandidateError("wrote a solution without rows")
     unknown = next((name for name in map(str, table.columns) if name not in _COLUMNS), None)
     if unknown is not None:
         name, hint = visible(unknown)[:LONGEST_LINE], hint_for(unknown, _COLUMNS, most=1)
-        raise CandidateError(f"wrote a solution with the column '{name}', which is not known ({hint})")
+        raise CandidateError(
+            f"wrote a solution with the column '{name}', which is not known ({hint})"
+        )
     if "time_ns" not in table:
         raise CandidateError("wrote a solution without the column time_ns")
     if table["time_ns"].dtype.kind != "i":
@@ -162,7 +194,9 @@ def _read_csv(data: bytes) -> Solution:
             table[wanted[2]], lacking = np.nan, []
         if lacking and len(lacking) < len(wanted):
             given = next(name for name in wanted if name in table)
-            raise CandidateError(f"wrote a solution with {given}, but without {' and '.join(lacking)}")
+            raise CandidateError(
+                f"wrote a solution with {given}, but without {' and '.join(lacking)}"
+            )
         return None if lacking else table[wanted].to_numpy(np.float64)
 
     time_ns, position, rpy = table["time_ns"].to_numpy(np.int64), group(POSITION), group(ATTITUDE)
@@ -178,7 +212,9 @@ def _read_csv(data: bytes) -> Solution:
             continue
         sd = sd[chosen]
         if names == ATTITUDE:
-            cov[:, rows, rows] = misalignment_cov(sd * DEG, np.zeros(len(sd)) if rpy is None else rpy[chosen, 2] * DEG)
+            cov[:, rows, rows] = misalignment_cov(
+                sd * DEG, np.zeros(len(sd)) if rpy is None else rpy[chosen, 2] * DEG
+            )
             continue
         if names == POSITION:
             here = np.zeros(3) if position is None else np.nan_to_num(position[chosen])

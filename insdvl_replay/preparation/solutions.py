@@ -26,13 +26,25 @@ from insdvl_replay.core.states import BA, DEG, POSITION, states_with
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.reference_errors import WELL_COVERED, covered_share
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m
-from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, rpy_from_mat, vector_from_mat, wrap_angle
+from insdvl_replay.geometry.rotation import (
+    mat_from_rpy,
+    mat_from_vector,
+    rpy_from_mat,
+    vector_from_mat,
+    wrap_angle,
+)
 from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.prepared import reference_at_imu
 
-LONGEST_STEP: Final = 2.5  # in usual steps: between samples that are further apart a solution gives nothing
-STATES: Final = states_with(["position"])  # a solution's covariance is of some of them; of the biases it never is
-_REPORTED: Final = np.r_[: BA.start, POSITION.start : POSITION.stop]  # rows of that covariance among the states
+LONGEST_STEP: Final = (
+    2.5  # in usual steps: between samples that are further apart a solution gives nothing
+)
+STATES: Final = states_with(
+    ["position"]
+)  # a solution's covariance is of some of them; of the biases it never is
+_REPORTED: Final = np.r_[
+    : BA.start, POSITION.start : POSITION.stop
+]  # rows of that covariance among the states
 QUANTITIES: Final = ("positions", "velocities", "attitudes")
 
 
@@ -56,18 +68,27 @@ def recorded_history(
             f"{key} has no attitude, so {key}.lever_arm_m cannot be applied",
             f"--set {key}.lever_arm_m=[0,0,0] (the errors then contain the lever arm)",
         )
-    mat_br, has_own_origin = mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG), solution.moved_n is not None
+    mat_br, has_own_origin = (
+        mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG),
+        solution.moved_n is not None,
+    )
     align = settings.align or ("position" if has_own_origin else "none")
     if align == "heading":
         at_ns = _first_ns(solution.motion, "attitudes", key, baseline)
         own = _heading_at(solution.motion.time_ns, solution.motion.mat_nb @ mat_br.T, at_ns)
-        turn = float(wrap_angle(np.array(_heading_at(baseline.time_ns, baseline.mat_nb, at_ns) - own)))
+        turn = float(
+            wrap_angle(np.array(_heading_at(baseline.time_ns, baseline.mat_nb, at_ns) - own))
+        )
         solution = _turned(solution, mat_from_rpy(np.array([0.0, 0.0, turn])))
         notes.append(note("solution_turned", key=key, turn=turn / DEG, baseline=baseline.filter))
 
     def geographic(rows: Floats) -> Floats:
         """Return positions, with longitudes on the baseline's side of the 180th meridian."""
-        position = moved_position(np.broadcast_to(origin, rows.shape), rows) if has_own_origin else rows.copy()
+        position = (
+            moved_position(np.broadcast_to(origin, rows.shape), rows)
+            if has_own_origin
+            else rows.copy()
+        )
         position[:, 1] = origin[1] + wrap_angle(position[:, 1] - origin[1])
         return position
 
@@ -76,7 +97,10 @@ def recorded_history(
     motion = reference_at_imu(motion, imu, np.array(settings.lever_arm_m), mat_br)
     if align != "none" and motion.has_position:
         # Its first position is moved to the baseline, and all others with it, in place.
-        at_ns, has_height = _first_ns(motion, "positions", key, baseline), bool(motion.known["heights"].any())
+        at_ns, has_height = (
+            _first_ns(motion, "positions", key, baseline),
+            bool(motion.known["heights"].any()),
+        )
         flat = np.column_stack([motion.position[:, :2], np.zeros(len(motion.time_ns))])
         own_position = at_time(motion.time_ns, motion.position if has_height else flat, at_ns)
         wanted = at_time(baseline.time_ns, baseline.position, at_ns)
@@ -84,15 +108,26 @@ def recorded_history(
             own_position[2] = wanted[2]
         shift_n = north_east_down_m(wanted, own_position)
         in_blocks(
-            lambda rows: moved_position(rows, np.broadcast_to(shift_n, rows.shape)), motion.position, motion.position
+            lambda rows: moved_position(rows, np.broadcast_to(shift_n, rows.shape)),
+            motion.position,
+            motion.position,
         )
         from_own = " (from an unknown origin)" if has_own_origin else ""
         moved = "" if has_own_origin else f"; they moved by {np.linalg.norm(shift_n):.3g} m"
         since_s = (at_ns - int(baseline.time_ns[0])) / NS_PER_S
         notes.append(
-            note("solution_aligned", key=key, origin=from_own, baseline=baseline.filter, since=since_s, moved=moved)
+            note(
+                "solution_aligned",
+                key=key,
+                origin=from_own,
+                baseline=baseline.filter,
+                since=since_s,
+                moved=moved,
+            )
         )
-    history = _history(name, replace(solution, motion=motion), baseline, evaluated_ns, is_turned=align == "heading")
+    history = _history(
+        name, replace(solution, motion=motion), baseline, evaluated_ns, is_turned=align == "heading"
+    )
     return history, motion.without_attitude(), (*notes, *_coverage_notes(key, motion, history))
 
 
@@ -109,7 +144,9 @@ def _history(
     position = interpolated(motion.time_ns, motion.position, time_ns)
     velocity_n = interpolated(motion.time_ns, motion.velocity_n, time_ns)
     mat_nb = interpolated_attitude(motion.time_ns, motion.mat_nb, time_ns)
-    given = np.isfinite(np.column_stack([position[:, 0], velocity_n[:, 0], mat_nb[:, 0, 0]])).any(axis=1)
+    given = np.isfinite(np.column_stack([position[:, 0], velocity_n[:, 0], mat_nb[:, 0, 0]])).any(
+        axis=1
+    )
 
     def reported(cov: Floats, at_ns: TimeNs) -> Floats:
         """Return the last covariance, shape (c, ...), before, or at, each time; the first before that."""
@@ -118,7 +155,9 @@ def _history(
         return cov[np.clip(np.searchsorted(solution.cov_ns, at_ns, side="right") - 1, 0, None)]
 
     sd = np.full((len(time_ns), len(STATES)), np.nan)
-    sd[np.ix_(given, _REPORTED)] = np.sqrt(reported(np.diagonal(solution.cov, axis1=1, axis2=2), time_ns[given]))
+    sd[np.ix_(given, _REPORTED)] = np.sqrt(
+        reported(np.diagonal(solution.cov, axis1=1, axis2=2), time_ns[given])
+    )
     cov_ns = evaluated_ns[np.isin(evaluated_ns, time_ns[given])]
     cov = np.full((len(cov_ns), len(STATES), len(STATES)), np.nan)
     cov[np.ix_(np.arange(len(cov_ns)), _REPORTED, _REPORTED)] = reported(solution.cov, cov_ns)
@@ -157,7 +196,9 @@ def _first_ns(motion: ReferenceColumns, quantity: str, key: str, baseline: Histo
 
 def _heading_at(time_ns: TimeNs, mat_nb: Floats, at_ns: int) -> float:
     known = np.isfinite(mat_nb).all(axis=(1, 2))
-    return float(at_time(time_ns[known], np.unwrap(rpy_from_mat(mat_nb[known])[:, 2])[:, None], at_ns)[0])
+    return float(
+        at_time(time_ns[known], np.unwrap(rpy_from_mat(mat_nb[known])[:, 2])[:, None], at_ns)[0]
+    )
 
 
 def _turned(solution: SolutionColumns, mat: Floats) -> SolutionColumns:
@@ -169,13 +210,17 @@ def _turned(solution: SolutionColumns, mat: Floats) -> SolutionColumns:
     elif motion.has_position:
         first = np.broadcast_to(position[int(np.argmax(motion.known["positions"]))], position.shape)
         position = moved_position(first, north_east_down_m(position, first) @ mat.T)
-    turned = replace(motion, position=position, velocity_n=motion.velocity_n @ mat.T, mat_nb=mat @ motion.mat_nb)
+    turned = replace(
+        motion, position=position, velocity_n=motion.velocity_n @ mat.T, mat_nb=mat @ motion.mat_nb
+    )
     # Block by block: a block that is NaN leaves the others as they are.
     blocks = np.einsum("ik,cakbl,jl->caibj", mat, solution.cov.reshape(-1, 3, 3, 3, 3), mat)
     return replace(solution, motion=turned, moved_n=moved_n, cov=blocks.reshape(solution.cov.shape))
 
 
-def _between(time_ns: TimeNs, known: NDArray[np.bool_], at_ns: TimeNs) -> tuple[NDArray[np.int64], Floats]:
+def _between(
+    time_ns: TimeNs, known: NDArray[np.bool_], at_ns: TimeNs
+) -> tuple[NDArray[np.int64], Floats]:
     """Return the known rows around each time, shape (2, k), and its share of the step between them, shape (k,).
 
     The share is NaN outside, and where the step is longer than `LONGEST_STEP`.
@@ -188,7 +233,11 @@ def _between(time_ns: TimeNs, known: NDArray[np.bool_], at_ns: TimeNs) -> tuple[
     step_s = seconds(known_ns[before + 1], known_ns[before])
     share = seconds(at_ns, known_ns[before]) / step_s
     usual_s = float(np.median(np.diff(known_ns), overwrite_input=True)) * 1e-9
-    given = (share >= 0.0) & (share <= 1.0) & ((step_s <= LONGEST_STEP * usual_s) | (share == 0.0) | (share == 1.0))
+    given = (
+        (share >= 0.0)
+        & (share <= 1.0)
+        & ((step_s <= LONGEST_STEP * usual_s) | (share == 0.0) | (share == 1.0))
+    )
     return rows[before + np.array([[0], [1]])], np.where(given, share, np.nan)
 
 
@@ -219,11 +268,17 @@ def interpolated_attitude(time_ns: TimeNs, mat_nb: Floats, at_ns: TimeNs) -> Flo
 
 def _coverage_notes(key: str, motion: ReferenceColumns, history: History) -> Iterator[Note]:
     """Note the quantities that a solution lacks or does not cover, and those without covariance."""
-    start_ns, end_ns, shares = int(history.time_ns[0]), int(history.time_ns[-1]), dict[str, list[str]]()
+    start_ns, end_ns, shares = (
+        int(history.time_ns[0]),
+        int(history.time_ns[-1]),
+        dict[str, list[str]](),
+    )
     never = [quantity for quantity in QUANTITIES if not motion.known[quantity].any()]
     if never:
         severity = Severity.WARNING if len(never) == len(QUANTITIES) else Severity.INFO
-        yield note("solution_lacks", len(never), severity=severity, key=key, quantities=" and ".join(never))
+        yield note(
+            "solution_lacks", len(never), severity=severity, key=key, quantities=" and ".join(never)
+        )
     for quantity in (quantity for quantity in QUANTITIES if quantity not in never):
         share = covered_share(motion.time_ns, motion.known[quantity], start_ns, end_ns)
         if share < WELL_COVERED:
@@ -234,4 +289,6 @@ def _coverage_notes(key: str, motion: ReferenceColumns, history: History) -> Ite
     blocks = {"velocity": slice(0, 3), "attitude": slice(3, 6), "position": POSITION}
     lacking = [block for block, states in blocks.items() if not history.predicted[states].any()]
     if lacking:
-        yield note("solution_without_covariance", len(lacking), key=key, quantities=" and ".join(lacking))
+        yield note(
+            "solution_without_covariance", len(lacking), key=key, quantities=" and ".join(lacking)
+        )

@@ -44,7 +44,9 @@ FEWEST_BLOCKS: Final = 3
 SLOWEST_MPS: Final = 0.3  # slower velocities have no direction
 GYRO_AXES_SD: Final = 0.01  # scale factors and axes of gyros, of which most are better
 NORMAL: Final = 1.4826  # standard deviation over median absolute deviation, of normal numbers
-THIRD: Final = np.array([-1.0, 3.0, -3.0, 1.0])  # of four values at even steps, the noise that no motion explains
+THIRD: Final = np.array(
+    [-1.0, 3.0, -3.0, 1.0]
+)  # of four values at even steps, the noise that no motion explains
 
 # What a source may err by without anything that shows it.
 LEVEL_FLOOR: Final = 0.02 * DEG
@@ -68,7 +70,9 @@ class SourceSd:
     position: Floats  # m, north, east and down
 
 
-def reference_sd(dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, latitude: float) -> SourceSd:
+def reference_sd(
+    dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, latitude: float
+) -> SourceSd:
     """Return the standard deviations of the reference at the start: stated, else estimated.
 
     A stated value counts unless single rows scatter by more.
@@ -82,7 +86,9 @@ def reference_sd(dive: Dive, config: Config, velocities: DvlVelocities, start_ns
     velocity_white = third_difference_sd(rows.time_ns, rows.velocity_n)
     velocity_slow = np.zeros(3)
     if attitude is not None:
-        pair = velocity_pair(dive.imu, rows, attitude, velocities, np.array(config.dvl.lever_arm_m), latitude)
+        pair = velocity_pair(
+            dive.imu, rows, attitude, velocities, np.array(config.dvl.lever_arm_m), latitude
+        )
         velocity_slow = slow_difference_sd(pair)
         if config.reference.independent:
             attitude_sd[2] = np.hypot(attitude_sd[2], direction_difference(pair))
@@ -134,7 +140,11 @@ def stated_sd(reference: ReferenceColumns, settings: Reference, start_ns: int) -
         nearest = np.argmin(np.abs(reference.stated.time_ns - start_ns))
         sd = np.sqrt(np.diagonal(reference.stated.cov[nearest]))
         values = {"velocity": sd[:3], "attitude": sd[3:6], "position": sd[6:]}
-    limits = {"velocity": LARGEST_VELOCITY_MPS, "attitude": LARGEST_ATTITUDE, "position": LARGEST_POSITION_M}
+    limits = {
+        "velocity": LARGEST_VELOCITY_MPS,
+        "attitude": LARGEST_ATTITUDE,
+        "position": LARGEST_POSITION_M,
+    }
     in_settings = {
         "velocity": settings.velocity_sd_mps,
         "attitude": settings.attitude_sd_deg * DEG,
@@ -164,7 +174,9 @@ class Turns:
         np.cumsum(step, axis=0, out=self._turn[1:])
         # The integral of the turn so far times its change.
         self._swing = np.zeros_like(rate)
-        np.cumsum(np.cross(0.5 * (self._turn[1:] + self._turn[:-1]), step), axis=0, out=self._swing[1:])
+        np.cumsum(
+            np.cross(0.5 * (self._turn[1:] + self._turn[:-1]), step), axis=0, out=self._swing[1:]
+        )
 
     def between(self, start_ns: TimeNs, end_ns: TimeNs) -> Floats:
         """Return rotation vectors from body axes at the start to those at the end of spans, (k, 3), rad."""
@@ -199,7 +211,11 @@ def attitude_scatter(
     gyro_white_rad_rts: float,  # the gyros' own random walk is not the reference's error
 ) -> AttitudeScatter | None:
     """Compare attitudes with the integrated gyros; None with fewer than `FEWEST_ROWS` of them."""
-    inside = rows.known["attitudes"] & (rows.time_ns >= imu.time_ns[0]) & (rows.time_ns <= imu.time_ns[-1])
+    inside = (
+        rows.known["attitudes"]
+        & (rows.time_ns >= imu.time_ns[0])
+        & (rows.time_ns <= imu.time_ns[-1])
+    )
     time_ns, mat_nb = rows.time_ns[inside], rows.mat_nb[inside]
     if len(time_ns) < FEWEST_ROWS:
         return None
@@ -207,7 +223,9 @@ def attitude_scatter(
     step_s = np.diff(time_ns) * 1e-9
     turned_b = turns.between(time_ns[:-1], time_ns[1:])
     # The rest of each step: bias, scale and axes of the gyros, and changes of the reference's error.
-    rest_b = vector_from_mat(mat_from_vector(-turned_b) @ np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:])
+    rest_b = vector_from_mat(
+        mat_from_vector(-turned_b) @ np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:]
+    )
     rest_b += step_s[:, None] * (earth_rate_n(latitude) @ mat_nb[:-1])
     seen = step_s <= LONGEST_STEP_S
     if np.count_nonzero(seen) < FEWEST_ROWS - 1:

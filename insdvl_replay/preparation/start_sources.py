@@ -76,7 +76,12 @@ def initial_sd(initial: Initial) -> Floats:
 
 
 def source_sd(
-    dive: Dive, config: Config, velocities: DvlVelocities, sources: StartSources, start_ns: int, latitude: float
+    dive: Dive,
+    config: Config,
+    velocities: DvlVelocities,
+    sources: StartSources,
+    start_ns: int,
+    latitude: float,
 ) -> StartSd:
     """Return how uncertain a start is by its sources, and by ``[initial]`` where nothing is known of them.
 

@@ -37,7 +37,14 @@ from insdvl_replay.evaluation.outage_test import (
     drift_run,
 )
 from insdvl_replay.evaluation.reference_errors import DrawnErrors, drawn_errors, run_from_start
-from insdvl_replay.evaluation.repeats import Change, Repeat, apart_m, errors_of_runs, metres, share_moved
+from insdvl_replay.evaluation.repeats import (
+    Change,
+    Repeat,
+    apart_m,
+    errors_of_runs,
+    metres,
+    share_moved,
+)
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.logs import copy_log, held_back_messages, write_dive
 from insdvl_replay.nav.levelling import Start
@@ -50,11 +57,16 @@ from insdvl_replay.preparation.programs import DIVE_FILES, UserProcesses
 from insdvl_replay.preparation.run import RunPlan, Runs, drawn_part, prepared_timeline, run_one
 from insdvl_replay.preparation.solutions import interpolated, interpolated_attitude
 
-OUTAGE_DIVES: Final = 3  # each lacks every third window: the time between two of them is twice as long as a window
+OUTAGE_DIVES: Final = (
+    3  # each lacks every third window: the time between two of them is twice as long as a window
+)
 LATER_NS: Final = 1000  # by which stamps are moved, and samples repeated
 REPEATED_EVERY: Final = 10_000
 SHOWN_DIGITS: Final = 16  # of a digest
-LONGEST_WINDOW_S, FEWEST_WINDOWS = 60, 6  # the longest windows of which there are so many, else the shortest
+LONGEST_WINDOW_S, FEWEST_WINDOWS = (
+    60,
+    6,
+)  # the longest windows of which there are so many, else the shortest
 
 
 @dataclass(frozen=True)
@@ -80,20 +92,29 @@ class UserRun(NamedTuple):
     turned: History | None = None  # from the plan's second start
 
 
-def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPlan, config: Config) -> Runs:
+def with_user_candidates(
+    runs: Runs, dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
+) -> Runs:
     """Add the runs of the user's filters to those of all others, which they do not change.
 
     A filter that fails in any run has no trajectory, and its history says why.
     """
     if not config.user_candidates:
         return runs
-    whole = GivenDive("dive", _given(given_dive(dive, config), prepared), prepared, runs.histories[0])
+    whole = GivenDive(
+        "dive", _given(given_dive(dive, config), prepared), prepared, runs.histories[0]
+    )
     windows, part = _windows(plan.windows), dive
     starts: tuple[Start, ...] = (prepared.alignment.start,)
     outage_dives = _outage_dives(dive, prepared, config, windows)
     if plan.starts:
         starts, part, _ = drawn_part(dive, prepared, plan.starts, plan.seed)
-    histories, drawn, notes, turned = list(runs.histories), list(runs.drawn), list(runs.notes), list(runs.turned)
+    histories, drawn, notes, turned = (
+        list(runs.histories),
+        list(runs.drawn),
+        list(runs.notes),
+        list(runs.turned),
+    )
     outages, printed = dict[str, OutageRuns](), dict[str, str]()
     cpu_s, not_repeatable = dict(runs.cpu_s), dict[str, str]()
     # What a program has started may still write into it.
@@ -101,12 +122,17 @@ def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPl
         for name, settings in config.user_candidates.items():
             report_stage(f"running {name}")
             candidate = _Candidate(name, settings, Path(folder, name), plan)
-            for test in (whole, *outage_dives):  # each candidate has files of its own: it may change or remove them
+            for test in (
+                whole,
+                *outage_dives,
+            ):  # each candidate has files of its own: it may change or remove them
                 candidate.give(test, dive, config)
             try:
                 found = candidate.runs(whole, starts, part, outage_dives, windows, dive, config)
             except CandidateError as error:
-                found = UserRun(failed_history(name, str(error), whole.baseline, whole.dive.imu), None, None, ())
+                found = UserRun(
+                    failed_history(name, str(error), whole.baseline, whole.dive.imu), None, None, ()
+                )
             finally:
                 candidate.processes.stop()
             histories.append(found.history)
@@ -117,7 +143,9 @@ def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPl
             notes += found.notes
             if off := [repeat for repeat in found.repeats if repeat.is_off]:
                 not_repeatable[name] = f"{name} {off[0].text(whole.baseline.filter)}"
-            cpu_s |= {} if math.isnan(candidate.processes.cpu_s) else {name: candidate.processes.cpu_s}
+            cpu_s |= (
+                {} if math.isnan(candidate.processes.cpu_s) else {name: candidate.processes.cpu_s}
+            )
             printed |= {name: text} if (text := candidate.processes.printed) else {}
             shutil.rmtree(candidate.folder, ignore_errors=True)
     return replace(
@@ -148,7 +176,13 @@ class _Candidate:
             copy_log(file, dive.paths, held_back_messages(dive.paths, config, test.absent))
 
     def history(
-        self, test: GivenDive, run: str, start: Start, *, late_ns: int = 0, new_process: bool = False
+        self,
+        test: GivenDive,
+        run: str,
+        start: Start,
+        *,
+        late_ns: int = 0,
+        new_process: bool = False,
     ) -> tuple[History, tuple[Note, ...], str]:
         """Run it over a dive; return its history, notes, and a digest of its solution.
 
@@ -159,12 +193,16 @@ class _Candidate:
             **{column.name: getattr(start, column.name) for column in fields(Start)},
             time_ns=alignment.start_ns + late_ns,
             dvl_lever_arm_b=test.prepared.mounting.lever_arm_b,
-            position_sd_m=np.array(alignment.initial.position_sd_m if alignment.initial else (1.0, 1.0, 1.0)),
+            position_sd_m=np.array(
+                alignment.initial.position_sd_m if alignment.initial else (1.0, 1.0, 1.0)
+            ),
         )
         dive_file = self.file(test)
         if not dive_file.exists():
             raise CandidateError("cannot be run: its input is the log, and the dive has no file")
-        solution = _earlier(self.processes.run(run, dive_file, given, new_process=new_process), late_ns)
+        solution = _earlier(
+            self.processes.run(run, dive_file, given, new_process=new_process), late_ns
+        )
         digest = hashlib.sha256()
         for column in (solution.time_ns, solution.position, solution.velocity_n, solution.mat_nb):
             digest.update(b"" if column is None else np.ascontiguousarray(column).tobytes())
@@ -187,7 +225,9 @@ class _Candidate:
         """Run it from all starts, over the dives of the outage test, and again."""
         reference = part.reference
 
-        def from_start(place: int) -> tuple[History | None, DrawnErrors | None, tuple[Note, ...], str]:
+        def from_start(
+            place: int,
+        ) -> tuple[History | None, DrawnErrors | None, tuple[Note, ...], str]:
             history, notes, digest = self.history(whole, f"start_{place + 1:03d}", starts[place])
             errors = None if reference is None else run_from_start(history, reference, part.truth)
             return (None if place else history), errors, notes, digest
@@ -201,9 +241,14 @@ class _Candidate:
         drawn = None
         if first is not None:
             own_sd = whole.prepared.alignment.spread_cov is None
-            drawn = drawn_errors([first, *(errors for _, errors, *_ in others if errors)], own_sd=own_sd)
+            drawn = drawn_errors(
+                [first, *(errors for _, errors, *_ in others if errors)], own_sd=own_sd
+            )
         if others and all(other == digest for *_, other in others):
-            notes = (*notes, note("candidate_ignores_start", len(starts), key=f"filters.{self.name}"))
+            notes = (
+                *notes,
+                note("candidate_ignores_start", len(starts), key=f"filters.{self.name}"),
+            )
         turned = None
         if self.plan.heading is not None:
             turned, *_ = self.history(whole, "start_heading", self.plan.heading.start)
@@ -214,19 +259,31 @@ class _Candidate:
             outages = self._outages(whole, outage_dives, own, windows)
         repeats = tuple[Repeat, ...]()
         if config.evaluation.repeats:
-            first_outage = (outage_dives[0], own[0], windows) if own and windows is not None else None
+            first_outage = (
+                (outage_dives[0], own[0], windows) if own and windows is not None else None
+            )
             repeats = self._repeats(whole, history, digest, starts[0], first_outage, dive, config)
-            notes = (*notes, *_notes_of(repeats, digest, f"filters.{self.name}", whole.baseline.filter))
+            notes = (
+                *notes,
+                *_notes_of(repeats, digest, f"filters.{self.name}", whole.baseline.filter),
+            )
         return UserRun(history, drawn, outages, notes, repeats, turned)
 
     def _outages(
-        self, whole: GivenDive, outage_dives: Sequence[GivenDive], own: Sequence[History], windows: Windows
+        self,
+        whole: GivenDive,
+        outage_dives: Sequence[GivenDive],
+        own: Sequence[History],
+        windows: Windows,
     ) -> OutageRuns:
         """Return its drifts and those of the baseline in all windows."""
         velocities = whole.prepared.velocities
         drifts = {
             name: _drifts(outage_dives, found, whole.prepared, windows)
-            for name, found in ((whole.baseline.filter, [test.baseline for test in outage_dives]), (self.name, own))
+            for name, found in (
+                (whole.baseline.filter, [test.baseline for test in outage_dives]),
+                (self.name, own),
+            )
         }
         none = np.empty(0, np.int64)
         plan = OutagePlan(velocities.time_ns, (windows,), Windows(windows.window_s, none, none, 0))
@@ -239,7 +296,8 @@ class _Candidate:
         first: History,
         digest: str,  # of its solution
         start: Start,
-        outage: tuple[GivenDive, History, Windows] | None,  # the first dive of the outage test, and its run there
+        outage: tuple[GivenDive, History, Windows]
+        | None,  # the first dive of the outage test, and its run there
         dive: Dive,
         config: Config,
     ) -> tuple[Repeat, ...]:
@@ -250,13 +308,23 @@ class _Candidate:
         # The stamps of a log's messages are the vehicle's own, and are left as they are.
         changes = [Change.AGAIN] if self.processes.input == "log" else [*Change]
         found = self._again(whole, changes, start, dive, config)
-        histories = {change: answer[0] for change, answer in found.items() if not isinstance(answer, CandidateError)}
+        histories = {
+            change: answer[0]
+            for change, answer in found.items()
+            if not isinstance(answer, CandidateError)
+        }
         settings = config.reference
-        noise = ReferenceNoise(settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg)
+        noise = ReferenceNoise(
+            settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg
+        )
         quantity = config.evaluation.primary or ("position" if settings.independent else "")
         bridged_gaps = len(whole.prepared.gaps.start_ns) > 0
         series = errors_of_runs(
-            [whole.baseline, first, *histories.values()], dive.reference, noise, quantity, bridged_gaps=bridged_gaps
+            [whole.baseline, first, *histories.values()],
+            dive.reference,
+            noise,
+            quantity,
+            bridged_gaps=bridged_gaps,
         )
         if not series and outage is not None and histories:
             test, own, windows = outage
@@ -266,14 +334,24 @@ class _Candidate:
                 if isinstance(answer, CandidateError):
                     found[change] = answer
                     del histories[change]
-            drifted = [answer[0] for answer in drifting.values() if not isinstance(answer, CandidateError)]
+            drifted = [
+                answer[0] for answer in drifting.values() if not isinstance(answer, CandidateError)
+            ]
             series = [
                 ErrorSeries(
-                    "m", np.array([run.drift_n[-1, :2] for run in _drifts([test], [one], whole.prepared, windows)])
+                    "m",
+                    np.array(
+                        [
+                            run.drift_n[-1, :2]
+                            for run in _drifts([test], [one], whole.prepared, windows)
+                        ]
+                    ),
                 )
                 for one in (test.baseline, own, *drifted)
             ]
-        shares = [share_moved(series[0], series[1], one) for one in series[2:]] or [math.nan] * len(histories)
+        shares = [share_moved(series[0], series[1], one) for one in series[2:]] or [math.nan] * len(
+            histories
+        )
         acts = dict(zip(histories, shares, strict=True))
         repeats = list[Repeat]()
         for change, answer in found.items():
@@ -282,7 +360,9 @@ class _Candidate:
                 continue
             again, again_digest = answer
             known = quantity if series else ""
-            repeats.append(Repeat(change, again_digest == digest, apart_m(first, again), known, acts[change]))
+            repeats.append(
+                Repeat(change, again_digest == digest, apart_m(first, again), known, acts[change])
+            )
         return tuple(repeats)
 
     def _again(
@@ -299,7 +379,11 @@ class _Candidate:
             new_process = change == Change.AGAIN
             try:
                 history, _, digest = self.history(
-                    replace(test, name=name), f"{name}_run", start, late_ns=late_ns, new_process=new_process
+                    replace(test, name=name),
+                    f"{name}_run",
+                    start,
+                    late_ns=late_ns,
+                    new_process=new_process,
                 )
             except CandidateError as error:
                 return error
@@ -319,7 +403,10 @@ def _earlier(solution: Solution, by_ns: int) -> Solution:
 def _with_change(dive: Dive, change: Change) -> Dive:
     """Return what a filter is given, with a change that means nothing: no filter that is in order moves by it."""
     if change == Change.STAMPS:
-        sensors = {name: replace(columns, time_ns=columns.time_ns + LATER_NS) for name, columns in dive.sensors.items()}
+        sensors = {
+            name: replace(columns, time_ns=columns.time_ns + LATER_NS)
+            for name, columns in dive.sensors.items()
+        }
         imu = replace(dive.imu, time_ns=dive.imu.time_ns + LATER_NS)
         dvl = replace(dive.dvl, time_ns=dive.dvl.time_ns + LATER_NS)
         return replace(dive, imu=imu, dvl=dvl, sensors=sensors)
@@ -350,19 +437,26 @@ def _notes_of(repeats: Sequence[Repeat], digest: str, key: str, baseline: str) -
         is_shown = repeat.is_off or (repeat.change == Change.AGAIN and not repeat.is_equal)
         if is_shown:
             severity = Severity.WARNING if repeat.is_off else None
-            notes.append(note("answers_differ", severity=severity, key=key, moves=repeat.text(baseline)))
+            notes.append(
+                note("answers_differ", severity=severity, key=key, moves=repeat.text(baseline))
+            )
         elif repeat.change != Change.AGAIN and math.isfinite(repeat.moves_m):
             moved.append(f"{metres(repeat.moves_m)} {repeat.change}")
     steady = f"; its position moves by {', and by '.join(moved)}" if moved else ""
     if any(repeat.change == Change.AGAIN and repeat.is_equal for repeat in repeats):
-        notes.insert(0, note("answers_repeat", key=key, digest=digest[:SHOWN_DIGITS], steady=steady))
+        notes.insert(
+            0, note("answers_repeat", key=key, digest=digest[:SHOWN_DIGITS], steady=steady)
+        )
     return tuple(notes)
 
 
 def _given(dive: Dive, prepared: Prepared) -> Dive:
     """Return what the built-in filters get of a dive, without anything that judges them."""
     start_ns, end_ns, time_ns = prepared.alignment.start_ns, prepared.end_ns, dive.imu.time_ns
-    covering = slice(int(np.searchsorted(time_ns, start_ns, "right")) - 1, int(np.searchsorted(time_ns, end_ns)) + 1)
+    covering = slice(
+        int(np.searchsorted(time_ns, start_ns, "right")) - 1,
+        int(np.searchsorted(time_ns, end_ns)) + 1,
+    )
     velocities = prepared.velocities
     return Dive(
         dive.name,
@@ -377,12 +471,18 @@ def _given(dive: Dive, prepared: Prepared) -> Dive:
 
 def _windows(plan: OutagePlan) -> Windows | None:
     """Choose the windows of one length; None where a dive has none."""
-    short = [windows for windows in plan.by_length if windows.window_s <= LONGEST_WINDOW_S and len(windows.first)]
+    short = [
+        windows
+        for windows in plan.by_length
+        if windows.window_s <= LONGEST_WINDOW_S and len(windows.first)
+    ]
     enough = [windows for windows in short if len(windows.first) >= FEWEST_WINDOWS]
     return next(iter([*enough[::-1], *short]), None)
 
 
-def _outage_dives(dive: Dive, prepared: Prepared, config: Config, windows: Windows | None) -> list[GivenDive]:
+def _outage_dives(
+    dive: Dive, prepared: Prepared, config: Config, windows: Windows | None
+) -> list[GivenDive]:
     """Make dives that lack the pings of every third window, and run the baseline over them."""
     found, ping_ns, alignment = list[GivenDive](), prepared.velocities.time_ns, prepared.alignment
     filters = {config.baseline: config.filters[config.baseline]}
@@ -398,10 +498,14 @@ def _outage_dives(dive: Dive, prepared: Prepared, config: Config, windows: Windo
         # Known at the samples around each absent ping, where the filter has a node in any case.
         absent_ns = np.concatenate([ping_ns[first + 1 : last + 1] for first, last in spans])
         before = np.searchsorted(dive.imu.time_ns, absent_ns, "right") - 1
-        around = np.unique(np.concatenate([before, np.minimum(before + 1, len(dive.imu.time_ns) - 1)]))
+        around = np.unique(
+            np.concatenate([before, np.minimum(before + 1, len(dive.imu.time_ns) - 1)])
+        )
         line = prepared_timeline(whole, part, dive.imu.time_ns[around])
         baseline = run_one(part.filters[0], part, line)
-        found.append(GivenDive(f"outage_{number + 1}", _given(given, part), part, baseline, rows, absent))
+        found.append(
+            GivenDive(f"outage_{number + 1}", _given(given, part), part, baseline, rows, absent)
+        )
     return found
 
 
@@ -409,7 +513,11 @@ def _drifts(
     dives: Sequence[GivenDive], histories: Sequence[History], prepared: Prepared, windows: Windows
 ) -> tuple[OutageRun, ...]:
     """Return the drift of a filter in all windows, in their order, by the absent pings."""
-    found, velocities, arm_b = dict[int, OutageRun](), prepared.velocities, prepared.mounting.lever_arm_b
+    found, velocities, arm_b = (
+        dict[int, OutageRun](),
+        prepared.velocities,
+        prepared.mounting.lever_arm_b,
+    )
     for test, history in zip(dives, histories, strict=True):
         imu = test.dive.imu
         for row in test.windows:
@@ -417,11 +525,16 @@ def _drifts(
             time_ns = velocities.time_ns[pings]
             since_ns = imu.time_ns - time_ns[0]
             rate_ib_b: Floats = np.column_stack(
-                [np.interp(time_ns - time_ns[0], since_ns, column) for column in imu.angular_rate_b.T]
+                [
+                    np.interp(time_ns - time_ns[0], since_ns, column)
+                    for column in imu.angular_rate_b.T
+                ]
             )
             mat_nb = interpolated_attitude(history.time_ns, history.mat_nb, time_ns)
             velocity_n = interpolated(history.time_ns, history.velocity_n, time_ns)
             rate_eb_b = rate_ib_b - earth_rate_n(prepared.alignment.start.position[0]) @ mat_nb
-            measured_n = np.einsum("kij,kj->ki", mat_nb, velocities.velocity_b[pings] - np.cross(rate_eb_b, arm_b))
+            measured_n = np.einsum(
+                "kij,kj->ki", mat_nb, velocities.velocity_b[pings] - np.cross(rate_eb_b, arm_b)
+            )
             found[row] = drift_run(time_ns, velocity_n - measured_n)
     return tuple(found[row] for row in sorted(found))

@@ -29,7 +29,10 @@ REPLAY_LOG: Final = "replay.mcap"  # The histories; checks do not write it.
 TRAJECTORY_FILE: Final = "trajectory.npz"  # Every filter once a second.
 REFERENCE_TRAJECTORY: Final = "reference.tum"
 VEHICLE_FILE: Final = "vehicle.toml"  # Settings that were found, if nobody made them.
-MAPS: Final = {"kml": "tracks.kml", "geojson": "tracks.geojson"}  # Files of all tracks of a dive, by format.
+MAPS: Final = {
+    "kml": "tracks.kml",
+    "geojson": "tracks.geojson",
+}  # Files of all tracks of a dive, by format.
 LAYOUT_FILES: Final = ("foxglove.json", "plotjuggler.xml")  # Viewer layouts for replay.mcap.
 # All files of the result of a dive.
 DIVE_FILES: Final = (
@@ -45,7 +48,9 @@ _TIME_OF_DAY: Final = ("started_at", "elapsed_s", "cpu_s")
 _MARK: Final = "insdvl-replay-"  # In names of hidden folders, after the dot.
 _OLD: Final = "old"  # Subfolder for the older result while the new one replaces it.
 _LEFT_FOR_S: Final = 86_400.0  # A hidden folder that is unchanged for a day is from a killed run.
-_LAKE_FILE: Final = re.compile(r"[0-9a-f]{16}_[0-9a-f]{16}_.+\.parquet")  # log, settings and version
+_LAKE_FILE: Final = re.compile(
+    r"[0-9a-f]{16}_[0-9a-f]{16}_.+\.parquet"
+)  # log, settings and version
 _NAME_A_FILE: Final = "give the name of a file"
 _ANOTHER_PLACE: Final = "choose another place with -o"
 
@@ -178,7 +183,9 @@ def _workspace(target: Path) -> Iterator[Path]:
                 with suppress(OSError):  # no longer empty, or never made
                     parent.rmdir()
     except OSError as error:
-        raise ConfigError(f"{target}: cannot be written: {error.strerror or error}", _ANOTHER_PLACE) from error
+        raise ConfigError(
+            f"{target}: cannot be written: {error.strerror or error}", _ANOTHER_PLACE
+        ) from error
 
 
 def _remove_leftovers(folder: Path) -> None:
@@ -207,13 +214,21 @@ def require_replaceable_folder(target: Path, *, force: bool = False) -> None:
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:  # such as too long a name
-        raise ConfigError(f"{target}: cannot be written: {error.strerror}", _ANOTHER_PLACE) from error
+        raise ConfigError(
+            f"{target}: cannot be written: {error.strerror}", _ANOTHER_PLACE
+        ) from error
     own = _files_of_result(target)
     if own is None:
-        raise ConfigError(f"{target}: exists and is not a result folder", "choose another folder with -o")
+        raise ConfigError(
+            f"{target}: exists and is not a result folder", "choose another folder with -o"
+        )
     if not force:
-        raise ConfigError(f"{target}: exists", "choose another folder with -o, or replace it with --force")
-    if foreign := sorted(path.name for path in target.iterdir() if path.name not in own or path.is_dir()):
+        raise ConfigError(
+            f"{target}: exists", "choose another folder with -o, or replace it with --force"
+        )
+    if foreign := sorted(
+        path.name for path in target.iterdir() if path.name not in own or path.is_dir()
+    ):
         more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
         raise ConfigError(
             f"{target}: is not replaced, because {foreign[0]}{more} is not a file of its result",
@@ -226,15 +241,23 @@ def require_replaceable_file(target: Path, *, force: bool = False) -> None:
     try:
         exists = target.exists()
         if not exists and target.is_symlink():
-            raise ConfigError(f"{target}: is a link to {target.readlink()}, which does not exist", f"rm {target}")
+            raise ConfigError(
+                f"{target}: is a link to {target.readlink()}, which does not exist", f"rm {target}"
+            )
         if not exists and not target.parent.is_dir():
-            raise ConfigError(f"{target}: the folder {target.parent} does not exist", f"mkdir -p {target.parent}")
+            raise ConfigError(
+                f"{target}: the folder {target.parent} does not exist", f"mkdir -p {target.parent}"
+            )
         if target.is_dir():
-            raise ConfigError(f"{target}: is a {'link to a ' * target.is_symlink()}folder", _NAME_A_FILE)
+            raise ConfigError(
+                f"{target}: is a {'link to a ' * target.is_symlink()}folder", _NAME_A_FILE
+            )
         if target.is_block_device():
             raise ConfigError(f"{target}: is a disk", _NAME_A_FILE)
         if target.is_file() and not force:
-            raise ConfigError(f"{target}: exists", "choose another name, or replace it with --force")
+            raise ConfigError(
+                f"{target}: exists", "choose another name, or replace it with --force"
+            )
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written: {error.strerror}", _NAME_A_FILE) from error
 
@@ -277,7 +300,9 @@ def require_parquet(option: str, otherwise: str) -> None:
     try:
         import pyarrow  # noqa: F401
     except ImportError as error:
-        raise ConfigError(f"{option} needs pyarrow", f"{install_hint('tables')}, or {otherwise}") from error
+        raise ConfigError(
+            f"{option} needs pyarrow", f"{install_hint('tables')}, or {otherwise}"
+        ) from error
 
 
 def require_lake(lake: Path, outputs: Collection[Path]) -> None:
@@ -319,6 +344,8 @@ def add_to_lake(lake: Path, report: Report) -> None:
     types = {"text": pa.string(), "count": pa.int64(), "number": pa.float64()}
     schema = pa.schema([(column, types[kind]) for column, kind in LAKE.kinds.items()])
     table = pa.Table.from_pylist([asdict(row) for row in rows], schema=schema)
-    with result_file(lake / f"{report.log.sha256[:16]}_{settings_sha256[:16]}_{version}.parquet", force=True) as file:
+    with result_file(
+        lake / f"{report.log.sha256[:16]}_{settings_sha256[:16]}_{version}.parquet", force=True
+    ) as file:
         # Small files are read faster without dictionaries, compression and statistics.
         write_table(table, file, use_dictionary=False, compression="none", write_statistics=False)

@@ -36,8 +36,12 @@ _BIASES: Final[Fields] = {
     "accel_bias_mg": [f"ba_{axis}_mg" for axis in AXES],
     "gyro_bias_degph": [f"bg_{axis}_degph" for axis in AXES],
 }
-_SIGMA: Final[Fields] = {f"{state.id}_{UNIT_NAMES[state.unit]}": [f"{state.id}_sd"] for state in STATES}
-_COLUMNS: Final = [column for columns in (_MOTION | _BIASES | _SIGMA).values() for column in columns]
+_SIGMA: Final[Fields] = {
+    f"{state.id}_{UNIT_NAMES[state.unit]}": [f"{state.id}_sd"] for state in STATES
+}
+_COLUMNS: Final = [
+    column for columns in (_MOTION | _BIASES | _SIGMA).values() for column in columns
+]
 
 
 def history_frame(history: History) -> "pd.DataFrame":
@@ -51,10 +55,14 @@ def history_frame(history: History) -> "pd.DataFrame":
     return _timed(frame, int(history.time_ns[0]))
 
 
-def reference_frame(reference: ReferenceColumns | None, start_ns: int, end_ns: int, origin: Floats) -> "pd.DataFrame":
+def reference_frame(
+    reference: ReferenceColumns | None, start_ns: int, end_ns: int, origin: Floats
+) -> "pd.DataFrame":
     """Return the reference inside a replay, a row for each of its times, with metres from an origin, (3,) rad and m."""
     if reference is None:
-        reference = ReferenceColumns(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3)))
+        reference = ReferenceColumns(
+            np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3))
+        )
     shown = reference.within(start_ns, end_ns)
     frame = _motion_frame(shown.time_ns, shown.position, shown.velocity_n, shown.mat_nb)
     return _timed(_with_metres(frame, origin), start_ns)
@@ -63,11 +71,15 @@ def reference_frame(reference: ReferenceColumns | None, start_ns: int, end_ns: i
 def _with_metres(frame: "pd.DataFrame", origin: Floats) -> "pd.DataFrame":
     """Add the columns of the position that a trajectory has."""
     position = frame[["latitude_deg", "longitude_deg", "height_m"]].to_numpy() * [DEG, DEG, 1.0]
-    frame[list(GROUPS["position"])] = north_east_down_m(position, np.broadcast_to(origin, position.shape))
+    frame[list(GROUPS["position"])] = north_east_down_m(
+        position, np.broadcast_to(origin, position.shape)
+    )
     return frame
 
 
-def _motion_frame(time_ns: TimeNs, position: Floats, velocity_n: Floats, mat_nb: Floats) -> "pd.DataFrame":
+def _motion_frame(
+    time_ns: TimeNs, position: Floats, velocity_n: Floats, mat_nb: Floats
+) -> "pd.DataFrame":
     """Return a motion in shown units, by time."""
     import pandas as pd
 
@@ -92,13 +104,21 @@ def read_histories(folder: Path, names: Sequence[str]) -> dict[str, "pd.DataFram
     found, frames = _read(folder, [f"/insdvl/{name}/" for name in names]), {}
     for name in names:
         if (state := found.get(f"/insdvl/{name}/state")) is None:
-            raise ResultError(f"{folder / REPLAY_LOG}: has no history of {name}", "replay the log again")
+            raise ResultError(
+                f"{folder / REPLAY_LOG}: has no history of {name}", "replay the log again"
+            )
         frame = _topic_frame(state, _MOTION | _BIASES)
         if (sigma := found.get(f"/insdvl/{name}/sigma")) is not None:
             frame = frame.join(_topic_frame(sigma, _SIGMA))
         frame = frame.reindex(columns=_COLUMNS)
-        met = [found[topic].time_ns() for kind in DVL_AIDING if (topic := f"/insdvl/{name}/innovation/{kind}") in found]
-        frame.insert(0, "updated", np.isin(frame.index, np.concatenate([np.empty(0, np.int64), *met])))
+        met = [
+            found[topic].time_ns()
+            for kind in DVL_AIDING
+            if (topic := f"/insdvl/{name}/innovation/{kind}") in found
+        ]
+        frame.insert(
+            0, "updated", np.isin(frame.index, np.concatenate([np.empty(0, np.int64), *met]))
+        )
         frames[name] = _timed(frame, int(frame.index[0]))
     return frames
 
@@ -123,11 +143,21 @@ def _read(folder: Path, prefixes: Sequence[str]) -> dict[str, Table]:
     log, sources = open_recording(path), []
     for channel in log.channels:
         kind = channel.type_name.rpartition("/")[2]
-        fields = {"NavSolution": _MOTION, "FilterState": _MOTION | _BIASES, "FilterSigma": _SIGMA, "Innovation": {}}
+        fields = {
+            "NavSolution": _MOTION,
+            "FilterState": _MOTION | _BIASES,
+            "FilterSigma": _SIGMA,
+            "Innovation": {},
+        }
         if kind in fields and channel.topic.startswith(tuple(prefixes)):
             named = {field: field for field in fields[kind]}
-            sources.append(Source("replay", channel.topic, channel.type_name, (channel,), named, "header", 0.0))
-    return {source.topic: table for source, table in zip(sources, read_tables(log, sources), strict=True)}
+            sources.append(
+                Source("replay", channel.topic, channel.type_name, (channel,), named, "header", 0.0)
+            )
+    return {
+        source.topic: table
+        for source, table in zip(sources, read_tables(log, sources), strict=True)
+    }
 
 
 def _topic_frame(table: Table, fields: Fields) -> "pd.DataFrame":

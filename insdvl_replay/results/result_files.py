@@ -53,9 +53,13 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     if histories:
         # The DVL's velocity and derived acceleration as the first filter that is aided by each met them.
         measured: dict[str, tuple[TimeNs, Floats]] = {}
-        for innovations in (innovations for history in replay.histories for innovations in history.innovations):
+        for innovations in (
+            innovations for history in replay.histories for innovations in history.innovations
+        ):
             if innovations.measurement in DVL_AIDING:
-                measured.setdefault(innovations.measurement, (innovations.valid_ns, innovations.measured))
+                measured.setdefault(
+                    innovations.measurement, (innovations.valid_ns, innovations.measured)
+                )
         logs.write_replay(
             folder / REPLAY_LOG,
             dive=replay.dive,
@@ -67,7 +71,9 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
             config_toml=settings,
             version=__version__,
         )
-        for name, layout_text in viewer_layouts([history.filter for history in replay.histories]).items():
+        for name, layout_text in viewer_layouts(
+            [history.filter for history in replay.histories]
+        ).items():
             (folder / name).write_text(layout_text, "utf-8")
     for name, text in replay.printed.items():
         (folder / f"candidate_{name}.txt").write_text(text, "utf-8")
@@ -86,21 +92,31 @@ def viewer_layouts(filters: Sequence[str]) -> dict[str, str]:
     names = {"baseline": filters[0], "aided": filters[min(1, len(filters) - 1)]}
     folder = resources.files("insdvl_replay").joinpath("results", "layouts")
     drawn = {file: folder.joinpath(file).read_text("utf-8") for file in LAYOUT_FILES}
-    return {file: re.sub(r"\b(baseline|aided)\b", lambda found: names[found[1]], text) for file, text in drawn.items()}
+    return {
+        file: re.sub(r"\b(baseline|aided)\b", lambda found: names[found[1]], text)
+        for file, text in drawn.items()
+    }
 
 
 def run_log(report: Report) -> str:
     """Return what was read and noticed, a line each; no time of day, so that it can be compared."""
     log = report.log
-    lines = [f"{report.tool.name} {report.tool.version}", f"log {log.name}, sha256 {log.sha256 or 'none'}"]
+    lines = [
+        f"{report.tool.name} {report.tool.version}",
+        f"log {log.name}, sha256 {log.sha256 or 'none'}",
+    ]
     for channel in log.channels:
         kind, role = f"({channel.type_name}, {channel.encoding})", channel.role or "not used"
         lines.append(f"channel {channel.topic} {kind}: {channel.messages} messages, {role}")
-    lines.append(f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock")
+    lines.append(
+        f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock"
+    )
     for row in report.tables.consistency:
         if row.measurement.startswith(HELD_OUT):
             sensor = row.measurement.removeprefix(HELD_OUT)
-            lines.append(f"filter {row.filter}: {row.rejected} readings of {sensor} held out, used only for comparison")
+            lines.append(
+                f"filter {row.filter}: {row.rejected} readings of {sensor} held out, used only for comparison"
+            )
         elif is_whole(row.measurement):
             rejected = f"{row.rejected} rejected by the gate"
             lines.append(f"filter {row.filter}: {row.used} {row.measurement} updates, {rejected}")

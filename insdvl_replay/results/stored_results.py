@@ -27,7 +27,9 @@ def read_results(root: Path) -> tuple[list[StoredResult], list[Note]]:
     """
     reports, notes = read_reports(root, StoredReport)
     results = [
-        StoredResult(file.parent, file.parent.relative_to(root).as_posix() if root.is_dir() else ".", report)
+        StoredResult(
+            file.parent, file.parent.relative_to(root).as_posix() if root.is_dir() else ".", report
+        )
         for file, report in reports
     ]
     return results, notes
@@ -40,7 +42,9 @@ def read_one_result(root: Path, kind: type[_Kind]) -> tuple[Path, _Kind]:
     """
     ((file, report), *others), _ = read_reports(root, kind)
     if others:
-        raise ConfigError(f"{root}: holds {len(others) + 1} results", f"name one of them, such as {file.parent}")
+        raise ConfigError(
+            f"{root}: holds {len(others) + 1} results", f"name one of them, such as {file.parent}"
+        )
     return file.parent, report
 
 
@@ -55,23 +59,33 @@ def read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind]
     reports = [(file, report) for file, report in read if report is not None]
     if not reports:
         found = "holds only results of studies" if read else "holds no result"
-        raise ConfigError(f"{root}: {found}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote")
+        raise ConfigError(
+            f"{root}: {found}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote"
+        )
     if studies := len(read) - len(reports):
-        notes.append(Note("studies_left_out", f"{root}: ignored {studies} results of studies", studies))
+        notes.append(
+            Note("studies_left_out", f"{root}: ignored {studies} results of studies", studies)
+        )
     return reports, notes
 
 
 def earlier_results(folder: Path, dives: Collection[str]) -> list[Note]:
     """Note the results in the folder of a run that are of other dives than its own."""
     files = [Path(entry.path, COMPLETE) for entry in os.scandir(folder) if entry.name not in dives]
-    left = sorted(file.parent.name for file in files if not file.parent.name.startswith(".") and file.is_file())
+    left = sorted(
+        file.parent.name
+        for file in files
+        if not file.parent.name.startswith(".") and file.is_file()
+    )
     return [_earlier(folder, left)] if left else []
 
 
 def _earlier(folder: Path, names: Sequence[str]) -> Note:
     are = f"{counted(len(names), 'result')} of earlier runs {'is' if len(names) == 1 else 'are'}"
     text = f"{folder}: {are} left out: {listed(names)}"
-    hint = f"name a folder of its own for each run with -o; to read one of them: {folder / names[0]}"
+    hint = (
+        f"name a folder of its own for each run with -o; to read one of them: {folder / names[0]}"
+    )
     return Note("earlier_results", text, len(names), Severity.WARNING, hint)
 
 
@@ -85,7 +99,9 @@ def _of_last_runs(files: Sequence[Path]) -> tuple[list[Path], list[Note]]:
         of_run = [file for file in inside if file.parent.name in dives]
         kept += of_run or inside
         if of_run and len(of_run) < len(inside):
-            notes.append(_earlier(folder, [file.parent.name for file in inside if file not in of_run]))
+            notes.append(
+                _earlier(folder, [file.parent.name for file in inside if file not in of_run])
+            )
     return sorted(kept), notes
 
 
@@ -102,7 +118,10 @@ def _report_files(root: Path) -> Iterator[Path]:
     """Return the report of each result; folders whose name begins with a dot are results that are still written."""
     with looked_for(root):
         if not root.exists():
-            raise ConfigError(f"{root}: does not exist", "name a result folder, a report.json or a folder of results")
+            raise ConfigError(
+                f"{root}: does not exist",
+                "name a result folder, a report.json or a folder of results",
+            )
     if looks_like_log(root):
         raise ConfigError(f"{root}: is a log, not a result", replay_hint(root))
     if root.is_file():
@@ -133,7 +152,9 @@ def _read_report(file: Path, kind: type[_Kind]) -> _Kind | None:
     except OSError as error:
         _refuse(error)
     except msgspec.ValidationError as error:
-        written_by = f" (written by version {label.tool['version']})" if label.tool.get("version") else ""
+        written_by = (
+            f" (written by version {label.tool['version']})" if label.tool.get("version") else ""
+        )
         reason = f"{str(error)[:1].lower()}{str(error)[1:]}"
         raise ResultError(
             f"{file}: is not a report that version {__version__} can read{written_by}: {reason}",

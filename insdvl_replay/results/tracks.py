@@ -39,7 +39,9 @@ def save_tracks(replay: Replay, folder: Path, formats: Sequence[str]) -> None:
         frames = {history.filter: history_frame(history) for history in replay.histories}
         reference = reference_frame(replay.dive.reference, replay.start_ns, replay.end_ns, origin)
         for format_ in maps:
-            (folder / MAPS[format_]).write_bytes(map_of_tracks(format_, replay.dive.name, frames, reference))
+            (folder / MAPS[format_]).write_bytes(
+                map_of_tracks(format_, replay.dive.name, frames, reference)
+            )
 
 
 # --- TUM.
@@ -68,10 +70,17 @@ def tum_trajectory(
 # --- Maps: longitude before latitude in degrees of WGS 84, and the height above its ellipsoid.
 
 
-def map_of_tracks(format_: str, dive: str, frames: Mapping[str, "pd.DataFrame"], reference: "pd.DataFrame") -> bytes:
+def map_of_tracks(
+    format_: str, dive: str, frames: Mapping[str, "pd.DataFrame"], reference: "pd.DataFrame"
+) -> bytes:
     """Write tracks as lines, by name, from frames of histories and of the reference."""
-    named = [*((name, "filter", frame) for name, frame in frames.items()), (REFERENCE, REFERENCE, reference)]
-    lines = [(name, kind, line) for name, kind, frame in named if len(line := _positions(frame)) > 1]
+    named = [
+        *((name, "filter", frame) for name, frame in frames.items()),
+        (REFERENCE, REFERENCE, reference),
+    ]
+    lines = [
+        (name, kind, line) for name, kind, frame in named if len(line := _positions(frame)) > 1
+    ]
     return _geojson(dive, lines) if format_ == "geojson" else _kml(dive, lines)
 
 
@@ -80,7 +89,9 @@ def _positions(frame: "pd.DataFrame") -> list[list[float]]:
     known = frame[["longitude_deg", "latitude_deg", "height_m"]].to_numpy()
     known = known[np.isfinite(known[:, :2]).all(axis=1)]
     places = [*np.round(known[:, :2], _DIGITS).T, np.round(known[:, 2], _HEIGHT_DIGITS)]
-    line: list[list[float]] = np.column_stack(places if np.isfinite(known[:, 2]).all() else places[:2]).tolist()
+    line: list[list[float]] = np.column_stack(
+        places if np.isfinite(known[:, 2]).all() else places[:2]
+    ).tolist()
     return line
 
 
@@ -97,7 +108,10 @@ def _geojson(dive: str, lines: _Lines) -> bytes:
         }
         for name, kind, line in lines
     ]
-    return json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False).encode() + b"\n"
+    return (
+        json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False).encode()
+        + b"\n"
+    )
 
 
 def _kml(dive: str, lines: _Lines) -> bytes:
@@ -105,10 +119,12 @@ def _kml(dive: str, lines: _Lines) -> bytes:
     places = []
     for number, (name, kind, line) in enumerate(lines):
         red, green, blue = (
-            LOOKS[filter_style(number) if kind != REFERENCE else REFERENCE]["color"][i : i + 2] for i in (1, 3, 5)
+            LOOKS[filter_style(number) if kind != REFERENCE else REFERENCE]["color"][i : i + 2]
+            for i in (1, 3, 5)
         )
         coordinates = " ".join(
-            ",".join(f"{value:.{_DIGITS}f}".rstrip("0").rstrip(".") for value in place) for place in line
+            ",".join(f"{value:.{_DIGITS}f}".rstrip("0").rstrip(".") for value in place)
+            for place in line
         )
         places.append(
             f"<Placemark><name>{escape(visible(name))}</name><Style><LineStyle><color>ff{blue}{green}{red}</color>"
@@ -116,4 +132,6 @@ def _kml(dive: str, lines: _Lines) -> bytes:
             f"<coordinates>{coordinates}</coordinates></LineString></Placemark>\n"
         )
     head = '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>\n'
-    return f"{head}<name>{escape(visible(dive))}</name>\n{''.join(places)}</Document></kml>\n".encode()
+    return (
+        f"{head}<name>{escape(visible(dive))}</name>\n{''.join(places)}</Document></kml>\n".encode()
+    )

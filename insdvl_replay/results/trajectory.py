@@ -19,7 +19,16 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.errors import ConfigError, require_known
 from insdvl_replay.core.quantities import AXES
-from insdvl_replay.core.result import LIMIT, PREDICTED, REFERENCE, Curve, Figure, Panel, Row, filter_style
+from insdvl_replay.core.result import (
+    LIMIT,
+    PREDICTED,
+    REFERENCE,
+    Curve,
+    Figure,
+    Panel,
+    Row,
+    filter_style,
+)
 from insdvl_replay.core.states import COLUMNS, DEG, DEG_PER_HOUR, GROUPS, MG, STATES
 from insdvl_replay.evaluation.consistency import mean_interval
 from insdvl_replay.geometry.frames import north_east_down_m
@@ -33,8 +42,13 @@ if TYPE_CHECKING:
     from insdvl_replay.replay import Replay
 
 _CURVE: Final = "curve_"  # Begins the name of an array that is no sample of a second.
-_OF_DVL: Final = ("velocity", "acceleration")  # Measurements whose NIS is compared, in the order of the columns.
-_HELD_NS: Final = 10 * NS_PER_S  # An error against the reference is used for so long after the time of the reference.
+_OF_DVL: Final = (
+    "velocity",
+    "acceleration",
+)  # Measurements whose NIS is compared, in the order of the columns.
+_HELD_NS: Final = (
+    10 * NS_PER_S
+)  # An error against the reference is used for so long after the time of the reference.
 
 
 @dataclass(frozen=True)
@@ -62,7 +76,9 @@ def trajectory_of(replay: "Replay") -> Trajectory:
     for history in replay.histories:
         rows = _last_before(history.time_ns, grid_ns)
         position = history.position[rows]
-        nis = np.full((len(grid_ns), len(_OF_DVL)), np.nan)  # over the degrees of freedom; NaN before the first update
+        nis = np.full(
+            (len(grid_ns), len(_OF_DVL)), np.nan
+        )  # over the degrees of freedom; NaN before the first update
         for met in history.innovations:
             if met.measurement in _OF_DVL and len(met.time_ns):
                 begun = grid_ns >= met.time_ns[0]
@@ -76,7 +92,11 @@ def trajectory_of(replay: "Replay") -> Trajectory:
             known = (age_ns >= 0) & (age_ns <= _HELD_NS)
             position_m, velocity_mps, attitude_rad = (
                 array[latest[known]]
-                for array in (errors.position_error_ned_m, errors.velocity_error_n, errors.attitude_error_rad)
+                for array in (
+                    errors.position_error_ned_m,
+                    errors.velocity_error_n,
+                    errors.attitude_error_rad,
+                )
             )
             error[known] = np.column_stack(
                 [
@@ -101,12 +121,18 @@ def trajectory_of(replay: "Replay") -> Trajectory:
         unknown = np.full(len(curve.time_s), np.nan)  # of a solution that was read
         curves[f"{quantity}_time_s"] = curve.time_s
         curves[f"{quantity}_rms"] = np.stack([curve.rms.get(name, unknown) for name in names])
-        curves[f"{quantity}_predicted"] = np.stack([curve.predicted.get(name, unknown) for name in names])
-    return Trajectory(replay.dive.sha256, names, (grid_ns - replay.start_ns) / NS_PER_S, np.stack(values), curves)
+        curves[f"{quantity}_predicted"] = np.stack(
+            [curve.predicted.get(name, unknown) for name in names]
+        )
+    return Trajectory(
+        replay.dive.sha256, names, (grid_ns - replay.start_ns) / NS_PER_S, np.stack(values), curves
+    )
 
 
 def _last_before(time_ns: TimeNs, grid_ns: TimeNs) -> NDArray[np.int64]:
-    return np.asarray(np.maximum(np.searchsorted(time_ns, grid_ns, side="right") - 1, 0), dtype=np.int64)
+    return np.asarray(
+        np.maximum(np.searchsorted(time_ns, grid_ns, side="right") - 1, 0), dtype=np.int64
+    )
 
 
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
@@ -129,9 +155,15 @@ def read_trajectory(path: Path) -> Trajectory | None:
         with np.load(BytesIO(read_file(path)), allow_pickle=False) as stored:
             if tuple(stored["columns"].tolist()) != COLUMNS:
                 return None
-            curves = {name.removeprefix(_CURVE): stored[name] for name in stored.files if name.startswith(_CURVE)}
+            curves = {
+                name.removeprefix(_CURVE): stored[name]
+                for name in stored.files
+                if name.startswith(_CURVE)
+            }
             names = tuple(stored["names"].tolist())
-            return Trajectory(str(stored["sha256"]), names, stored["time_s"], stored["values"], curves)
+            return Trajectory(
+                str(stored["sha256"]), names, stored["time_s"], stored["values"], curves
+            )
     except (OSError, ValueError, KeyError, EOFError, TypeError, BadZipFile):
         return None
 
@@ -168,14 +200,27 @@ def paper_figure(
     legend = [*zip(styles, names, strict=True)]
 
     def panel(title: str, x_label: str, curves: Sequence[Sequence[Curve]], **axes: Any) -> None:
-        baseline_last = (*curves[1:], *curves[:1])  # curves that equal it are seen through its dashes
-        panels.append(Panel(title, x_label, tuple(curve for filter_ in baseline_last for curve in filter_), **axes))
+        baseline_last = (
+            *curves[1:],
+            *curves[:1],
+        )  # curves that equal it are seen through its dashes
+        panels.append(
+            Panel(
+                title,
+                x_label,
+                tuple(curve for filter_ in baseline_last for curve in filter_),
+                **axes,
+            )
+        )
 
     def over_time(columns: Mapping[str, str], **axes: Any) -> None:
         for column, title in columns.items():
             series = [trajectory.of(name, column) for name in names]
             if kind == "sigma" or any(np.isfinite(values).any() for values in series):
-                curves = [[Curve(trajectory.time_s, y, style)] for style, y in zip(styles, series, strict=True)]
+                curves = [
+                    [Curve(trajectory.time_s, y, style)]
+                    for style, y in zip(styles, series, strict=True)
+                ]
                 band = _consistent(column, trajectory.time_s, tables) if kind == "nis" else []
                 panel(title, "time [s]", [*curves[:1], band, *curves[1:]], **axes)
 
@@ -189,7 +234,10 @@ def paper_figure(
             shown = [state for state in STATES if not chosen or state.id.startswith(chosen)]
             over_time({f"{state.id}_sd": f"{state.label} [{state.unit}]" for state in shown})
         case "track":
-            tracks = [(trajectory.of(name, "position_e_m"), trajectory.of(name, "position_n_m")) for name in names]
+            tracks = [
+                (trajectory.of(name, "position_e_m"), trajectory.of(name, "position_n_m"))
+                for name in names
+            ]
             curves = [[Curve(*track, style)] for style, track in zip(styles, tracks, strict=True)]
             true = []
             if reference is not None and reference["position_n_m"].notna().any():
@@ -199,28 +247,43 @@ def paper_figure(
             known = np.flatnonzero(np.isfinite(line.x))
             marks = [
                 Curve(line.x[[row]], line.y[[row]], style, points=True)
-                for style, row in zip(("start", "end"), known[[0, -1]] if len(known) else (), strict=False)
+                for style, row in zip(
+                    ("start", "end"), known[[0, -1]] if len(known) else (), strict=False
+                )
             ]
             panel("north [m]", "east [m]", [marks, *curves[1:], true, curves[0]], equal=True)
-            legend += [*([(REFERENCE, REFERENCE)] if true else []), ("start", "start"), ("end", "end")]
+            legend += [
+                *([(REFERENCE, REFERENCE)] if true else []),
+                ("start", "start"),
+                ("end", "end"),
+            ]
         case "outage" if rows := tables.get("outage", ()):
             curves = []
             for style, name in zip(styles, names, strict=True):
                 own = [row for row in rows if row.get("filter") == name]
                 at_s = np.array([float(str(row["window_s"])) for row in own])
                 median_m, p95_m = (
-                    np.array([_number(row.get(column)) for row in own]) for column in ("drift_median_m", "drift_p95_m")
+                    np.array([_number(row.get(column)) for row in own])
+                    for column in ("drift_median_m", "drift_p95_m")
                 )
                 thin = Curve(at_s, p95_m, f"{style} {PREDICTED}")
-                curves.append([Curve(at_s, median_m, style), Curve(at_s, median_m, style, points=True), thin])
+                curves.append(
+                    [Curve(at_s, median_m, style), Curve(at_s, median_m, style, points=True), thin]
+                )
             panel("drift [m]", "time without DVL [s]", curves, x_scale="log", y_scale="log")
             legend += [(REFERENCE, "median"), (f"{REFERENCE} {PREDICTED}", "95 %")]
         case "convergence":
             for quantity, (title, unit) in _CONVERGED.items():
                 if (time_s := trajectory.curves.get(f"{quantity}_time_s")) is not None:
-                    rms, predicted = (trajectory.curves[f"{quantity}_{kind}"] / unit for kind in ("rms", "predicted"))
+                    rms, predicted = (
+                        trajectory.curves[f"{quantity}_{kind}"] / unit
+                        for kind in ("rms", "predicted")
+                    )
                     curves = [
-                        [Curve(time_s, rms[i], style), Curve(time_s, predicted[i], f"{style} {PREDICTED}")]
+                        [
+                            Curve(time_s, rms[i], style),
+                            Curve(time_s, predicted[i], f"{style} {PREDICTED}"),
+                        ]
                         for i, style in enumerate(styles)
                     ]
                     panel(title, "time [s]", curves, y_scale="log")

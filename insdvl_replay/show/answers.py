@@ -9,7 +9,13 @@ from typing import Any, Final, Protocol, TypeVar
 from msgspec.structs import replace
 
 from insdvl_replay.core.distinct import distinct_dives
-from insdvl_replay.core.quantities import CONSISTENCY, DRAWN_HEADING, OUTAGE_WINDOWS_S, WITHOUT_VERDICT, label
+from insdvl_replay.core.quantities import (
+    CONSISTENCY,
+    DRAWN_HEADING,
+    OUTAGE_WINDOWS_S,
+    WITHOUT_VERDICT,
+    label,
+)
 from insdvl_replay.core.result import Report
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
 from insdvl_replay.core.words import Prediction, ReferenceStatus, Role, Verdict
@@ -72,7 +78,9 @@ def of_filter(name: str, rows: Iterable[Row]) -> list[Row]:
 
 def has_reference(report: Report) -> bool:
     """Return whether the dive has a reference; early reports lack one of the two tables that show it."""
-    found = [row.verdict for row in report.tables.credibility] + [row.status for row in report.tables.reference_error]
+    found = [row.verdict for row in report.tables.credibility] + [
+        row.status for row in report.tables.reference_error
+    ]
     return any(word != ReferenceStatus.NO_REFERENCE for word in found)
 
 
@@ -138,7 +146,9 @@ def predicted_change(answer: CandidateAnswer) -> tuple[str, str]:
     pct = finite(answer.predicted_pct)
     if math.isnan(pct):
         return MISSING, ""
-    return f"{percent(abs(pct))} {'larger' if pct < 0.0 else 'smaller'}", prediction_word(pct, answer.prediction)
+    return f"{percent(abs(pct))} {'larger' if pct < 0.0 else 'smaller'}", prediction_word(
+        pct, answer.prediction
+    )
 
 
 def initial_text(config: Mapping[str, Any]) -> str:
@@ -173,9 +183,13 @@ def lacking_evidence(report: Report) -> str:
         lacking.append("the reference is not independent")
     duration_s = report.log.duration_s
     if duration_s < SHORTEST_S:
-        lacking.append(f"too short for the outage test (needs {SHORTEST_S} s, has {duration_s:.0f} s)")
+        lacking.append(
+            f"too short for the outage test (needs {SHORTEST_S} s, has {duration_s:.0f} s)"
+        )
     elif not report.tables.outage:
-        lacking.append(f"no {OUTAGE_WINDOWS_S[0]} s in which the DVL has no gap, for the outage test")
+        lacking.append(
+            f"no {OUTAGE_WINDOWS_S[0]} s in which the DVL has no gap, for the outage test"
+        )
     return ", and ".join(lacking) or "the filters have no common errors"
 
 
@@ -187,7 +201,9 @@ def answers_of(reports: Sequence[Report]) -> list[CandidateAnswer]:
     reports, _ = distinct_dives(reports)
     settings = reports[0].config.get("evaluation", {}) if reports else {}
     found = answers_together(
-        candidate_names(reports), lambda name, level: _answer(reports, name, level), settings.get("candidate", "")
+        candidate_names(reports),
+        lambda name, level: _answer(reports, name, level),
+        settings.get("candidate", ""),
     )
     return [*found.values()]
 
@@ -207,7 +223,9 @@ def _answer(reports: Sequence[Report], name: str, level: float = LEVEL) -> Candi
         primary=primary_of(rows, named),
         level=level,
         vehicles=[report.vehicle for report in evaluated],
-        not_repeatable=sum(report.filters[name].verdict == Verdict.NOT_REPEATABLE for report in having),
+        not_repeatable=sum(
+            report.filters[name].verdict == Verdict.NOT_REPEATABLE for report in having
+        ),
     )
     if len(having) == 1:
         answer = replace(answer, log=having[0].log.name)
@@ -229,9 +247,13 @@ def has_misfit(report: Report) -> bool:
 
 def predicted_unchecked(reports: Sequence[Report], name: str) -> str:
     """State what a candidate predicts on dives whose baseline has a noise that is far off; empty without any."""
-    found = [report.filters[name] for report in reports if name in report.filters and has_misfit(report)]
+    found = [
+        report.filters[name] for report in reports if name in report.filters and has_misfit(report)
+    ]
     sigma_pct = median_of(finite(candidate.mean_improvement_pct) for candidate in found)
-    faster_pct = median_of(finite(candidate.mean_convergence_improvement_pct) for candidate in found)
+    faster_pct = median_of(
+        finite(candidate.mean_convergence_improvement_pct) for candidate in found
+    )
     if math.isnan(sigma_pct) or math.isnan(faster_pct):
         return ""
     sigma = f"{percent(abs(sigma_pct))} {'smaller' if sigma_pct >= 0.0 else 'larger'} sigma"
@@ -246,13 +268,19 @@ def against_control(reports: Sequence[Report], name: str) -> CandidateAnswer | N
     baseline, so their ratio is that of their own values.
     """
     reports, _ = distinct_dives(reports)
-    having = [report for report in reports if {name, CONTROL} <= report.filters.keys() and has_misfit(report)]
+    having = [
+        report
+        for report in reports
+        if {name, CONTROL} <= report.filters.keys() and has_misfit(report)
+    ]
     if name == CONTROL or not having:
         return None
     rows = [_rows_against_control(report, name) for report in having]
     named = having[0].config.get("evaluation", {}).get("primary", "")
     vehicles = [report.vehicle for report in having]
-    return pooled_candidate(name, CONTROL, rows, len(having), primary=primary_of(rows, named), vehicles=vehicles)
+    return pooled_candidate(
+        name, CONTROL, rows, len(having), primary=primary_of(rows, named), vehicles=vehicles
+    )
 
 
 def _rows_against_control(report: Report, name: str) -> list[EvidenceRow]:
@@ -266,7 +294,13 @@ def _rows_against_control(report: Report, name: str) -> list[EvidenceRow]:
             continue
         ratio = finite(row.value) / finite(before.value)
         role = role_alone(row.quantity, row.samples, independent=is_independent)
-        changed = {"baseline": before.value, "ratio": ratio, "role": role, "moves": None, "acts": None}
+        changed = {
+            "baseline": before.value,
+            "ratio": ratio,
+            "role": role,
+            "moves": None,
+            "acts": None,
+        }
         found.append(replace(row, **changed))
     return found
 

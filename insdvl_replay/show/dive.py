@@ -34,8 +34,24 @@ from insdvl_replay.core.tables import TABLES, Number, each_table, finite
 from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.evaluation.sentences import answer_lines, headline
 from insdvl_replay.evaluation.verdicts import SHARED, consistency_of, trust_sentence
-from insdvl_replay.show.answers import TONES, answer_on_dive, has_reference, initial_text, of_filter, start_text
-from insdvl_replay.show.document import MISSING, ShownColumn, notes_table, number, percent, shown, significant, table_of
+from insdvl_replay.show.answers import (
+    TONES,
+    answer_on_dive,
+    has_reference,
+    initial_text,
+    of_filter,
+    start_text,
+)
+from insdvl_replay.show.document import (
+    MISSING,
+    ShownColumn,
+    notes_table,
+    number,
+    percent,
+    shown,
+    significant,
+    table_of,
+)
 from insdvl_replay.show.first_screen import evidence_forest, first_screen, section
 from insdvl_replay.show.page import HOW_TO_READ, captioned, facts, page, pictures, settings_details
 
@@ -56,14 +72,20 @@ SPECIFIED: Final = (
 def headline_table(report: Report, title: str = "", footnote: str = "") -> Iterator[DisplayTable]:
     """Return the errors of this run as INS/DVL systems are specified, a row for each filter, where known."""
     position = {row.filter: row for row in report.tables.drift if row.quantity == "position_h"}
-    outages = {(row.window_s, row.filter): row.drift_median_m for row in report.tables.outage if row.windows}
+    outages = {
+        (row.window_s, row.filter): row.drift_median_m
+        for row in report.tables.outage
+        if row.windows
+    }
     tested = {window_s for window_s, _ in outages}
     windows_s = [window_s for window_s in ("60", "120") if window_s in tested] or sorted(tested)[:1]
     header = ["this run", *(("of distance", "CEP50", "CEP95", "end") if position else ())]
     header += [f"{window_s} s{'' if i else ' without DVL'}" for i, window_s in enumerate(windows_s)]
 
     def metres(value: Number) -> str:
-        return MISSING if value is None else f"{value:.3g} m" if value < 1000.0 else f"{value:.0f} m"
+        return (
+            MISSING if value is None else f"{value:.3g} m" if value < 1000.0 else f"{value:.0f} m"
+        )
 
     rows = []
     for name in (report.baseline, *report.filters):
@@ -72,10 +94,18 @@ def headline_table(report: Report, title: str = "", footnote: str = "") -> Itera
             pct, distance_m = row.final_of_distance_pct, row.distance_m
             of_distance = MISSING if pct is None else f"{pct:.2f} % of {distance_m:.0f} m"
             errors = [of_distance, *map(metres, (row.p50, row.p95, row.final))]
-        rows.append((name, *(errors if position else ()), *(metres(outages.get((at, name))) for at in windows_s)))
+        rows.append(
+            (
+                name,
+                *(errors if position else ()),
+                *(metres(outages.get((at, name))) for at in windows_s),
+            )
+        )
     if len(header) > 1:
         spare = tuple(range(len(header) - 1, 1, -1))
-        yield DisplayTable(title, tuple(header), f"l{'r' * (len(header) - 1)}", tuple(rows), footnote, spare=spare)
+        yield DisplayTable(
+            title, tuple(header), f"l{'r' * (len(header) - 1)}", tuple(rows), footnote, spare=spare
+        )
 
 
 def track_fit_line(report: Report) -> Iterator[str]:
@@ -107,11 +137,17 @@ def values_of(report: Report, name: str) -> dict[str, float]:
     errors = {row.quantity: finite(row.rmse) for row in of_filter(name, tables.reference_error)}
     drifts = [row.rms for row in of_filter(name, tables.drift) if row.quantity == "drift_60s"]
     outages = [row.drift_median_m for row in of_filter(name, tables.outage) if row.window_s == "60"]
-    sizes = [finite(row.mean_nis) / row.dof for row in of_filter(name, tables.consistency) if is_used(row.measurement)]
+    sizes = [
+        finite(row.mean_nis) / row.dof
+        for row in of_filter(name, tables.consistency)
+        if is_used(row.measurement)
+    ]
     return {
         "position_h_rmse_m": errors.get("position_h", math.nan),
         "depth_rmse_m": errors.get("depth", math.nan),
-        "velocity_rmse_mps": math.hypot(*(errors.get(f"velocity_{axis}", math.nan) for axis in "ned")),
+        "velocity_rmse_mps": math.hypot(
+            *(errors.get(f"velocity_{axis}", math.nan) for axis in "ned")
+        ),
         "drift_60s_rms_m": finite(next(iter(drifts), None)),
         "outage_60s_drift_m": finite(next(iter(outages), None)),
         "nis_per_dof": next(iter(sizes), math.nan),
@@ -120,8 +156,14 @@ def values_of(report: Report, name: str) -> dict[str, float]:
 
 def line_alone(report: Report) -> str:
     """Return the values of the only filter in a line, such as ``position rms 0.22 m``."""
-    found = ((VALUES[column], value) for column, value in values_of(report, report.baseline).items())
-    texts = [f"{name} {significant(value, 3)} {unit}".rstrip() for (name, unit), value in found if value == value]
+    found = (
+        (VALUES[column], value) for column, value in values_of(report, report.baseline).items()
+    )
+    texts = [
+        f"{name} {significant(value, 3)} {unit}".rstrip()
+        for (name, unit), value in found
+        if value == value
+    ]
     return f"{report.baseline}: {', '.join(texts)} ({consistency_of(report.tables.consistency, report.baseline)})"
 
 
@@ -137,12 +179,20 @@ def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
         for name in (report.baseline, *report.filters) if is_apart else ("",):
             if own := of_filter(name, kept) if is_apart else kept:
                 footnote = _footnote(report, layout.name, name, own)
-                found[layout.name, name] = shown(layout.row, own, footnote, filter=name, baseline=report.baseline)
+                found[layout.name, name] = shown(
+                    layout.row, own, footnote, filter=name, baseline=report.baseline
+                )
                 if layout.name == "reference_error" and name == report.baseline:
-                    found[layout.name, name] = table_of(f"Reference error of {name}", own, _ERRORS_ALONE, footnote)
-        if layout.name == "consistency" and (axes := [row for row in report.tables.consistency if row.whiteness]):
+                    found[layout.name, name] = table_of(
+                        f"Reference error of {name}", own, _ERRORS_ALONE, footnote
+                    )
+        if layout.name == "consistency" and (
+            axes := [row for row in report.tables.consistency if row.whiteness]
+        ):
             found["innovations", ""] = table_of(
-                "Innovations by axis: size, and correlation of each with the one before", axes, _INNOVATIONS
+                "Innovations by axis: size, and correlation of each with the one before",
+                axes,
+                _INNOVATIONS,
             )
     return found
 
@@ -163,7 +213,11 @@ _ERRORS_ALONE: Final[tuple[ShownColumn, ...]] = (
 _INNOVATIONS: Final[tuple[ShownColumn, ...]] = (
     ("filter", "l", "filter"),
     ("measurement", "l", "measurement:words"),
-    ("NIS / dof", "r", lambda row: number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof)),
+    (
+        "NIS / dof",
+        "r",
+        lambda row: number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof),
+    ),
     ("verdict", "l", "verdict"),
     ("lag-1\ncorrelation", "r", "autocorrelation:2"),
     ("limit", "r", "autocorrelation_limit:2"),
@@ -250,7 +304,10 @@ def replay_result(
     """
     reports = [found] if isinstance(found, Report) else found
     rows = {
-        layout.name: (layout.row, [row for report in reports for row in getattr(report.tables, layout.name)])
+        layout.name: (
+            layout.row,
+            [row for report in reports for row in getattr(report.tables, layout.name)],
+        )
         for layout in TABLES
     } | dict(together)
     blocks = {name: Block.of(*typed) for name, typed in rows.items()}
@@ -258,7 +315,11 @@ def replay_result(
     return Result(
         kind="replay",
         title=title,
-        tables={name: block for name, block in blocks.items() if name in names or not (names or name in together)},
+        tables={
+            name: block
+            for name, block in blocks.items()
+            if name in names or not (names or name in together)
+        },
         block="" if len(names) == 1 else "table",
         document=[Only(PAGE, (Title(title),)), *document] if names else document,
         data={name: rows[name][1] for name in names if name in rows} if names else found,
@@ -280,7 +341,10 @@ _FEWEST_ROWS: Final = 8
 
 
 def dive_document(
-    report: Report, panels: Sequence[Panel] = (), figures: Sequence[Part] = (), last: Sequence[Part] = ()
+    report: Report,
+    panels: Sequence[Panel] = (),
+    figures: Sequence[Part] = (),
+    last: Sequence[Part] = (),
 ) -> list[Part]:
     """Return a report as a document: what was measured, then what the filters predict.
 
@@ -291,15 +355,29 @@ def dive_document(
     def named(*names: str) -> list[DisplayTable]:
         return [table for (name, _), table in found.items() if name in names]
 
-    by_candidate, outage, references = named("evidence"), named("outage"), named("drift", "track_fit", "jumps")
-    gains, names = ("improvement", "convergence", "reference_error"), [*report.filters] or [report.baseline]
+    by_candidate, outage, references = (
+        named("evidence"),
+        named("outage"),
+        named("drift", "track_fit", "jumps"),
+    )
+    gains, names = (
+        ("improvement", "convergence", "reference_error"),
+        [*report.filters] or [report.baseline],
+    )
     tables = [found[kind, name] for name in names for kind in gains if (kind, name) in found]
     tables += named("consistency", "innovations", "credibility")
-    verdicts = (Callout(candidate.sentence, TONES.get(candidate.verdict, "")) for candidate in report.filters.values())
-    headline = list(headline_table(report, "This run: position error and drift without DVL", SPECIFIED))
+    verdicts = (
+        Callout(candidate.sentence, TONES.get(candidate.verdict, ""))
+        for candidate in report.filters.values()
+    )
+    headline = list(
+        headline_table(report, "This run: position error and drift without DVL", SPECIFIED)
+    )
     candidates = f"{', '.join(report.filters)} against " if report.filters else ""
     return [
-        Title(f"{report.log.name}: {candidates}{report.baseline} over {report.log.duration_s:.1f} s"),
+        Title(
+            f"{report.log.name}: {candidates}{report.baseline} over {report.log.duration_s:.1f} s"
+        ),
         *([] if report.filters else [Callout(line_alone(report))]),
         Only(PRINTED, (*verdicts, *headline)),
         Only(PAGE, (*_first_screen(report, panels, headline), *by_candidate)),
@@ -315,10 +393,16 @@ def dive_document(
     ]
 
 
-def _first_screen(report: Report, panels: Sequence[Panel], headline: Sequence[DisplayTable]) -> Iterator[Part]:
+def _first_screen(
+    report: Report, panels: Sequence[Panel], headline: Sequence[DisplayTable]
+) -> Iterator[Part]:
     """Yield the verdicts with their evidence, and next to them the panels and the headline."""
     sections = [dive_section(report, name) for name in report.filters]
-    runs = "Errors over time: median and range of the runs from all starts. " if len(panels) > 1 else ""
+    runs = (
+        "Errors over time: median and range of the runs from all starts. "
+        if len(panels) > 1
+        else ""
+    )
     caption = f"{runs}{HOW_TO_READ} {MEANING}" if panels else ""
     yield first_screen(sections, caption, pictures(panels), headline)
     if has_reference(report) and report.config.get("reference", {}).get("independent") is False:
@@ -336,9 +420,13 @@ def dive_section(report: Report, name: str, title: str = "Evidence") -> str:
     return section(answer, sentences, [evidence_forest(title, answer, most)])
 
 
-def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure], strips: str, settings: str) -> bytes:
+def dive_page(
+    report: Report, first: Sequence[Panel], figures: Sequence[Figure], strips: str, settings: str
+) -> bytes:
     """Return the page of a replay; the same replay gives the same bytes."""
-    sensors = captioned("Data coverage", "Height: share of the time with valid samples. A dip is a gap.", strips)
+    sensors = captioned(
+        "Data coverage", "Height: share of the time with valid samples. A dip is a gap.", strips
+    )
     log = report.log
     origin = {
         "log": log.name,
@@ -379,5 +467,13 @@ def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure],
 def changed_settings(config: Mapping[str, Any]) -> str:
     """Write the settings that are not the defaults, a line each."""
     usual = dict(flattened(msgspec.to_builtins(Config())))
-    lines = [f"{key} = {json.dumps(value)}" for key, value in flattened(config) if usual.get(key, ...) != value]
-    return "\n".join(["# settings that differ from the defaults", *lines] if lines else ["# all settings are defaults"])
+    lines = [
+        f"{key} = {json.dumps(value)}"
+        for key, value in flattened(config)
+        if usual.get(key, ...) != value
+    ]
+    return "\n".join(
+        ["# settings that differ from the defaults", *lines]
+        if lines
+        else ["# all settings are defaults"]
+    )

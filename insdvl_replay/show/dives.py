@@ -11,7 +11,18 @@ from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.errors import counted
 from insdvl_replay.core.path_kinds import SUMMARY
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_whole, label
-from insdvl_replay.core.result import PAGE, PRINTED, Block, Callout, DisplayTable, Only, Part, Report, Result, Title
+from insdvl_replay.core.result import (
+    PAGE,
+    PRINTED,
+    Block,
+    Callout,
+    DisplayTable,
+    Only,
+    Part,
+    Report,
+    Result,
+    Title,
+)
 from insdvl_replay.core.tables import Number, PooledRow
 from insdvl_replay.core.words import GateStatus, Severity
 from insdvl_replay.evaluation.answers import EVERY_DIVE, CandidateAnswer
@@ -35,7 +46,13 @@ from insdvl_replay.show.answers import (
 )
 from insdvl_replay.show.dive import TOGETHER, VALUES, dive_section, replay_result, values_of
 from insdvl_replay.show.document import MISSING, ShownColumn, number, shown, table_csv, table_of
-from insdvl_replay.show.first_screen import DIVE_PAGE, dives_forest, evidence_forest, first_screen, section
+from insdvl_replay.show.first_screen import (
+    DIVE_PAGE,
+    dives_forest,
+    evidence_forest,
+    first_screen,
+    section,
+)
 from insdvl_replay.show.page import SIGNATURE, page
 
 INDEX: Final = "index.html"
@@ -80,15 +97,21 @@ def summary_rows(outcomes: Sequence[Outcome]) -> Iterator[SummaryRow]:
         warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
         for name in outcome.filters or [outcome.baseline]:
             measured = of_filter(name, outcome.tables.consistency)
-            words = [f"{row.measurement} {row.verdict}" for row in measured if is_whole(row.measurement)]
-            known: dict[str, Any] = {key: value for key, value in values_of(outcome, name).items() if value == value}
+            words = [
+                f"{row.measurement} {row.verdict}" for row in measured if is_whole(row.measurement)
+            ]
+            known: dict[str, Any] = {
+                key: value for key, value in values_of(outcome, name).items() if value == value
+            }
             if (candidate := outcome.filters.get(name)) is not None:
                 answer = answer_on_dive(outcome, name)
                 known |= {"verdict": answer.verdict, "prediction": candidate.prediction}
                 words += [f"errors {candidate.credibility}"] if candidate.credibility else []
                 if answer.verdict not in WITHOUT_VERDICT:
                     known["mean_improvement_pct"] = candidate.mean_improvement_pct
-                    known["mean_convergence_improvement_pct"] = candidate.mean_convergence_improvement_pct
+                    known["mean_convergence_improvement_pct"] = (
+                        candidate.mean_convergence_improvement_pct
+                    )
                 if answer.verdict not in WITHOUT_VERDICT and (row := answer.decisive) is not None:
                     known |= {"evidence": row.quantity, "ratio": row.ratio, "acts": row.acts}
             for error in of_filter(name, outcome.tables.reference_error):
@@ -117,7 +140,9 @@ def _pooled(outcomes: Sequence[Outcome]) -> list[CandidateAnswer]:
     return [answer for answer in answers_of(reports_of(outcomes)) if answer.log == EVERY_DIVE]
 
 
-NO_EVIDENCE: Final = "no evidence. Accuracy takes a reference, the DVL outage test a dive of some minutes."
+NO_EVIDENCE: Final = (
+    "no evidence. Accuracy takes a reference, the DVL outage test a dive of some minutes."
+)
 
 # --- The tables over all dives that `--table` names.
 
@@ -125,7 +150,9 @@ NO_EVIDENCE: Final = "no evidence. Accuracy takes a reference, the DVL outage te
 _SUMMARIES: Final = ("position", "position_pct", "drift_60s", "outage_60s")
 
 
-def named_result(outcomes: Sequence[Outcome], names: Sequence[str], parts: Sequence[Part]) -> Result:
+def named_result(
+    outcomes: Sequence[Outcome], names: Sequence[str], parts: Sequence[Part]
+) -> Result:
     """Return named tables of all dives, with other parts before those over all dives."""
     rows: dict[str, tuple[type[Struct], Sequence[Struct]]] = {
         "pooled": (PooledRow, pooled_rows(outcomes)),
@@ -143,7 +170,9 @@ def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
         if not answer.rows:
             yield f"{answer.filter} against {answer.baseline}: {NO_EVIDENCE}"
             continue
-        yield shown(PooledRow, map(as_shown, answer.rows), filter=answer.filter, baseline=answer.baseline)
+        yield shown(
+            PooledRow, map(as_shown, answer.rows), filter=answer.filter, baseline=answer.baseline
+        )
 
 
 def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
@@ -165,7 +194,10 @@ def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
 
 
 _TOGETHER: Final = {"pooled": _pooled_tables, "summary": _summary_tables}
-_NEEDED: Final = {"pooled": "it takes two dives with the same candidate", "summary": "it takes a dive with evidence"}
+_NEEDED: Final = {
+    "pooled": "it takes two dives with the same candidate",
+    "summary": "it takes a dive with evidence",
+}
 
 
 # --- The page, and the same in other formats.
@@ -182,15 +214,24 @@ def _first_line(kind: type[Struct]) -> bytes:
 
 # The files of several dives together: the function that writes each, and its first bytes.
 OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]]] = {
-    SUMMARY: (lambda outcomes: table_csv(Block.of(SummaryRow, summary_rows(outcomes))), _first_line(SummaryRow)),
-    "evidence.csv": (lambda outcomes: table_csv(Block.of(PooledRow, pooled_rows(outcomes))), _first_line(PooledRow)),
+    SUMMARY: (
+        lambda outcomes: table_csv(Block.of(SummaryRow, summary_rows(outcomes))),
+        _first_line(SummaryRow),
+    ),
+    "evidence.csv": (
+        lambda outcomes: table_csv(Block.of(PooledRow, pooled_rows(outcomes))),
+        _first_line(PooledRow),
+    ),
     INDEX: (index_page, SIGNATURE.encode()),
 }
 
 
 def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:
     """Return several dives as a document: the pooled verdict, a row for each dive and candidate, pooled rows."""
-    tables = [replace(part, links=None) if isinstance(part, DisplayTable) else part for part in _tables(outcomes)]
+    tables = [
+        replace(part, links=None) if isinstance(part, DisplayTable) else part
+        for part in _tables(outcomes)
+    ]
     return [*_opening(outcomes, linked=False), *tables]
 
 
@@ -199,12 +240,21 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     reports = reports_of(outcomes)
     failed = len(outcomes) - len(reports)
     answers, names = answers_of(reports), candidate_names(reports)
-    compared = f": {', '.join(names)} against {reports[0].baseline}" if 0 < len(names) <= MOST_NAMED else ""
+    compared = (
+        f": {', '.join(names)} against {reports[0].baseline}"
+        if 0 < len(names) <= MOST_NAMED
+        else ""
+    )
     yield Title(f"{len(outcomes)} dives{f', {failed} of them failed' if failed else ''}{compared}")
     _, notes = distinct_dives(reports)
     yield from (note.text for note in notes)
     start = start_text(reports)
-    yield Only(PRINTED, tuple(Callout(paragraph(answer, start), TONES.get(answer.verdict, "")) for answer in answers))
+    yield Only(
+        PRINTED,
+        tuple(
+            Callout(paragraph(answer, start), TONES.get(answer.verdict, "")) for answer in answers
+        ),
+    )
     initial = initial_text(reports[0].config) if reports else ""
     sections = []
     for answer in answers:
@@ -212,8 +262,12 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
             sections.append(_section(answer, reports, initial, linked=linked))
         else:
             report = next(report for report in reports if report.log.name == answer.log)
-            sections.append(dive_section(report, answer.filter, f"Evidence on {report.log.name} alone"))
-    caption = "All dives: each is one sample. Dive by dive: one dive has no interval and no verdict."
+            sections.append(
+                dive_section(report, answer.filter, f"Evidence on {report.log.name} alone")
+            )
+    caption = (
+        "All dives: each is one sample. Dive by dive: one dive has no interval and no verdict."
+    )
     yield Only(PAGE, (first_screen(sections, caption),) if sections else ())
 
 
@@ -221,15 +275,23 @@ MOST_NAMED: Final = 4  # With more candidates, the title has no names.
 _MOST_ROWS: Final = 8  # Evidence rows of the forest plot of all dives.
 
 
-def _section(answer: CandidateAnswer, reports: Sequence[Report], initial: str, *, linked: bool) -> str:
+def _section(
+    answer: CandidateAnswer, reports: Sequence[Report], initial: str, *, linked: bool
+) -> str:
     dives = dives_forest(answer, reports, linked=linked)
     if answer.verdict in WITHOUT_VERDICT:
         said = f"Evaluated on {answer.evaluated} of {answer.dives} dives. Settle the reasons of the others first."
         return section(answer, [said, *answer_lines(answer)], [dives])
-    title = f"All dives, {answer.evaluated} of {answer.dives}" if answer.evaluated < answer.dives else "All dives"
+    title = (
+        f"All dives, {answer.evaluated} of {answer.dives}"
+        if answer.evaluated < answer.dives
+        else "All dives"
+    )
     plots = [evidence_forest(title, answer, _MOST_ROWS), dives]
     having = [report for report in reports if answer.filter in report.filters]
-    return section(answer, [headline(answer), *answer_lines(answer, initial, start_text(having))], plots)
+    return section(
+        answer, [headline(answer), *answer_lines(answer, initial, start_text(having))], plots
+    )
 
 
 # The meaning of the columns of candidates.
@@ -255,12 +317,21 @@ _CANDIDATE: Final[tuple[ShownColumn, ...]] = (
     ("ratio", "r", lambda row: ratio_text(row.ratio)),
     ("acts", "r", "acts:share"),
     ("predicted", "r", "mean_improvement_pct:percent"),
-    ("prediction", "l", lambda row: prediction_word(row.mean_improvement_pct, row.prediction) or MISSING),
+    (
+        "prediction",
+        "l",
+        lambda row: prediction_word(row.mean_improvement_pct, row.prediction) or MISSING,
+    ),
     ("baseline\nposition [m]", "r", "position_h_baseline_rmse_m"),
-    ("candidate\nposition [m]", "r", lambda row: number(row.position_h_rmse_m if row.verdict else None)),
+    (
+        "candidate\nposition [m]",
+        "r",
+        lambda row: number(row.position_h_rmse_m if row.verdict else None),
+    ),
 )
 _ALONE: Final[tuple[ShownColumn, ...]] = tuple(
-    (f"{name}\n[{unit}]" if unit else name, "r", f"{column}:value") for column, (name, unit) in VALUES.items()
+    (f"{name}\n[{unit}]" if unit else name, "r", f"{column}:value")
+    for column, (name, unit) in VALUES.items()
 )
 
 
@@ -274,7 +345,9 @@ def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
         footnote = f"{MEANS}; position: rms of the horizontal error" if known else MEANS
     columns = [*_DIVE, *own, *_LAST]
     cells = zip(*table_of("", rows, columns).rows, strict=True)
-    columns = [column for column, texts in zip(columns, cells, strict=True) if set(texts) != {MISSING}]
+    columns = [
+        column for column, texts in zip(columns, cells, strict=True) if set(texts) != {MISSING}
+    ]
     links = tuple("" if row.reason else f"{quote(row.log)}/{DIVE_PAGE}" for row in rows)
     yield replace(table_of(title, rows, columns, footnote), links=links)
     yield from _pooled_tables(outcomes)

@@ -90,7 +90,9 @@ FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
     "value": partial(significant, digits=3),
     "signed_percent": signed_percent,
     "share": share_text,
-    "cell": lambda value: number(value) if isinstance(value, float) else MISSING if value is None else str(value),
+    "cell": lambda value: (
+        number(value) if isinstance(value, float) else MISSING if value is None else str(value)
+    ),
     **{str(digits): partial(decimal, digits=digits) for digits in range(5)},
 }
 
@@ -108,7 +110,9 @@ def table_of(
 ) -> DisplayTable:
     """Return a table with a row for each of ``rows``: objects, mappings, or those of a frame."""
     listed: list[Any] = rows.to_dict("records") if hasattr(rows, "to_dict") else list(rows)
-    get: Callable[[str], Callable[[Any], Any]] = itemgetter if listed and isinstance(listed[0], dict) else attrgetter
+    get: Callable[[str], Callable[[Any], Any]] = (
+        itemgetter if listed and isinstance(listed[0], dict) else attrgetter
+    )
 
     def text_of(row: Any, written: Callable[[Any], CellText] | str) -> CellText:
         if not isinstance(written, str):
@@ -119,15 +123,27 @@ def table_of(
     cells = tuple(tuple(text_of(row, written) for _, _, written in columns) for row in listed)
     alignment = "".join(letter for _, letter, _ in columns)
     return DisplayTable(
-        title, tuple(head for head, _, _ in columns), alignment, cells, footnote, spare=spare, folds=folds
+        title,
+        tuple(head for head, _, _ in columns),
+        alignment,
+        cells,
+        footnote,
+        spare=spare,
+        folds=folds,
     )
 
 
-def shown(kind: type[Struct], rows: Iterable[Struct], footnote: str = "", **names: str) -> DisplayTable:
+def shown(
+    kind: type[Struct], rows: Iterable[Struct], footnote: str = "", **names: str
+) -> DisplayTable:
     """Return a table of rows of a type: its columns that have a head, in which ``{filter}`` is a name."""
     layout = layout_of("", kind)
     columns: list[ShownColumn] = [
-        (column.head.format(**names), "l" if layout.kinds[name] == "text" else "r", f"{name}:{column.form}")
+        (
+            column.head.format(**names),
+            "l" if layout.kinds[name] == "text" else "r",
+            f"{name}:{column.form}",
+        )
         for name, column in layout.columns.items()
         if column.head
     ]
@@ -141,10 +157,14 @@ def cell_lines(cell: CellText) -> list[str]:
 
 def notes_table(notes: Iterable[Note]) -> DisplayTable | str:
     """Return the notes as a table."""
-    rows = tuple((str(note.count), note.severity, f"{note.text} [{note.code}]", note.hint) for note in notes)
+    rows = tuple(
+        (str(note.count), note.severity, f"{note.text} [{note.code}]", note.hint) for note in notes
+    )
     if not rows:
         return "No notes."
-    return DisplayTable("Notes on reading, preparing and filtering", ("count", "", "note", "hint"), "rlll", rows)
+    return DisplayTable(
+        "Notes on reading, preparing and filtering", ("count", "", "note", "hint"), "rlll", rows
+    )
 
 
 def parts_for(format_: Format, document: Document) -> Iterator[Part]:
@@ -211,5 +231,6 @@ def table_csv(table: "Sequence[Struct] | Block | pd.DataFrame") -> bytes:
 def blocks_csv(column: str, blocks: Mapping[str, Rows]) -> str:
     """Write tables one after the other, a blank line between them; the first column, ``column``, has their names."""
     return "\n".join(
-        rows_csv((column, *header), ((name, *row) for row in rows)) for name, (header, rows) in blocks.items()
+        rows_csv((column, *header), ((name, *row) for row in rows))
+        for name, (header, rows) in blocks.items()
     )

@@ -8,7 +8,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    Floats,
+    ReferenceColumns,
+    TimeNs,
+    seconds,
+)
 from insdvl_replay.core.history import History
 from insdvl_replay.core.result import (
     LIMIT,
@@ -40,7 +47,9 @@ SIGMAS: Final = 3.0
 SETTLED: Final = 0.02
 # Share of the values that a panel shows, since one outage would flatten all others; and margin above.
 _SHOWN, _AIR = 0.97, 1.15
-_CONSTANT: Final = 0.5  # Values that fall to no less than this share of the largest are nearly constant.
+_CONSTANT: Final = (
+    0.5  # Values that fall to no less than this share of the largest are nearly constant.
+)
 _COMPLETE: Final = 0.98  # Share of the dive from which a curve is of all of it.
 _MISSING: Final = 2.5  # A gap is longer than this many usual steps.
 _WIDEST: Final = 1.5  # A panel shows a band up to this many times the largest error, so that errors fill the panel.
@@ -90,7 +99,8 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
     )
     shades = shades_of(replay)
     return tuple(
-        replace(figure, panels=tuple(_over_time(panel, shades, clock) for panel in figure.panels)) for figure in figures
+        replace(figure, panels=tuple(_over_time(panel, shades, clock) for panel in figure.panels))
+        for figure in figures
     )
 
 
@@ -117,9 +127,14 @@ def error_panel(replay: Replay) -> Iterator[Panel]:
         yield _drift_panel(replay.curves.outage)
 
 
-def _filter_curves(curves: Iterable[tuple[str, Floats, Floats]], *, named: bool = False) -> tuple[Curve, ...]:
+def _filter_curves(
+    curves: Iterable[tuple[str, Floats, Floats]], *, named: bool = False
+) -> tuple[Curve, ...]:
     """Return a curve for each filter, from name, x and y, in the order of the settings; named at their ends."""
-    drawn = [Curve(x, y, filter_style(i), label=name if named else "") for i, (name, x, y) in enumerate(curves)]
+    drawn = [
+        Curve(x, y, filter_style(i), label=name if named else "")
+        for i, (name, x, y) in enumerate(curves)
+    ]
     return dashes_on_top(drawn)
 
 
@@ -141,13 +156,23 @@ def _error_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
         mat_nb_reference = reference.mat_nb[np.searchsorted(reference.time_ns, errors.time_ns)]
         misalignment_n = vector_from_mat(history.mat_nb[rows] @ np.swapaxes(mat_nb_reference, 1, 2))
         state_error = np.hstack([errors.velocity_error_n, misalignment_n])
-        found.append((history.filter, errors.time_ns, state_error, history.sd[rows, :6], errors.position_error_ned_m))
+        found.append(
+            (
+                history.filter,
+                errors.time_ns,
+                state_error,
+                history.sd[rows, :6],
+                errors.position_error_ned_m,
+            )
+        )
     panels = []
     for state in STATES[:6]:
         curves, shown = [], []
         for number, (_, time_ns, state_error, state_sd, _) in enumerate(found):
             time = clock.time(time_ns)
-            error, sd = (column[:, state.index] / state.factor for column in (state_error, state_sd))
+            error, sd = (
+                column[:, state.index] / state.factor for column in (state_error, state_sd)
+            )
             band = -SIGMAS * sd, SIGMAS * sd
             curves.append(Curve(time, error, filter_style(number), band=band))
             largest = float(np.max(np.abs(error), where=np.isfinite(error), initial=0.0)) or np.inf
@@ -156,21 +181,30 @@ def _error_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
         title, y_limits = f"{state.label} [{state.unit}]", limits(np.concatenate(shown))
         panels.append(Panel(title, clock.label, dashes_on_top(curves), y_limits=y_limits))
     for axis, direction in enumerate(("north", "east", "down")):
-        series = [(name, clock.time(time_ns), position[:, axis]) for name, time_ns, _, _, position in found]
-        panels.append(Panel(f"position error, {direction} [m]", clock.label, _filter_curves(series)))
+        series = [
+            (name, clock.time(time_ns), position[:, axis])
+            for name, time_ns, _, _, position in found
+        ]
+        panels.append(
+            Panel(f"position error, {direction} [m]", clock.label, _filter_curves(series))
+        )
     yield Figure(
         "Errors against the reference (3 sigma)",
         "Shaded, or between dotted lines: 3 sigma of each filter to either side. The errors of a consistent filter "
         "stay inside and fill much of the band. A band that is wider than the panel is cut off. The position has no "
         "band.",
-        tuple(panel for panel in panels if any(np.isfinite(curve.y).any() for curve in panel.curves)),
+        tuple(
+            panel for panel in panels if any(np.isfinite(curve.y).any() for curve in panel.curves)
+        ),
         _legend(name for name, *_ in found),
     )
 
 
 def _settled(time_ns: TimeNs, clock: Clock) -> NDArray[np.bool_]:
     """Find which times are after the settling at the start, shape (k,)."""
-    settled: NDArray[np.bool_] = time_ns - clock.start_ns >= SETTLED * (clock.end_ns - clock.start_ns)
+    settled: NDArray[np.bool_] = time_ns - clock.start_ns >= SETTLED * (
+        clock.end_ns - clock.start_ns
+    )
     return settled
 
 
@@ -188,8 +222,12 @@ def outage_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator[F
     if not curves:
         return
     windows = len(next(iter(curves.values())).begin_ns)
-    how = "of one window" if windows == 1 else f"over {windows} windows, one every {SHOWN_EVERY_S} s"
-    by_window = [(name, clock.time(curve.begin_ns), curve.drift_m) for name, curve in curves.items()]
+    how = (
+        "of one window" if windows == 1 else f"over {windows} windows, one every {SHOWN_EVERY_S} s"
+    )
+    by_window = [
+        (name, clock.time(curve.begin_ns), curve.drift_m) for name, curve in curves.items()
+    ]
     yield Figure(
         "DVL outage test: drift without the DVL",
         f"Measured by the held-out velocities; no reference is needed. Left: median {how}. Right: each window, at its "
@@ -209,12 +247,16 @@ def outage_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator[F
 
 def _drift_panel(curves: Mapping[str, OutageCurve]) -> Panel:
     """Draw the drift over the time without DVL: median, and the limit of 95 %."""
-    medians = _filter_curves([(name, curve.time_s, curve.median_m) for name, curve in curves.items()], named=True)
+    medians = _filter_curves(
+        [(name, curve.time_s, curve.median_m) for name, curve in curves.items()], named=True
+    )
     limits_95 = [
         Curve(curve.time_s, curve.p95_m, f"{filter_style(number)} {PREDICTED}", name=f"{name} 95 %")
         for number, (name, curve) in enumerate(curves.items())
     ]
-    return Panel("horizontal drift [m]", "time without DVL [s]", (*limits_95, *medians), y_scale="log")
+    return Panel(
+        "horizontal drift [m]", "time without DVL [s]", (*limits_95, *medians), y_scale="log"
+    )
 
 
 # By quantity of convergence the title of its panel, and its unit in SI.
@@ -227,7 +269,9 @@ _CONVERGED: Final = {
 _FIRST_S, _FIRST = 1.0, 1e-3
 
 
-def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequence[EvidenceRow]) -> Iterator[Figure]:
+def convergence_figure(
+    curves: Mapping[str, ConvergenceCurves], evidence: Sequence[EvidenceRow]
+) -> Iterator[Figure]:
     """Draw the true errors of random starts over time, one panel for each quantity; nothing if none is known.
 
     ``curves`` are by quantity of `quantities.CONVERGED`; ``evidence`` has the times of convergence.
@@ -241,7 +285,10 @@ def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequen
         time_s, limit = found.time_s[shown], found.limit / unit
         predicted = [
             Curve(
-                time_s, found.predicted[name][shown] / unit, f"{filter_style(number)} {PREDICTED}", name=f"{name} sigma"
+                time_s,
+                found.predicted[name][shown] / unit,
+                f"{filter_style(number)} {PREDICTED}",
+                name=f"{name} sigma",
             )
             for number, name in enumerate(names)
         ]
@@ -250,12 +297,19 @@ def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequen
         reached_s = {names[0]: finite(rows[0].baseline) if rows else np.nan}
         reached_s = {row.filter: finite(row.value) for row in rows} | reached_s
         points = [
-            Curve(np.array([reached_s[name]]), np.array([limit]), f"{filter_style(number)} {REACHED}", points=True)
+            Curve(
+                np.array([reached_s[name]]),
+                np.array([limit]),
+                f"{filter_style(number)} {REACHED}",
+                points=True,
+            )
             for number, name in (*enumerate(names[1:], 1), (0, names[0]))
             if np.isfinite(reached_s.get(name, np.nan))
         ]
         drawn = (*predicted, *measured, *points)
-        panels.append(Panel(title, "time [s]", drawn, levels=(limit,), y_scale="log", x_scale="log"))
+        panels.append(
+            Panel(title, "time [s]", drawn, levels=(limit,), y_scale="log", x_scale="log")
+        )
     if panels:
         yield Figure(
             "Convergence",
@@ -282,7 +336,11 @@ def _sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
         # broad stroke.
         last = np.maximum.accumulate(np.where(history.updated, np.arange(len(history.time_ns)), 0))
         waited_ns = history.time_ns - history.time_ns[last]
-        usual_ns = np.median(np.diff(history.time_ns[history.updated])) if history.updated.sum() > 1 else 0.0
+        usual_ns = (
+            np.median(np.diff(history.time_ns[history.updated]))
+            if history.updated.sum() > 1
+            else 0.0
+        )
         rows = history.updated | (waited_ns > _MISSING * usual_ns) | (waited_ns == 0)
         shown.append((rows, history.updated[rows] & _settled(history.time_ns[rows], clock)))
     for state in STATES:
@@ -308,7 +366,9 @@ def _sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
     )
 
 
-def nis_figure(histories: Sequence[History], clock: Clock, interval: Callable[[int], tuple[float, float]]) -> Figure:
+def nis_figure(
+    histories: Sequence[History], clock: Clock, interval: Callable[[int], tuple[float, float]]
+) -> Figure:
     """Draw the NIS of every update, one panel for each filter and measurement.
 
     ``interval`` gives, by degrees of freedom, where 95 % of the values of a consistent filter are.
@@ -324,7 +384,10 @@ def nis_figure(histories: Sequence[History], clock: Clock, interval: Callable[[i
                 Curve(time, innovations.nis, f"{filter_style(number)} solid"),
                 Curve(time, rejected, REJECTED, points=True),
             )
-            title, levels = f"{history.filter}: NIS of the {innovations.measurement}", interval(innovations.dof)
+            title, levels = (
+                f"{history.filter}: NIS of the {innovations.measurement}",
+                interval(innovations.dof),
+            )
             panels.append(Panel(title, clock.label, curves, levels=levels, y_scale="log"))
     return Figure(
         "Innovation consistency (NIS)",
@@ -348,15 +411,22 @@ def _tracks(replay: Replay) -> list[tuple[TimeNs, Floats, Curve]]:
     Positions count from where the baseline starts.
     """
     named: list[tuple[str, str, History | ReferenceColumns]]
-    named = [(history.filter, filter_style(n), history) for n, history in enumerate(replay.histories)]
+    named = [
+        (history.filter, filter_style(n), history) for n, history in enumerate(replay.histories)
+    ]
     reference = replay.dive.reference
     if reference is not None and reference.has_position:
         named.append((REFERENCE, REFERENCE, reference.within(replay.start_ns, replay.end_ns)))
     tracks = []
     for name, style, motion in named:
         origin = np.broadcast_to(replay.histories[0].position[0], motion.position.shape)
-        ned_m, time_s = north_east_down_m(motion.position, origin), seconds(motion.time_ns, replay.start_ns)
-        tracks.append((motion.time_ns, ned_m, Curve(ned_m[:, 1], ned_m[:, 0], style, label=name, time=time_s)))
+        ned_m, time_s = (
+            north_east_down_m(motion.position, origin),
+            seconds(motion.time_ns, replay.start_ns),
+        )
+        tracks.append(
+            (motion.time_ns, ned_m, Curve(ned_m[:, 1], ned_m[:, 0], style, label=name, time=time_s))
+        )
     return tracks
 
 
@@ -364,7 +434,9 @@ def _motion_figure(replay: Replay, clock: Clock) -> Figure:
     """Draw the tracks from above and over time, and the motion by the baseline."""
     baseline, tracks = replay.histories[0], _tracks(replay)
     above = [replace(curve, label="") for _, _, curve in tracks]
-    down = [Curve(clock.time(time_ns), ned_m[:, 2], curve.style) for time_ns, ned_m, curve in tracks]
+    down = [
+        Curve(clock.time(time_ns), ned_m[:, 2], curve.style) for time_ns, ned_m, curve in tracks
+    ]
     speed_mps = np.hypot(baseline.velocity_n[:, 0], baseline.velocity_n[:, 1])
     # The turn rate is from ping to ping, where the states are far enough apart for a rate.
     pings = np.flatnonzero(baseline.updated)
@@ -386,20 +458,32 @@ def _motion_figure(replay: Replay, clock: Clock) -> Figure:
     )
 
 
-MAGNIFIED: Final = "magnified"  # Added to the style of a filter: its places are not read at the cursor.
-SEEN: Final = 0.08  # Share of the size of a track that its largest error is drawn as, at least half of it.
+MAGNIFIED: Final = (
+    "magnified"  # Added to the style of a filter: its places are not read at the cursor.
+)
+SEEN: Final = (
+    0.08  # Share of the size of a track that its largest error is drawn as, at least half of it.
+)
 
 
 def track_panel(replay: Replay) -> Panel:
     """Draw the tracks from above; with a reference, their errors magnified so that they are seen."""
     tracks = _tracks(replay)
     times_ns, ned_m, reference = tracks[-1]
-    errors = {name: found for name, found in replay.errors.items() if np.isfinite(found.position_error_ned_m).any()}
+    errors = {
+        name: found
+        for name, found in replay.errors.items()
+        if np.isfinite(found.position_error_ned_m).any()
+    }
     if not errors:
         drawn = [curve for _, _, curve in tracks if curve.style != REFERENCE]
-        return Panel("track: north [m] over east [m]", "east [m]", dashes_on_top(drawn), equal=True, low=True)
+        return Panel(
+            "track: north [m] over east [m]", "east [m]", dashes_on_top(drawn), equal=True, low=True
+        )
     size_m = max(float(np.ptp(axis[np.isfinite(axis)])) for axis in (ned_m[:, 1], ned_m[:, 0]))
-    largest_m = max(float(np.nanmax(np.abs(found.position_error_ned_m[:, :2]))) for found in errors.values())
+    largest_m = max(
+        float(np.nanmax(np.abs(found.position_error_ned_m[:, :2]))) for found in errors.values()
+    )
     wanted = SEEN * size_m / largest_m if largest_m > 0.0 else 1.0
     steps = [digit * 10.0**power for power in range(7) for digit in (1.0, 2.0, 5.0)]
     times = max((step for step in steps if step <= wanted), default=1.0)
@@ -419,20 +503,29 @@ def track_panel(replay: Replay) -> Panel:
 def _acceleration_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
     """Draw the accelerations by the DVL and by the reference over time, one panel for each axis of the body."""
     met = (innovations for history in replay.histories for innovations in history.innovations)
-    derived = next((found for found in met if found.measurement == "acceleration" and len(found.valid_ns)), None)
+    derived = next(
+        (found for found in met if found.measurement == "acceleration" and len(found.valid_ns)),
+        None,
+    )
     if derived is None:
         return
     legend, curves = [(DERIVED, "slope of the DVL's velocities")], {DERIVED: derived.measured}
     reference, filters = replay.dive.reference, replay.config.filters.values()
     if reference is not None and reference.has_velocity and reference.has_attitude:
         longest_s = max(
-            filter_.acceleration.max_window_gap_s for filter_ in filters if filter_.acceleration is not None
+            filter_.acceleration.max_window_gap_s
+            for filter_ in filters
+            if filter_.acceleration is not None
         )
         acceleration_b = reference_acceleration(reference, longest_s)
         curves[REFERENCE] = acceleration_at(derived.valid_ns, reference.time_ns, acceleration_b)
         legend.append((REFERENCE, "derivative of the reference's velocity"))
     time = clock.time(derived.valid_ns)
-    swing = " The motion of the DVL about the IMU is included." if np.any(replay.config.dvl.lever_arm_m) else ""
+    swing = (
+        " The motion of the DVL about the IMU is included."
+        if np.any(replay.config.dvl.lever_arm_m)
+        else ""
+    )
     yield Figure(
         f"Acceleration derived from the DVL{' and from the reference' if REFERENCE in curves else ''}",
         f"Slope of the velocity in body axes, at the middle of each window.{swing}",
@@ -450,7 +543,10 @@ def _acceleration_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
 
 # --- Shades behind the panels over time: where the vehicle turned, and where the DVL has no velocity.
 
-TURNS_DEGPS, OVER_S = 1.5, 10.0  # In a turn the heading changes by more, over the time of several pings.
+TURNS_DEGPS, OVER_S = (
+    1.5,
+    10.0,
+)  # In a turn the heading changes by more, over the time of several pings.
 SILENT: Final = 3.0  # A gap of the DVL is longer than this many usual steps.
 MOST: Final = 40  # With more stretches of a kind, none is shaded, since they would hide the curves.
 
@@ -462,13 +558,18 @@ def shades_of(replay: Replay) -> tuple[Shade, ...]:
     turns = np.empty((0, 2), dtype=np.int64)
     if len(rows) >= 3:
         time_ns, heading = baseline.time_ns[rows], rpy_from_mat(baseline.mat_nb[rows])[:, 2]
-        unwrapped, time_s = np.cumsum(np.append(0.0, wrap_angle(np.diff(heading)))), seconds(time_ns, time_ns[0])
+        unwrapped, time_s = (
+            np.cumsum(np.append(0.0, wrap_angle(np.diff(heading)))),
+            seconds(time_ns, time_ns[0]),
+        )
         before, after = (
             np.interp(np.clip(time_s + half_s, 0.0, time_s[-1]), time_s, unwrapped)
             for half_s in (-OVER_S / 2.0, OVER_S / 2.0)
         )
         turning = np.abs(after - before) > TURNS_DEGPS * OVER_S * DEG
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], turning, [False]]).astype(np.int8))).reshape(-1, 2)
+        edges = np.flatnonzero(
+            np.diff(np.concatenate([[False], turning, [False]]).astype(np.int8))
+        ).reshape(-1, 2)
         turns = time_ns[np.minimum(edges, len(time_ns) - 1)]
     pings_ns = replay.velocities.time_ns
     inside = pings_ns[(pings_ns > replay.start_ns) & (pings_ns < replay.end_ns)]

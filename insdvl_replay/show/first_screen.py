@@ -27,7 +27,11 @@ from insdvl_replay.show.page import table_html
 
 # Percent of the width: the end of labels, both ends of the axis, the start of texts.
 LABEL_END, LEFT, RIGHT, TEXT = 28.0, 30.0, 64.0, 66.0
-TOP, ROW, BOTTOM = 3, 17, 16  # Pixels: free above the rows, the height of a row, the height of the axis labels.
+TOP, ROW, BOTTOM = (
+    3,
+    17,
+    16,
+)  # Pixels: free above the rows, the height of a row, the height of the axis labels.
 _BASELINE: Final = 4  # Pixels by which the foot of a text is below the middle of its row.
 # Ticks by the upper end of the axis; the lower end is one over it.
 AXES: Final = {
@@ -59,7 +63,9 @@ def forest(title: str, rows: Sequence[ForestRow]) -> str:
     """Draw ratios, a row each; the mark of a row's reason, a footnote, is behind its text."""
     reasons = list(dict.fromkeys(row.why for row in rows if row.why))
     numbers = [str(number).translate(_RAISED) for number in range(1, len(reasons) + 1)]
-    notes = ". ".join(f"{number}&nbsp;{unbroken(why)}" for number, why in zip(numbers, reasons, strict=True))
+    notes = ". ".join(
+        f"{number}&nbsp;{unbroken(why)}" for number, why in zip(numbers, reasons, strict=True)
+    )
     footnote = f'<p class="footnote">{notes}.</p>' if notes else ""
     marks = {why: f" {number}" for number, why in zip(numbers, reasons, strict=True)}
     end, bottom = axis_end(rows), TOP + ROW * len(rows)
@@ -72,7 +78,9 @@ def forest(title: str, rows: Sequence[ForestRow]) -> str:
         across = f"{place(tick, end):.2f}%"
         style = "one" if tick == 1.0 else "grid"
         lines.append(f'<line class="{style}" x1="{across}" x2="{across}" y1="0" y2="{bottom}"/>')
-        lines.append(f'<text class="tick" x="{across}" y="{bottom + 13}" text-anchor="middle">{tick:g}</text>')
+        lines.append(
+            f'<text class="tick" x="{across}" y="{bottom + 13}" text-anchor="middle">{tick:g}</text>'
+        )
     for number, row in enumerate(rows):
         middle, half = TOP + ROW * number + ROW / 2.0, _LONGEST_LABEL // 2
         foot, name = middle + _BASELINE, visible(row.label)
@@ -103,7 +111,10 @@ def axis_end(rows: Sequence[ForestRow]) -> float:
     """Return the upper end of the shortest axis that has at least half of the ratios."""
     ratios = [finite(row.ratio) for row in rows]
     sizes = [max(ratio, 1.0 / ratio) for ratio in ratios if 0.0 < ratio < math.inf]
-    return next((end for end in AXES if sum(size > end for size in sizes) <= _MOST_BEYOND * len(sizes)), max(AXES))
+    return next(
+        (end for end in AXES if sum(size > end for size in sizes) <= _MOST_BEYOND * len(sizes)),
+        max(AXES),
+    )
 
 
 def change_of_value(old: Number, new: Number, unit: str) -> str:
@@ -127,7 +138,9 @@ def _mark(ratio: float, interval: Sequence[float], middle: float, end: float) ->
         return
     if not 1.0 / end <= ratio <= end:
         size = f"{ratio:.2g}" if ratio < 10.0 else f"{ratio:.0f}" if ratio < 1e5 else f"{ratio:.0e}"
-        across, anchor, text = (RIGHT, "end", f"{size}x ▶") if ratio > 1.0 else (LEFT, "start", f"◀ {size}x")
+        across, anchor, text = (
+            (RIGHT, "end", f"{size}x ▶") if ratio > 1.0 else (LEFT, "start", f"◀ {size}x")
+        )
         yield f'<text class="beyond" x="{across}%" y="{middle + _BASELINE}" text-anchor="{anchor}">{text}</text>'
         return
     if interval:
@@ -174,9 +187,14 @@ def section(answer: Answer, sentences: Sequence[str], plots: Sequence[str] = ())
     verdict = shouted(answer.verdict)
     texts = [text.removeprefix(f"{verdict}, ") for text in sentences if text != verdict]
     # A name keeps its first letter.
-    begun = (text if text.startswith((name, baseline)) else f"{text[:1].upper()}{text[1:]}" for text in texts)
+    begun = (
+        text if text.startswith((name, baseline)) else f"{text[:1].upper()}{text[1:]}"
+        for text in texts
+    )
     said = "".join(f"<p>{_stressed(sentence)}</p>" for sentence in begun)
-    against = f"<p><b>{escape(visible_lines(name))}</b> against {escape(visible_lines(baseline))}</p>"
+    against = (
+        f"<p><b>{escape(visible_lines(name))}</b> against {escape(visible_lines(baseline))}</p>"
+    )
     word = f'<p class="word">{word_of(answer)}</p>'
     return (
         f'<section class="candidate {tone_class(answer.verdict)}"><div class="says">{word}{against}{said}</div>'
@@ -199,7 +217,11 @@ def evidence_forest(title: str, answer: Answer, most: int) -> str:
         text = f"{ratio_text(row.ratio)} {verdict_in_table(row)}{won}"
         tone = row.verdict if row.dives > 1 else Verdict.UNDECIDED
         decides = row.role == Role.PRIMARY
-        drawn.append(ForestRow(label(row.quantity), row.ratio, interval_ends(row), tone, text, decides=decides))
+        drawn.append(
+            ForestRow(
+                label(row.quantity), row.ratio, interval_ends(row), tone, text, decides=decides
+            )
+        )
     return forest(title, drawn)
 
 
@@ -214,7 +236,11 @@ def dives_forest(answer: Answer, reports: Iterable[Report], *, linked: bool) -> 
     quantity, rows = answer.primary, list[ForestRow]()
     for report in (report for report in reports if answer.filter in report.filters):
         name, link = report.log.name, f"{quote(report.log.name)}/{DIVE_PAGE}" if linked else ""
-        own = [row for row in report.tables.evidence if (row.filter, row.quantity) == (answer.filter, quantity)]
+        own = [
+            row
+            for row in report.tables.evidence
+            if (row.filter, row.quantity) == (answer.filter, quantity)
+        ]
         word = report.filters[answer.filter].verdict
         if word in WITHOUT_VERDICT:
             rows.append(ForestRow(name, None, tone=word, text=word, link=link))
@@ -234,7 +260,9 @@ def by_dive_forest(quantity: str, rows: Sequence[ForestRow]) -> str:
     if len(rows) > MOST_DIVES:
         title += f": the {MOST_DIVES} largest effects of {len(rows)}"
     largest = sorted(rows, key=_effect, reverse=True)[:MOST_DIVES]
-    return forest(title, sorted(largest, key=lambda row: math.inf if row.ratio is None else row.ratio))
+    return forest(
+        title, sorted(largest, key=lambda row: math.inf if row.ratio is None else row.ratio)
+    )
 
 
 def _effect(row: ForestRow) -> float:

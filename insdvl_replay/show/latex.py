@@ -47,11 +47,16 @@ def as_latex(document: Document, about: str = "") -> str:
 
 def _table(table: DisplayTable, about: str, labels: set[str]) -> str:
     columns = [
-        _column(letter, *cells) for letter, *cells in zip(table.alignment, table.header, *table.rows, strict=True)
+        _column(letter, *cells)
+        for letter, *cells in zip(table.alignment, table.header, *table.rows, strict=True)
     ]
     formats, *rows = zip(*columns, strict=True)
     head, *body = (_row(row) for row in rows)
-    caption = f"{table.title} ({about})" if table.title and about not in table.title else table.title or about
+    caption = (
+        f"{table.title} ({about})"
+        if table.title and about not in table.title
+        else table.title or about
+    )
     return "\n".join(
         [
             r"\begin{table}[htbp]",
@@ -75,7 +80,9 @@ def _table(table: DisplayTable, about: str, labels: set[str]) -> str:
 
 def _label(about: str, title: str, labels: set[str]) -> str:
     """Return a new label; other letters of a dive's name are written by their bytes, so that no two are the same."""
-    name = re.sub(r"[^\w.-]", lambda found: found[0].encode(errors="replace").hex(), about, flags=re.ASCII)
+    name = re.sub(
+        r"[^\w.-]", lambda found: found[0].encode(errors="replace").hex(), about, flags=re.ASCII
+    )
     slug = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:_LONGEST_LABEL]
     label = wanted = ":".join(filter(None, (name, slug)))
     while label in labels:
@@ -86,21 +93,38 @@ def _label(about: str, title: str, labels: set[str]) -> str:
 
 def _column(letter: str, head: str, *column: CellText) -> list[str]:
     """Return the format of a column, its head and its cells: for siunitx if there are numbers and no words."""
-    title, *texts = (" ".join(" ".join(cell_lines(cell)).split()) for cell in (" ".join(head.split()), *column))
+    title, *texts = (
+        " ".join(" ".join(cell_lines(cell)).split()) for cell in (" ".join(head.split()), *column)
+    )
     found = [_NUMBER.fullmatch(text) for text in texts if text != MISSING]
     numbers = [number for number in found if number is not None]
-    if letter != "r" or not numbers or len(numbers) < len(found) or len({number["unit"] for number in numbers}) > 1:
+    if (
+        letter != "r"
+        or not numbers
+        or len(numbers) < len(found)
+        or len({number["unit"] for number in numbers}) > 1
+    ):
         is_long = max(map(len, texts), default=0) > _LONGEST_CELL
         return ["p{25mm}" if letter == "l" and is_long else letter, *map(_cell, (title, *texts))]
     unit = " [%]" if numbers[0]["unit"] else ""
-    missing, plain = f"{{{MISSING * 2}}}", (re.sub(r"e([+-])0+", r"e\1", text.removesuffix(" %")) for text in texts)
-    return [_siunitx(numbers), f"{{{_text(title + unit)}}}", *(missing if text == MISSING else text for text in plain)]
+    missing, plain = (
+        f"{{{MISSING * 2}}}",
+        (re.sub(r"e([+-])0+", r"e\1", text.removesuffix(" %")) for text in texts),
+    )
+    return [
+        _siunitx(numbers),
+        f"{{{_text(title + unit)}}}",
+        *(missing if text == MISSING else text for text in plain),
+    ]
 
 
 def _siunitx(numbers: Collection[re.Match[str]]) -> str:
     """Return the format of a column that leaves room for the longest parts of its numbers."""
     whole, decimals, power = (
-        max(len((number[part] or "").lstrip("+-0") if part == "power" else number[part] or "") for number in numbers)
+        max(
+            len((number[part] or "").lstrip("+-0") if part == "power" else number[part] or "")
+            for number in numbers
+        )
         for part in ("whole", "decimals", "power")
     )
     signs = {number["sign"] for number in numbers}

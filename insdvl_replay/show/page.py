@@ -34,7 +34,8 @@ SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
 
 # On a page with plots, above the first figure if it is not said before.
 HOW_TO_READ: Final = (
-    "Point at a plot to read its values, drag to zoom, double click to see everything again, click to enlarge."
+    "Point at a plot to read its values, drag to zoom, double click to see "
+    "everything again, click to enlarge."
 )
 
 
@@ -51,12 +52,16 @@ def page(document: Document, *scripts: str) -> bytes:
     if figures and not any(isinstance(part, Html) and HOW_TO_READ in part.text for part in parts):
         parts.insert(figures[0], HOW_TO_READ)
     headings = [part.text for part in parts if isinstance(part, Heading)]
-    first = next((place for place, part in enumerate(parts) if isinstance(part, Heading)), len(parts))
+    first = next(
+        (place for place, part in enumerate(parts) if isinstance(part, Heading)), len(parts)
+    )
     links = "".join(f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
     nav = [f"<nav>{links}</nav>"] if links else []
     body = [f"<h1>{title}</h1>", *_in_grids(parts[:first]), *nav, *_in_grids(parts[first:])]
     plots = ["cursor.js"] if any('panel" viewBox' in part for part in body) else []
-    codes = [files("insdvl_replay.show").joinpath(name).read_text("utf-8") for name in (*scripts, *plots)]
+    codes = [
+        files("insdvl_replay.show").joinpath(name).read_text("utf-8") for name in (*scripts, *plots)
+    ]
     style = f"\n{style_sheet()}"
     # Nothing from the network, and only the page's own style and scripts.
     allowed = " ".join(map(_digest, codes)) or "'none'"
@@ -87,7 +92,10 @@ def _digest(text: str) -> str:
 def fragment(document: Document) -> str:
     """Render a document as a part of another page, such as a notebook, without a style of its own."""
     shown = parts_for("html", document)
-    parts = [f"<h3>{escape(part.text)}</h3>" if isinstance(part, Title) else _html(part) for part in shown]
+    parts = [
+        f"<h3>{escape(part.text)}</h3>" if isinstance(part, Title) else _html(part)
+        for part in shown
+    ]
     return f"<div>{''.join(parts)}</div>"
 
 
@@ -101,7 +109,9 @@ def escape(text: str) -> str:
 
 def facts(named: Mapping[str, str]) -> Html:
     """Return facts by their names."""
-    pairs = "".join(f"<dt>{escape(name)}</dt><dd>{escape(fact)}</dd>" for name, fact in named.items())
+    pairs = "".join(
+        f"<dt>{escape(name)}</dt><dd>{escape(fact)}</dd>" for name, fact in named.items()
+    )
     return Html(f"<dl>{pairs}</dl>")
 
 
@@ -159,19 +169,32 @@ def _html(part: Part) -> str:
 
 def table_html(table: DisplayTable) -> str:
     """Return a table as HTML."""
-    kinds = ["" if letter == "r" else " class=l" for letter in table.alignment]  # most cells are numbers
-    header = "".join(f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, table.header, strict=True))
+    kinds = [
+        "" if letter == "r" else " class=l" for letter in table.alignment
+    ]  # most cells are numbers
+    header = "".join(
+        f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, table.header, strict=True)
+    )
     rows = []
     for row, link in zip(table.rows, table.links or [""] * len(table.rows), strict=True):
         cells = ["<br>".join(map(escape, cell_lines(cell))) for cell in row]
         # A cell of many words is folded.
-        classes = [" class=words" if len(cell) > _SHORT else kind for kind, cell in zip(kinds, cells, strict=True)]
+        classes = [
+            " class=words" if len(cell) > _SHORT else kind
+            for kind, cell in zip(kinds, cells, strict=True)
+        ]
         if link:
             cells[0] = f'<a href="{escape(link)}">{cells[0]}</a>'
-        rows.append("".join(f"<td{kind}>{cell}</td>" for kind, cell in zip(classes, cells, strict=True)))
+        rows.append(
+            "".join(f"<td{kind}>{cell}</td>" for kind, cell in zip(classes, cells, strict=True))
+        )
     lines = "\n".join(f"<tr>{row}</tr>" for row in rows)
     name, colon, rest = table.title.partition(": ")
-    title = f"<h3><b>{escape(name + colon.rstrip())}</b>{' ' if rest else ''}{escape(rest)}</h3>" if name else ""
+    title = (
+        f"<h3><b>{escape(name + colon.rstrip())}</b>{' ' if rest else ''}{escape(rest)}</h3>"
+        if name
+        else ""
+    )
     footnote = f'<p class="footnote">{escape(table.footnote)}</p>' if table.footnote else ""
     return (
         f'<section class="table">{title}<div class="wide" tabindex="0"><table>'
@@ -182,9 +205,14 @@ def table_html(table: DisplayTable) -> str:
 def _figure(figure: Figure) -> str:
     anchor = _anchor(figure.title)
     panels = "\n".join(
-        _zoomed(panel, f"{anchor}-{number}", figure.legend) for number, panel in enumerate(figure.panels, 1)
+        _zoomed(panel, f"{anchor}-{number}", figure.legend)
+        for number, panel in enumerate(figure.panels, 1)
     )
-    content = f'<div class="panels">{panels}</div>' if panels else '<p class="footnote">nothing to draw</p>'
+    content = (
+        f'<div class="panels">{panels}</div>'
+        if panels
+        else '<p class="footnote">nothing to draw</p>'
+    )
     return captioned(escape(figure.title), escape(figure.caption), content, _keys(figure.legend))
 
 
@@ -209,7 +237,9 @@ def _zoomed(panel: Panel, anchor: str, legend: Legend = ()) -> str:
 
     The legend of a track is below it: at the ends of its lines there is no room.
     """
-    own = [(curve.style, curve.label) for curve in panel.curves if curve.label] if panel.equal else []
+    own = (
+        [(curve.style, curve.label) for curve in panel.curves if curve.label] if panel.equal else []
+    )
     return (
         f'<div class="zoom{" tall" if panel.equal and not panel.low else ""}" id="{anchor}">'
         f'<a class="open" href="#{anchor}" title="larger">{panel_svg(panel, legend)}</a>{_keys(own) if own else ""}'

@@ -81,7 +81,9 @@ def require_width(width_mm: float, option: str) -> None:
 
 def figure_png(figure: Figure) -> bytes:
     """Draw a figure for slides, under its title."""
-    return drawn(figure, "png", _SLIDE_MM * max(min(_PANELS_IN_A_ROW, len(figure.panels)), 2), headed=True)
+    return drawn(
+        figure, "png", _SLIDE_MM * max(min(_PANELS_IN_A_ROW, len(figure.panels)), 2), headed=True
+    )
 
 
 def drawn(figure: Figure, format_: str, width_mm: float, *, headed: bool = False) -> bytes:
@@ -94,7 +96,9 @@ def drawn(figure: Figure, format_: str, width_mm: float, *, headed: bool = False
 
     with style.context(["default", _STYLE]):
         try:
-            canvas.savefig(stream, format=format_, dpi=150 if headed else 300, metadata=_UNDATED.get(format_))
+            canvas.savefig(
+                stream, format=format_, dpi=150 if headed else 300, metadata=_UNDATED.get(format_)
+            )
         except (RuntimeError, FileNotFoundError) as error:
             if format_ != "pgf":
                 raise
@@ -123,19 +127,26 @@ def paper_canvas(figure: Figure, width_mm: float, *, headed: bool = False) -> "C
 
     panels = figure.panels
     rows, columns = _grid(len(panels), width_mm, headed=headed)
-    is_shared = not headed and len(panels) > 1 and len({(panel.x_label, panel.x_scale) for panel in panels}) == 1
+    is_shared = (
+        not headed
+        and len(panels) > 1
+        and len({(panel.x_label, panel.x_scale) for panel in panels}) == 1
+    )
     panel_mm = width_mm / columns
     row_mm = panel_mm * (0.85 if panels[0].equal and not headed else _SHAPE)
     row_mm = min(row_mm, max(_LOW_MM, 0.3 * panel_mm)) if is_shared else row_mm
     with style.context(["default", _STYLE]):
         canvas = Shown(
-            figsize=(width_mm / _MM_PER_INCH, (rows * row_mm + 10.0 * headed) / _MM_PER_INCH), layout="constrained"
+            figsize=(width_mm / _MM_PER_INCH, (rows * row_mm + 10.0 * headed) / _MM_PER_INCH),
+            layout="constrained",
         )
         # The label of the last tick is half beyond its axis.
         canvas.set_layout_engine("constrained", w_pad=_PAD_IN)
         FigureCanvasAgg(canvas)
         grid = canvas.subplots(rows, columns, squeeze=False, sharex=is_shared)
-        places = list(grid.flatten("C" if headed else "F"))  # column by column, so that the axes of a vector are one
+        places = list(
+            grid.flatten("C" if headed else "F")
+        )  # column by column, so that the axes of a vector are one
         for place, panel in zip(places, panels, strict=False):
             _draw(place, panel, titled=headed or len(panels) > 1)
         for place in places[len(panels) :]:
@@ -153,7 +164,9 @@ def paper_canvas(figure: Figure, width_mm: float, *, headed: bool = False) -> "C
         if headed:
             canvas.suptitle(figure.title, wrap=True)
         for count in range(min(len(handles), 6), 0, -1):
-            legend = canvas.legend(handles=handles, loc="outside lower center", ncols=count, frameon=False)
+            legend = canvas.legend(
+                handles=handles, loc="outside lower center", ncols=count, frameon=False
+            )
             space = legend.get_window_extent()
             if space.width <= canvas.bbox.width or count == 1:
                 canvas.set_figheight(canvas.get_figheight() + space.height / canvas.dpi)
@@ -169,12 +182,16 @@ def _fit_titles(canvas: "Canvas") -> None:
     shares = [1.0]
     for axes in canvas.axes:
         place, title = axes.get_position(), axes.get_title(loc="left")
-        others = [other.get_position().x0 for other in canvas.axes if other.get_position().x0 > place.x1]
+        others = [
+            other.get_position().x0 for other in canvas.axes if other.get_position().x0 > place.x1
+        ]
         text = axes.set_title(title, loc="left")
         room = (min(others, default=1.0) - place.x0) * canvas.bbox.width - 2.0
         shares.append(room / max(text.get_window_extent().width, room))
     for axes in canvas.axes:
-        axes.set_title(axes.get_title(loc="left"), loc="left", fontsize=min(shares) * _STYLE["axes.titlesize"])
+        axes.set_title(
+            axes.get_title(loc="left"), loc="left", fontsize=min(shares) * _STYLE["axes.titlesize"]
+        )
 
 
 def _grid(count: int, width_mm: float, *, headed: bool) -> tuple[int, int]:
@@ -212,8 +229,12 @@ def _draw(axes: "Axes", panel: Panel, *, titled: bool) -> None:
     if panel.x_whole:
         axes.locator_params(axis="x", integer=True)
     for axis, name, scale in ((axes.xaxis, "x", panel.x_scale), (axes.yaxis, "y", panel.y_scale)):
-        values = np.unique(np.concatenate([getattr(curve, name) for curve in panel.curves] or [np.empty(0)]))
-        is_log = scale == "log" and bool((values > 0.0).any())  # matplotlib fails without a positive value
+        values = np.unique(
+            np.concatenate([getattr(curve, name) for curve in panel.curves] or [np.empty(0)])
+        )
+        is_log = scale == "log" and bool(
+            (values > 0.0).any()
+        )  # matplotlib fails without a positive value
         axes.set(**{f"{name}scale": "log" if is_log else "linear"})
         _plain_ticks(axis, values, is_log=is_log, named=name == "x")
 
@@ -224,14 +245,20 @@ def _plain_ticks(axis: "Axis", values: "Floats", *, is_log: bool, named: bool) -
 
     def plain(value: float, _place: int) -> str:
         is_plain = value == 0.0 or 1e-6 < abs(value) < 1e7  # longer numbers cannot be read
-        text = np.format_float_positional(float(f"{value:.9g}"), trim="-") if is_plain else f"{value:g}"
+        text = (
+            np.format_float_positional(float(f"{value:.9g}"), trim="-")
+            if is_plain
+            else f"{value:g}"
+        )
         return text.replace("-", "\N{MINUS SIGN}")
 
     if is_log:
         low, high = axis.get_view_interval()
         digits = (1.0, 2.0, 5.0) if high < _SHORT * low else (1.0,)
         is_few = named and len(values) <= _MOST_TICKS
-        axis.set_major_locator(FixedLocator(list(values)) if is_few else LogLocator(subs=digits, numticks=_MOST_TICKS))
+        axis.set_major_locator(
+            FixedLocator(list(values)) if is_few else LogLocator(subs=digits, numticks=_MOST_TICKS)
+        )
         axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(plain))
 

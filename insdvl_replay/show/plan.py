@@ -32,9 +32,15 @@ class PlanRow(Struct, frozen=True):
     quantity: Annotated[str, Col(head="quantity", form="label")]
     role: Annotated[str, Col("primary (it decides), secondary, or shown.", head="role")]
     dives: Annotated[int, Col("Dives with a ratio.", head="dives")]
-    scatter: Annotated[Number, Col("Standard deviation of the logarithm of the ratio.", head="scatter", form="3")]
-    finds_pct: Annotated[Number, Col("Change that so many dives find.", head="finds\n[%]", form="0")]
-    dives_20pct: Annotated[int | None, Col("Dives that find a change of so many percent.", head="20 %")]
+    scatter: Annotated[
+        Number, Col("Standard deviation of the logarithm of the ratio.", head="scatter", form="3")
+    ]
+    finds_pct: Annotated[
+        Number, Col("Change that so many dives find.", head="finds\n[%]", form="0")
+    ]
+    dives_20pct: Annotated[
+        int | None, Col("Dives that find a change of so many percent.", head="20 %")
+    ]
     dives_10pct: Annotated[int | None, Col(head="10 %")]
     dives_7pct: Annotated[int | None, Col(head="7 %")]
 
@@ -71,4 +77,6 @@ def plan_result(reports: Sequence[Report]) -> Result:
     title = f"What {len(reports)} dives find"
     parts: list[Part] = [Title(title)]
     parts.append(shown(PlanRow, rows) if rows else "There is no evidence to plan with.")
-    return Result(kind="plan", title=title, tables={"plan": Block.of(PlanRow, rows)}, block="", document=parts)
+    return Result(
+        kind="plan", title=title, tables={"plan": Block.of(PlanRow, rows)}, block="", document=parts
+    )

@@ -27,7 +27,10 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 48.0, 10.0, 26.0, 36.0
 _TICKS_X, _TICKS_Y, _TICKS_WHOLE = 6, 5, 12
 _PIXEL: Final = 0.7
 _POINT: Final = 3.0
-_LABEL, _ABOVE = 11.0, 4.0  # Height of a name at the end of a line, and how far above the line it is.
+_LABEL, _ABOVE = (
+    11.0,
+    4.0,
+)  # Height of a name at the end of a line, and how far above the line it is.
 _FAR: Final = 1e7  # Counts are cut here: thousands of heights of the panel, and about what a browser's numbers hold.
 _DIGITS_X, _DIGITS_Y = 4, 3  # An axis is at least ten to this power counts long.
 # On a logarithmic axis values have three digits, and a decade has enough counts to tell them apart.
@@ -87,7 +90,11 @@ class Axis:
     @property
     def transform(self) -> tuple[float, float]:
         """Return scale and offset from counts to places."""
-        low, high = (self.low, self.high) if self.scale == "linear" else (math.log10(self.low), math.log10(self.high))
+        low, high = (
+            (self.low, self.high)
+            if self.scale == "linear"
+            else (math.log10(self.low), math.log10(self.high))
+        )
         size = _LOG_COUNTS if self.scale == "log" else self.unit * 10.0**self.decimals
         scale = (self.end - self.start) / (high - low)
         return scale / size, self.start - low * scale
@@ -118,7 +125,11 @@ class Axis:
             labels = [f"{value:.6g}".replace("-", "\N{MINUS SIGN}") for value in rounded]
         inside = (values >= self.low) & (values <= self.high)
         places = self.place(values).tolist()
-        return [(place, label) for place, label, shown in zip(places, labels, inside.tolist(), strict=True) if shown]
+        return [
+            (place, label)
+            for place, label, shown in zip(places, labels, inside.tolist(), strict=True)
+            if shown
+        ]
 
 
 def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
@@ -141,10 +152,14 @@ def _round_values(low: float, high: float, count: int, *, whole: bool) -> tuple[
     smallest = max((high - low) / count, 1.0 if whole else 0.0)
     steps = [share * 10.0 ** math.floor(math.log10(smallest)) for share in _STEPS]
     fitting = [
-        step for before, step in pairwise([0.0, *steps]) if before < smallest and (step.is_integer() or not whole)
+        step
+        for before, step in pairwise([0.0, *steps])
+        if before < smallest and (step.is_integer() or not whole)
     ]
     for step in reversed(fitting):
-        values = np.arange(math.floor(low / step), math.ceil(high / step) + 1, dtype=np.float64) * step
+        values = (
+            np.arange(math.floor(low / step), math.ceil(high / step) + 1, dtype=np.float64) * step
+        )
         if np.sum((values >= low) & (values <= high)) > 1:
             break
     return step, values
@@ -246,7 +261,10 @@ def _axes(panel: Panel, height: float) -> tuple[Axis, Axis]:
     x_low, x_high = panel.x_limits or limits(x, panel.x_scale)
     known = x[np.isfinite(x) & (x > 0.0)]
     if panel.x_scale == "log" and len(known) and known.min() < known.max():
-        x_low, x_high = float(known.min()), float(known.max())  # with a margin, half of the axis would be empty
+        x_low, x_high = (
+            float(known.min()),
+            float(known.max()),
+        )  # with a margin, half of the axis would be empty
     y_low, y_high = panel.y_limits or limits(y, panel.y_scale)
     right, bottom = WIDTH - _RIGHT, height - _BOTTOM
     if panel.equal:
@@ -255,7 +273,9 @@ def _axes(panel: Panel, height: float) -> tuple[Axis, Axis]:
         y_low, y_high = _widened(y_low, y_high, unit * (bottom - _TOP))
     unit = 1.0 if panel.x_scale == "log" else _SECONDS.get(panel.x_label, 1.0)
     digits = _DIGITS_Y if panel.equal else _DIGITS_X
-    x_axis = Axis(x_low, x_high, _LEFT, right, panel.x_scale, whole=panel.x_whole, unit=unit, digits=digits)
+    x_axis = Axis(
+        x_low, x_high, _LEFT, right, panel.x_scale, whole=panel.x_whole, unit=unit, digits=digits
+    )
     return x_axis, Axis(y_low, y_high, bottom, _TOP, panel.y_scale)
 
 
@@ -280,10 +300,14 @@ def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
     bottom, top, left, right = y_axis.start, y_axis.end, x_axis.start, x_axis.end
     across = x_axis.ticks(_TICKS_WHOLE if panel.x_whole else _TICKS_X)
     yield f'<g class="ticks"><path d="{"".join(f"M{place:.1f} {top:g}V{bottom:g}" for place, _ in across)}"/>'
-    yield from (f'<text x="{place:.1f}" y="{bottom + 13:g}">{label}</text>' for place, label in across)
+    yield from (
+        f'<text x="{place:.1f}" y="{bottom + 13:g}">{label}</text>' for place, label in across
+    )
     down = y_axis.ticks(_TICKS_Y)
     yield f'</g><g class="scale"><path d="{"".join(f"M{left:g} {place:.1f}H{right:g}" for place, _ in down)}"/>'
-    yield from (f'<text x="{left - 5:g}" y="{place + 3.5:.1f}">{label}</text>' for place, label in down)
+    yield from (
+        f'<text x="{left - 5:g}" y="{place + 3.5:.1f}">{label}</text>' for place, label in down
+    )
     yield f'</g><text class="label" x="{right:g}" y="{bottom + 29:g}" text-anchor="end">{escape(panel.x_label)}</text>'
 
 
@@ -299,7 +323,9 @@ def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str])
         places = x_axis.place(curve.x), y_axis.place(curve.y)
         if curve.points:
             rows = _one_of_each_cell(*places)
-            path = "".join(f"M{across:.0f} {down:.0f}h0" for across, down in zip(x[rows], y[rows], strict=True))
+            path = "".join(
+                f"M{across:.0f} {down:.0f}h0" for across, down in zip(x[rows], y[rows], strict=True)
+            )
         else:
             rows = without_standstill(*places, step) if panel.equal else envelope(x, y, columns)
             path = _line(x[rows], y[rows])
@@ -309,11 +335,15 @@ def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str])
         if curve.time is not None:
             at = f' data-t="{_steps_of_time(curve.time[rows[np.isfinite(x[rows] + y[rows])]])}"'
         kind = "points" if curve.points else "line"
-        lines.append(f'<path class="{kind} {curve.style}" data-name="{escape(visible(name))}"{at} d="{path}"/>')
+        lines.append(
+            f'<path class="{kind} {curve.style}" data-name="{escape(visible(name))}"{at} d="{path}"/>'
+        )
         if curve.band is not None:
             low, high = (y_axis.counts(edge[rows]) for edge in curve.band)
             looks = f"edges {curve.style}" if bands else curve.style
-            bands.append(f'<path class="band {looks}" d="{_band_path(x[rows], low, high, closed=not bands)}"/>')
+            bands.append(
+                f'<path class="band {looks}" d="{_band_path(x[rows], low, high, closed=not bands)}"/>'
+            )
     yield from bands
     yield from lines
 
@@ -325,7 +355,10 @@ def _marks(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
     curve = next((curve for curve in panel.curves if curve.style == REFERENCE), panel.curves[-1])
     known = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
     if len(known):
-        x, y = x_axis.place(curve.x[known[[0, -1]]]).tolist(), y_axis.place(curve.y[known[[0, -1]]]).tolist()
+        x, y = (
+            x_axis.place(curve.x[known[[0, -1]]]).tolist(),
+            y_axis.place(curve.y[known[[0, -1]]]).tolist(),
+        )
         yield f'<circle class="start" cx="{x[0]:.1f}" cy="{y[0]:.1f}" r="4"/>'
         yield f'<rect class="end" x="{x[1] - 3:.1f}" y="{y[1] - 3:.1f}" width="6" height="6"/>'
         for name, across, down in (("start", x[0], y[0] - 6.0), ("end", x[1], y[1] + 13.0)):
@@ -360,7 +393,10 @@ def _band_path(x: Floats, low: Floats, high: Floats, *, closed: bool) -> str:
     if not known.any():
         return ""
     if closed:
-        there_and_back = np.append(x[known], x[known][::-1]), np.append(high[known], low[known][::-1])
+        there_and_back = (
+            np.append(x[known], x[known][::-1]),
+            np.append(high[known], low[known][::-1]),
+        )
         return f"{_line(*there_and_back)}Z"
     return _line(x[known], high[known]) + _line(x[known][::-1], low[known][::-1])
 
@@ -375,7 +411,9 @@ def _line(x: Floats, y: Floats) -> str:
     begins = np.diff(np.flatnonzero(known), prepend=-2) > 1
     steps = np.diff(counts, axis=0, prepend=0)
     words, drawing = [], False
-    for (across, down), (right, below), begin in zip(counts.tolist(), steps.tolist(), begins.tolist(), strict=True):
+    for (across, down), (right, below), begin in zip(
+        counts.tolist(), steps.tolist(), begins.tolist(), strict=True
+    ):
         if begin:
             words.append(f"M{across}{_behind(down)}")
         else:
@@ -413,14 +451,19 @@ def sheet_svg(figure: Figure) -> bytes:
     for first in range(0, len(figure.panels), PANELS_IN_A_ROW):
         row = figure.panels[first : first + PANELS_IN_A_ROW]
         for column, panel in enumerate(row):
-            place = f'x="{column * WIDTH:g}" y="{top:g}" width="{WIDTH:g}" height="{_height(panel):g}"'
+            place = (
+                f'x="{column * WIDTH:g}" y="{top:g}" width="{WIDTH:g}" height="{_height(panel):g}"'
+            )
             panels.append(_panel(panel, place, {}))
         top += max(map(_height, row))
     width = WIDTH * min(PANELS_IN_A_ROW, len(figure.panels))
     entries = int(width // _ENTRY)
     legend = []
     for number, (style, label) in enumerate(figure.legend):
-        x, y = _ENTRY * (number % entries) + 48.0, top + _LEGEND / 2.0 + _LEGEND * (number // entries)
+        x, y = (
+            _ENTRY * (number % entries) + 48.0,
+            top + _LEGEND / 2.0 + _LEGEND * (number // entries),
+        )
         legend.append(f'<path class="line {style}" d="M{x:g} {y - 4:g}h36"/>')
         legend.append(f'<text x="{x + 44:g}" y="{y:g}">{escape(visible(label))}</text>')
     height = top + _LEGEND * math.ceil(len(figure.legend) / entries)

@@ -23,7 +23,14 @@ from insdvl_replay.core.result import (
     package_versions,
     this_tool,
 )
-from insdvl_replay.show.document import blocks_csv, header_and_rows, notes_table, rows_csv, shown, table_csv
+from insdvl_replay.show.document import (
+    blocks_csv,
+    header_and_rows,
+    notes_table,
+    rows_csv,
+    shown,
+    table_csv,
+)
 from insdvl_replay.show.text import as_markdown, sentence_of
 
 
@@ -34,13 +41,19 @@ def render(result: Result, format_: str) -> str:
             return result_json(result).decode()
         case "csv":
             blocks = {name: header_and_rows(table) for name, table in result.tables.items()}
-            return blocks_csv(result.block, blocks) if result.block else rows_csv(*next(iter(blocks.values())))
+            return (
+                blocks_csv(result.block, blocks)
+                if result.block
+                else rows_csv(*next(iter(blocks.values())))
+            )
         case "md":
             return as_markdown(document(result))
         case "latex":
             from insdvl_replay.show.latex import as_latex
 
-            return as_latex(document(result), result.title if result.kind in ("replay", "inspection") else "")
+            return as_latex(
+                document(result), result.title if result.kind in ("replay", "inspection") else ""
+            )
         case "html":
             from insdvl_replay.show.page import page
 
@@ -112,7 +125,9 @@ def result_schema(tables: Mapping[str, type[Struct]]) -> dict[str, Any]:
     (result, *rows), definitions = msgspec.json.schema_components(
         [ResultJson, *tables.values()], ref_template="#/$defs/{name}"
     )
-    properties = {name: {"type": "array", "items": row} for name, row in zip(tables, rows, strict=True)}
+    properties = {
+        name: {"type": "array", "items": row} for name, row in zip(tables, rows, strict=True)
+    }
     definitions[ResultJson.__name__]["properties"]["tables"]["properties"] = properties
     return {**result, "$defs": definitions}
 

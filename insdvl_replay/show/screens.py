@@ -61,7 +61,11 @@ def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
 
 MOST_ANSWERS: Final = 2  # More candidates have a row of a table each.
 MOST_COLUMNS: Final = 3  # More candidates have no common table of evidence.
-MOST_ROWS: Final = {1: 8, 2: 4, 3: 4}  # Evidence rows of several dives, by the number of candidates.
+MOST_ROWS: Final = {
+    1: 8,
+    2: 4,
+    3: 4,
+}  # Evidence rows of several dives, by the number of candidates.
 MOST_ROWS_OF_DIVE: Final = 3
 
 
@@ -103,14 +107,35 @@ def _answer_table(answers: Sequence[CandidateAnswer]) -> DisplayTable:
     rows = []
     for answer in answers:
         predicted = (MISSING, "") if answer.verdict in WITHOUT_VERDICT else predicted_change(answer)
-        warned = ", ".join(f"{label(row.quantity)} {row.verdict}" for row in answer.warnings) or answer.reason
+        warned = (
+            ", ".join(f"{label(row.quantity)} {row.verdict}" for row in answer.warnings)
+            or answer.reason
+        )
         acting = answer.decisive
         acts = share_text(acting.acts) if acting is not None else MISSING
         cells = evidence_cells(answer)
-        rows.append((answer.filter, word_of(answer), *cells, acts, answer.settling or MISSING, *predicted, warned))
+        rows.append(
+            (
+                answer.filter,
+                word_of(answer),
+                *cells,
+                acts,
+                answer.settling or MISSING,
+                *predicted,
+                warned,
+            )
+        )
     baselines = " or ".join(dict.fromkeys(answer.baseline for answer in answers))
     header = (
-        *("filter", f"against {baselines}", "decides by", "ratio", "interval", "acts", "convergence"),
+        *(
+            "filter",
+            f"against {baselines}",
+            "decides by",
+            "ratio",
+            "interval",
+            "acts",
+            "convergence",
+        ),
         *("predicted sigma", "", ""),
     )
     return DisplayTable("", header, "lllrrrlrll", tuple(rows), spare=(6, (7, 8), 9, 5, (2, 3)))
@@ -150,14 +175,20 @@ def _evidence_table(answers: Sequence[CandidateAnswer], title: str) -> Iterator[
         yield table_of("", rows, columns, spare=(5, (1, 2, 3)))
 
 
-VALUES_ARE: Final = "values: medians over the dives, from the starts that they had; convergence: from drawn starts"
+VALUES_ARE: Final = (
+    "values: medians over the dives, from the starts that they had; convergence: from drawn starts"
+)
 
 
 def _role_text(row: PooledRow) -> str:
-    return {Role.PRIMARY: "decides", Role.SECONDARY: "can warn", Role.VETO: "can warn"}.get(Role(row.role), "")
+    return {Role.PRIMARY: "decides", Role.SECONDARY: "can warn", Role.VETO: "can warn"}.get(
+        Role(row.role), ""
+    )
 
 
-def _side_by_side(answers: Sequence[CandidateAnswer], quantities: Sequence[str], title: str) -> DisplayTable:
+def _side_by_side(
+    answers: Sequence[CandidateAnswer], quantities: Sequence[str], title: str
+) -> DisplayTable:
     """Return ratio and verdict of several candidates in the same quantities, with the values where there is room."""
     found = {(answer.filter, row.quantity): row for answer in answers for row in answer.known}
     cells = []
@@ -166,7 +197,11 @@ def _side_by_side(answers: Sequence[CandidateAnswer], quantities: Sequence[str],
         known = next(row for row in rows if row is not None)
         texts = [label(quantity), known.unit, significant(known.baseline, 3)]
         for row in rows:
-            texts += [significant(row.value, 3), ratio_text(row.ratio), verdict_in_table(row)] if row else [MISSING] * 3
+            texts += (
+                [significant(row.value, 3), ratio_text(row.ratio), verdict_in_table(row)]
+                if row
+                else [MISSING] * 3
+            )
         cells.append(tuple(texts))
     heads = (head for answer in answers for head in ("value", answer.filter, ""))
     header = (f"{title}: ratio", "", answers[0].baseline, *heads)
@@ -200,12 +235,18 @@ def _trust_lines(report: Report) -> list[str]:
     if len(report.filters) > MOST_ANSWERS:
         return []
     lines, is_far_off = [], is_noise_far_off(report.tables, report.baseline)
-    for name in (name for name, found in report.filters.items() if found.verdict not in WITHOUT_VERDICT):
+    for name in (
+        name for name, found in report.filters.items() if found.verdict not in WITHOUT_VERDICT
+    ):
         sizes = " Try --control, which fits the noise." if is_far_off else ""
-        nis = next((row for row in of_filter(name, report.tables.evidence) if row.quantity == "nis"), None)
+        nis = next(
+            (row for row in of_filter(name, report.tables.evidence) if row.quantity == "nis"), None
+        )
         if nis is not None and len(report.filters) == 1:
             values = f"{report.baseline} {significant(nis.baseline, 3)}, {name} {significant(nis.value, 3)}"
-            sizes = f" {label(nis.quantity)}: {values}{', expected 1.' if is_far_off else '.'}{sizes}"
+            sizes = (
+                f" {label(nis.quantity)}: {values}{', expected 1.' if is_far_off else '.'}{sizes}"
+            )
         lines.append(f"{trust_sentence(report.tables, name, report.baseline)}{sizes}")
     return list(dict.fromkeys(lines))
 
@@ -221,7 +262,11 @@ def _facts(report: Report) -> str:
         beams = [row for row in tables.consistency if is_beam(row.measurement)]
         rows = [row for row in beams if row.filter == beams[0].filter]
     rejected = sum(row.rejected for row in rows)
-    met = f"{sum(row.used for row in rows) + rejected} {kind}, {rejected} rejected" if rows else "no velocities"
+    met = (
+        f"{sum(row.used for row in rows) + rejected} {kind}, {rejected} rejected"
+        if rows
+        else "no velocities"
+    )
     # An onboard solution may cover only a part of the dive. The baseline is compared over all of it.
     baseline = [row.samples for row in of_filter(report.baseline, tables.drift)]
     compared = max([row.samples for row in tables.reference_error] + baseline, default=0)
@@ -248,9 +293,15 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
         Title(_facts_of_dives(outcomes)),
         *(note.text for note in distinct_dives(reports)[1]),
         *_answer_parts(answers, initial, start_text(reports), reports),
-        *(part for table in _evidence_table(pooled, "all dives") for part in (Sentences(()), table)),
+        *(
+            part
+            for table in _evidence_table(pooled, "all dives")
+            for part in (Sentences(()), table)
+        ),
         Sentences(()),
-        _dives_table(outcomes, {answer.filter: answer for answer in answers}) if answers else table_alone(outcomes),
+        _dives_table(outcomes, {answer.filter: answer for answer in answers})
+        if answers
+        else table_alone(outcomes),
         *_assay_parts(reports, answers),
         *_consistency_counts(reports),
         Code(f"all tables: -v   page: {index}", ""),
@@ -290,7 +341,10 @@ def _facts_of_dives(outcomes: Sequence[Outcome]) -> str:
     """Return a line with the number of dives, of those that failed, and of those with warnings."""
     reports = reports_of(outcomes)
     said = [counted(len(outcomes), "dive"), f"{len(outcomes) - len(reports)} failed"]
-    codes = [{note.code for note in report.notes if note.severity == Severity.WARNING} for report in reports]
+    codes = [
+        {note.code for note in report.notes if note.severity == Severity.WARNING}
+        for report in reports
+    ]
     if counts := Counter(code for found in codes for code in found):
         named = [f"{code} {count}" for code, count in counts.most_common(MOST_CODES)]
         named += [f"{len(counts) - MOST_CODES} more"] if len(counts) > MOST_CODES else []
@@ -301,17 +355,31 @@ def _facts_of_dives(outcomes: Sequence[Outcome]) -> str:
 def _consistency_counts(reports: Sequence[Report]) -> Iterator[str]:
     """Yield a line with the number of dives with each consistency of the innovations, for each filter."""
     texts = []
-    for name in dict.fromkeys(name for report in reports for name in (report.baseline, *report.filters)):
-        tables = [report.tables.consistency for report in reports if name in (report.baseline, *report.filters)]
+    for name in dict.fromkeys(
+        name for report in reports for name in (report.baseline, *report.filters)
+    ):
+        tables = [
+            report.tables.consistency
+            for report in reports
+            if name in (report.baseline, *report.filters)
+        ]
         words = Counter(consistency_of(table, name) for table in tables)
-        texts.append(f"{name} {', '.join(f'{count} {word}' for word, count in words.most_common())}")
+        texts.append(
+            f"{name} {', '.join(f'{count} {word}' for word, count in words.most_common())}"
+        )
     far_off = sum(is_noise_far_off(report.tables, report.baseline) for report in reports)
-    advice = f". The noise settings are far off on {counted(far_off, 'dive')}: try --control" if far_off else ""
+    advice = (
+        f". The noise settings are far off on {counted(far_off, 'dive')}: try --control"
+        if far_off
+        else ""
+    )
     if texts:
         yield f"consistency (NIS): {'; '.join(texts)}{advice}"
 
 
-def _dives_table(outcomes: Sequence[Outcome], answers: Mapping[str, CandidateAnswer]) -> DisplayTable:
+def _dives_table(
+    outcomes: Sequence[Outcome], answers: Mapping[str, CandidateAnswer]
+) -> DisplayTable:
     """Return a row for each dive: of each candidate both values and the ratio in its primary quantity."""
     names = candidate_names(reports_of(outcomes))
     found: dict[tuple[str, str], EvidenceRow] = {}
@@ -337,7 +405,10 @@ def _shown_dives(
     outcomes: Sequence[Outcome], found: Mapping[tuple[str, str], EvidenceRow]
 ) -> tuple[dict[str, Outcome], str]:
     """Return the dives that have a row, by name; of many dives those that failed and those with the largest ratios."""
-    named = {outcome.log if isinstance(outcome, Failure) else outcome.log.name: outcome for outcome in outcomes}
+    named = {
+        outcome.log if isinstance(outcome, Failure) else outcome.log.name: outcome
+        for outcome in outcomes
+    }
     dives = {name: named[name] for name in sorted(named, key=natural_key)}
     if len(dives) <= MOST_DIVES:
         return dives, ""

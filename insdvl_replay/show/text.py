@@ -16,7 +16,17 @@ from rich.table import Table
 from rich.text import Text
 
 from insdvl_replay.core.errors import visible, visible_lines
-from insdvl_replay.core.result import Callout, Code, DisplayTable, Document, Format, Part, Remark, Sentences, Title
+from insdvl_replay.core.result import (
+    Callout,
+    Code,
+    DisplayTable,
+    Document,
+    Format,
+    Part,
+    Remark,
+    Sentences,
+    Title,
+)
 from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Verdict
 from insdvl_replay.show.document import cell_lines, parts_for
 
@@ -63,7 +73,9 @@ def _terminal_lines(part: Part) -> Iterator[RenderableType]:
         case Code(text, language):
             if language:
                 yield Text()
-            yield from (Text(visible(line), no_wrap=True, overflow="ignore") for line in text.splitlines())
+            yield from (
+                Text(visible(line), no_wrap=True, overflow="ignore") for line in text.splitlines()
+            )
         case DisplayTable(title):
             if title:  # a table without one belongs to what is before it
                 yield from (Text(), spoken(title, "bold"))
@@ -98,7 +110,12 @@ def _grid(table: DisplayTable, left_out: Sequence[int]) -> Table:
         grid.add_column(Text(visible_lines(table.header[place])), justify=justify, overflow="fold")  # type: ignore[arg-type]
     for row in table.rows:
         texts = ["\n".join(cell_lines(row[place])) for place in kept]
-        grid.add_row(*(Text(text, style=_STYLES.get(text.lower().partition(" by ")[0], "")) for text in texts))
+        grid.add_row(
+            *(
+                Text(text, style=_STYLES.get(text.lower().partition(" by ")[0], ""))
+                for text in texts
+            )
+        )
     return grid
 
 
@@ -127,9 +144,16 @@ def _markdown(part: Part) -> str:
         case DisplayTable():
             rule = ["---:" if letter == "r" else "---" for letter in part.alignment]
             rows = [[" ".join(name.split()) for name in part.header], rule, *part.rows]
-            cells = [["<br>".join(map(_markdown_cell, cell_lines(cell))) for cell in row] for row in rows]
-            lines = [f"**{_markdown_text(part.title)}**\n", *(f"| {' | '.join(row)} |" for row in cells)]
-            return "\n".join([*lines, *(["", _markdown_text(part.footnote)] if part.footnote else [])])
+            cells = [
+                ["<br>".join(map(_markdown_cell, cell_lines(cell))) for cell in row] for row in rows
+            ]
+            lines = [
+                f"**{_markdown_text(part.title)}**\n",
+                *(f"| {' | '.join(row)} |" for row in cells),
+            ]
+            return "\n".join(
+                [*lines, *(["", _markdown_text(part.footnote)] if part.footnote else [])]
+            )
     return _markdown_text(sentence_of(part))
 
 
@@ -144,4 +168,10 @@ def _markdown_cell(line: str) -> str:
 
 def sentence_of(part: Part) -> str:
     """Return the text of a part that is one sentence; empty for other parts."""
-    return part if isinstance(part, str) else part.text if isinstance(part, Title | Callout | Remark) else ""
+    return (
+        part
+        if isinstance(part, str)
+        else part.text
+        if isinstance(part, Title | Callout | Remark)
+        else ""
+    )

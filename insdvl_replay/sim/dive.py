@@ -61,7 +61,9 @@ def simulate_dive(
     grade: str = "fog",
     imu_errors: ImuErrors | None = None,  # instead of the grade's
     dvl_errors: DvlErrors | None = None,
-    sensors: Mapping[str, SensorErrors] = NO_SENSORS,  # besides IMU and DVL, by their names in `core.states.SENSORS`
+    sensors: Mapping[
+        str, SensorErrors
+    ] = NO_SENSORS,  # besides IMU and DVL, by their names in `core.states.SENSORS`
     dvl_delay_s: float = 0.0,
     dvl_scale: float = 1.0,
     **exact_options: Any,  # of `exact_dive`
@@ -86,11 +88,17 @@ def late_and_long(dive: Dive, delay_s: float, scale: float) -> Dive:
     if (delay_s, scale) == (0.0, 1.0) or dive.dvl.beam_velocity_mps is None:
         return dive
     late_ns = dive.dvl.time_ns + nanoseconds(delay_s)
-    return replace(dive, dvl=replace(dive.dvl, time_ns=late_ns, beam_velocity_mps=scale * dive.dvl.beam_velocity_mps))
+    return replace(
+        dive,
+        dvl=replace(
+            dive.dvl, time_ns=late_ns, beam_velocity_mps=scale * dive.dvl.beam_velocity_mps
+        ),
+    )
 
 
 def exact_dive(
-    scenario: str | Scenario,  # a name in `trajectories.SCENARIOS`, or anything with the functions of a scenario
+    scenario: str
+    | Scenario,  # a name in `trajectories.SCENARIOS`, or anything with the functions of a scenario
     *,
     duration_s: float | None = None,  # a longer one continues straight ahead
     imu_rate_hz: float = 100.0,  # starts with the dive, as the reference
@@ -110,12 +118,22 @@ def exact_dive(
     end_s = course.duration_s if duration_s is None else duration_s
     _check_positive("duration", "s", end_s)
     if end_s > LONGEST_S:
-        raise ConfigError(f"duration is {end_s:g} s, more than {LONGEST_S:g} s", f"--duration {LONGEST_S:g}")
-    rates_hz = {"IMU": imu_rate_hz, "DVL": dvl_rate_hz, "reference": reference_rate_hz, **sensor_rates_hz}
+        raise ConfigError(
+            f"duration is {end_s:g} s, more than {LONGEST_S:g} s", f"--duration {LONGEST_S:g}"
+        )
+    rates_hz = {
+        "IMU": imu_rate_hz,
+        "DVL": dvl_rate_hz,
+        "reference": reference_rate_hz,
+        **sensor_rates_hz,
+    }
     for sensor, rate_hz in rates_hz.items():
         _check_positive(f"{sensor} rate", "Hz", rate_hz)
     if end_s * imu_rate_hz < 1.0:
-        raise ConfigError(f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples", "--duration 60")
+        raise ConfigError(
+            f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples",
+            "--duration 60",
+        )
     beams = len(AZIMUTH_DEG)
     spans = [*lost_beams, *(LostBeam(beam, *outage) for outage in outages for beam in range(beams))]
     for span in spans:
@@ -130,7 +148,9 @@ def exact_dive(
                 "give START:END in seconds from the start of the dive, or a longer --duration",
             )
         if not 0 <= span.beam < beams:
-            raise ConfigError(f"beam {span.beam} does not exist", f"beams are counted from 0 to {beams - 1}")
+            raise ConfigError(
+                f"beam {span.beam} does not exist", f"beams are counted from 0 to {beams - 1}"
+            )
     trajectory = Trajectory(course, end_s)
 
     def grid_ns(first_s: float, rate_hz: float) -> TimeNs:
@@ -144,7 +164,10 @@ def exact_dive(
     # The IMU, by blocks.
     imu_ns, ping_ns = grid_ns(0.0, imu_rate_hz), grid_ns(FIRST_PING_S, dvl_rate_hz)
     blocks = [motion_at(block) for block in np.array_split(imu_ns, 1 + len(imu_ns) // BLOCK)]
-    forces_b, rates_b = [block.specific_force_b for block in blocks], [block.angular_rate_b for block in blocks]
+    forces_b, rates_b = (
+        [block.specific_force_b for block in blocks],
+        [block.angular_rate_b for block in blocks],
+    )
 
     # The DVL.
     time_s, vectors_d, motion = seconds(ping_ns, START_NS), beam_vectors_d(), motion_at(ping_ns)
@@ -161,8 +184,12 @@ def exact_dive(
         reading_ns = grid_ns(0.0, rate_hz)
         motion = motion_at(reading_ns)
         values = named("sensor", name, SIMULATED).reading(motion)
-        sensors[name] = SensorColumns(reading_ns, values, motion.mat_nb if name == "heading" else None)
-    reference_ns = np.append(START_NS, ping_ns) if reference_at_pings else grid_ns(0.0, reference_rate_hz)
+        sensors[name] = SensorColumns(
+            reading_ns, values, motion.mat_nb if name == "heading" else None
+        )
+    reference_ns = (
+        np.append(START_NS, ping_ns) if reference_at_pings else grid_ns(0.0, reference_rate_hz)
+    )
     motion = motion_at(reference_ns)
     reference = ReferenceColumns(
         reference_ns,
@@ -183,7 +210,9 @@ def exact_dive(
 
 def _check_positive(what: str, unit: str, value: float) -> None:
     if not 0.0 < value < np.inf:
-        raise ConfigError(f"{what} must be above 0, found {value:g} {unit}", f"give the {what} in {unit}")
+        raise ConfigError(
+            f"{what} must be above 0, found {value:g} {unit}", f"give the {what} in {unit}"
+        )
 
 
 def add_errors(
@@ -202,7 +231,9 @@ def add_errors(
         raise ConfigError(f"seed must be at least 0, found {seed}", f"--seed {-seed}")
     if exact.truth is None:
         raise ValueError("errors are added to an exact dive, which holds truth")
-    accel_rng, gyro_rng, dvl_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+    accel_rng, gyro_rng, dvl_rng = (
+        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3)
+    )
     sensor_rngs = {name: np.random.default_rng([seed, *name.encode()]) for name in sensor_errors}
     imu, biases = add_imu_errors(exact.imu, imu_errors, accel_rng, gyro_rng)
     time_ns = exact.truth.time_ns
@@ -212,7 +243,9 @@ def add_errors(
         imu=imu,
         dvl=add_dvl_errors(exact.dvl, dvl_errors, dvl_rng),
         truth=TruthColumns(
-            time_ns, np.round(biases.accel_bias_b[latest], 10), np.round(biases.gyro_bias_b[latest], 14)
+            time_ns,
+            np.round(biases.accel_bias_b[latest], 10),
+            np.round(biases.gyro_bias_b[latest], 14),
         ),
         sensors={
             name: add_sensor_errors(name, exact.sensors[name], errors, sensor_rngs[name])

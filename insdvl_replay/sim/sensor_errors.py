@@ -12,13 +12,21 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, SensorColumns, TruthColumns
+from insdvl_replay.core.dive_columns import (
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    SensorColumns,
+    TruthColumns,
+)
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.geometry.frames import beam_vectors, moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, turned
 from insdvl_replay.sim.trajectories import Motion
 
-DEG_PER_RT_HOUR: Final = DEG / 60.0  # the unit of angular random walk on data sheets, in rad/sqrt(s)
+DEG_PER_RT_HOUR: Final = (
+    DEG / 60.0
+)  # the unit of angular random walk on data sheets, in rad/sqrt(s)
 
 
 @dataclass(frozen=True)
@@ -32,7 +40,9 @@ class ImuErrors:
     gyro_white_rad_rts: float = 0.0
     accel_bias_sd_mps2: float = 0.0  # of the bias at the start of a dive
     gyro_bias_sd_radps: float = 0.0
-    accel_bias_walk_mps2_rts: float = 0.0  # random walk K: after t the sd of the bias has grown by K sqrt(t)
+    accel_bias_walk_mps2_rts: float = (
+        0.0  # random walk K: after t the sd of the bias has grown by K sqrt(t)
+    )
     gyro_bias_walk_radps_rts: float = 0.0
     accel_quantum_mps2: float = 0.0  # step to which readings are rounded; 0 for none
     gyro_quantum_radps: float = 0.0
@@ -86,7 +96,10 @@ def quantise(values: Floats, quantum: float) -> Floats:
 
 
 def add_imu_errors(
-    exact: ImuColumns, errors: ImuErrors, accel_rng: np.random.Generator, gyro_rng: np.random.Generator
+    exact: ImuColumns,
+    errors: ImuErrors,
+    accel_rng: np.random.Generator,
+    gyro_rng: np.random.Generator,
 ) -> tuple[ImuColumns, TruthColumns]:
     """Add bias, white noise and quantisation; return the readings and the drawn biases."""
 
@@ -121,7 +134,9 @@ class DvlErrors:
     beam_bias_sd_mps: float = 0.001  # a beam's constant offset, drawn once a dive
     beam_scale_sd: float = 0.002  # a beam's scale error, drawn once a dive
     beam_quantum_mps: float = 1e-4  # step to which readings are rounded; 0 for none
-    velocity_sd_mps: float = 0.0  # white noise on each axis of the velocity, common to the beams of a ping
+    velocity_sd_mps: float = (
+        0.0  # white noise on each axis of the velocity, common to the beams of a ping
+    )
 
 
 @dataclass(frozen=True)
@@ -174,13 +189,17 @@ class SimulatedSensor:
 SIMULATED: Final[Mapping[str, SimulatedSensor]] = {
     "depth": SimulatedSensor("m", 1.0, lambda motion: np.asarray(-motion.position[:, 2:])),
     # Twelve digits: further ones differ between processors.
-    "heading": SimulatedSensor("deg", DEG, lambda motion: np.asarray(np.round(rpy_from_mat(motion.mat_nb)[:, 2:], 12))),
+    "heading": SimulatedSensor(
+        "deg", DEG, lambda motion: np.asarray(np.round(rpy_from_mat(motion.mat_nb)[:, 2:], 12))
+    ),
     "position": SimulatedSensor("m", 1.0, lambda motion: motion.position),
 }
 """By the names of `core.states.SENSORS`; at the IMU's place."""
 
 
-def add_sensor_errors(name: str, exact: SensorColumns, errors: SensorErrors, rng: np.random.Generator) -> SensorColumns:
+def add_sensor_errors(
+    name: str, exact: SensorColumns, errors: SensorErrors, rng: np.random.Generator
+) -> SensorColumns:
     """Add white noise to exact readings; for an attitude to each of its angles."""
     sd = SIMULATED[name].si * errors.sd
     noise = sd * rng.standard_normal(exact.values.shape)
@@ -188,4 +207,6 @@ def add_sensor_errors(name: str, exact: SensorColumns, errors: SensorErrors, rng
     if exact.mat_nb is None:
         return SensorColumns(exact.time_ns, values)
     roll_pitch = rpy_from_mat(exact.mat_nb)[:, :2] + sd * rng.standard_normal((len(values), 2))
-    return SensorColumns(exact.time_ns, values, mat_from_rpy(np.concatenate([roll_pitch, values], axis=1)))
+    return SensorColumns(
+        exact.time_ns, values, mat_from_rpy(np.concatenate([roll_pitch, values], axis=1))
+    )

@@ -16,10 +16,19 @@ from scipy.integrate import cumulative_simpson
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry.earth import earth_rate_of, gravity_of, meridian_radius_of, transverse_radius_of
+from insdvl_replay.geometry.earth import (
+    earth_rate_of,
+    gravity_of,
+    meridian_radius_of,
+    transverse_radius_of,
+)
 from insdvl_replay.geometry.rotation import mat_from_sines, turned
 
-QUARTER_TURN: Final = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
+QUARTER_TURN: Final = (
+    1.57079632673412561417,
+    6.07710050630396597660e-11,
+    2.02226624879595063154e-21,
+)
 """Half of pi as a sum. The first two have 33 bits, so that their multiples up to 2^20 are exact.
 
 Source: Cody and Waite, "Software Manual for the Elementary Functions", 1980; the parts are those of fdlibm.
@@ -94,7 +103,9 @@ class Segment:
     def heading_change(self, time_s: Floats) -> Floats:
         """Return the change of heading, rad, at seconds from the segment's start."""
         fall_s = time_s - (self.duration_s - RAMP_S)
-        change: Floats = self.peak_rate * RAMP_S * (_ramp_area(time_s / RAMP_S) - _ramp_area(fall_s / RAMP_S))
+        change: Floats = (
+            self.peak_rate * RAMP_S * (_ramp_area(time_s / RAMP_S) - _ramp_area(fall_s / RAMP_S))
+        )
         return change
 
     def heading_rate(self, time_s: Floats) -> Floats:
@@ -150,14 +161,20 @@ class Scenario:
         heading = np.full_like(time_s, HEADING_DEG * DEG)
         for segment, since_s in self._turns(time_s):
             heading += segment.heading_change(since_s)
-        return np.stack([self.roll_deg.value(time_s) * DEG, self.pitch_deg.value(time_s) * DEG, heading], axis=-1)
+        return np.stack(
+            [self.roll_deg.value(time_s) * DEG, self.pitch_deg.value(time_s) * DEG, heading],
+            axis=-1,
+        )
 
     def rpy_rate(self, time_s: Floats) -> Floats:
         """Return the derivatives of roll, pitch and heading, rad/s, shape (k, 3)."""
         heading_rate = np.zeros_like(time_s)
         for segment, since_s in self._turns(time_s):
             heading_rate += segment.heading_rate(since_s)
-        return np.stack([self.roll_deg.rate(time_s) * DEG, self.pitch_deg.rate(time_s) * DEG, heading_rate], axis=-1)
+        return np.stack(
+            [self.roll_deg.rate(time_s) * DEG, self.pitch_deg.rate(time_s) * DEG, heading_rate],
+            axis=-1,
+        )
 
     def velocity_b(self, time_s: Floats) -> Floats:
         """Return the velocity over ground in b, m/s, shape (k, 3)."""
@@ -177,14 +194,28 @@ def _figure_eight() -> tuple[Segment, ...]:
 
     Four turns by 138.9 deg, two to each side, are 555 deg in 394 s: 1.41 deg/s in the mean.
     """
-    right, left, base, diagonal = turn(138.9, 17.0), turn(-138.9, 17.0), Segment(35.0), Segment(46.0)
+    right, left, base, diagonal = (
+        turn(138.9, 17.0),
+        turn(-138.9, 17.0),
+        Segment(35.0),
+        Segment(46.0),
+    )
     return (Segment(100.0), right, base, right, diagonal, left, base, left)
 
 
 def _lawnmower() -> tuple[Segment, ...]:
     """Make legs of 300 s with U-turns between them, to either side in turn, each sharper than the last."""
     leg = Segment(300.0)
-    return (leg, turn(180.0, 6.0), leg, turn(-180.0, 9.0), leg, turn(180.0, 12.0), leg, turn(-180.0, 15.0))
+    return (
+        leg,
+        turn(180.0, 6.0),
+        leg,
+        turn(-180.0, 9.0),
+        leg,
+        turn(180.0, 12.0),
+        leg,
+        turn(-180.0, 15.0),
+    )
 
 
 def _calibration() -> tuple[Segment, ...]:
@@ -205,7 +236,9 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             roll_deg=Wave(0.0, 1.0, 17.0),
             pitch_deg=Wave(0.0, 1.0, 31.0),
         ),
-        "lawnmower": Scenario("slow legs of 300 s with U-turns", 1500.0, Wave(0.6 / 3.6), _lawnmower()),
+        "lawnmower": Scenario(
+            "slow legs of 300 s with U-turns", 1500.0, Wave(0.6 / 3.6), _lawnmower()
+        ),
         "static": Scenario("at rest", 300.0, Wave(0.0)),
         "calibration": Scenario(
             "every manoeuvre for calibration: turns, changes of speed, sway, heave, roll and pitch",
@@ -264,7 +297,9 @@ class Trajectory:
         ``v' = C (w_nb x v_b + v_b')``; see docs/equations/mechanisation.md.
         """
         # Hermite's cubic between the knots.
-        left = np.clip(np.searchsorted(self._knots_s, time_s, side="right") - 1, 0, len(self._knots_s) - 2)
+        left = np.clip(
+            np.searchsorted(self._knots_s, time_s, side="right") - 1, 0, len(self._knots_s) - 2
+        )
         right = left + 1
         step_s = (self._knots_s[right] - self._knots_s[left])[:, None]
         done = (time_s - self._knots_s[left])[:, None] / step_s
@@ -290,7 +325,11 @@ class Trajectory:
         (sr, sp, _), (cr, cp, _) = sine.T, cosine.T
         roll_rate, pitch_rate, heading_rate = self._scenario.rpy_rate(time_s).T
         about_y = cp * heading_rate
-        rates = [roll_rate - sp * heading_rate, cr * pitch_rate + sr * about_y, cr * about_y - sr * pitch_rate]
+        rates = [
+            roll_rate - sp * heading_rate,
+            cr * pitch_rate + sr * about_y,
+            cr * about_y - sr * pitch_rate,
+        ]
         rate_nb_b = np.stack(rates, axis=-1)
 
         acceleration_b = np.cross(rate_nb_b, velocity_b) + self._scenario.velocity_rate_b(time_s)

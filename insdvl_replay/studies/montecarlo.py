@@ -12,7 +12,16 @@ import pandas as pd
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats
-from insdvl_replay.core.result import LIMIT, REFERENCE, Curve, DisplayTable, Figure, Panel, Result, filter_style
+from insdvl_replay.core.result import (
+    LIMIT,
+    REFERENCE,
+    Curve,
+    DisplayTable,
+    Figure,
+    Panel,
+    Result,
+    filter_style,
+)
 from insdvl_replay.core.runtime import parallel_map, track_progress
 from insdvl_replay.core.states import BA, BG, DV, NINE, PHI, STATES, State
 from insdvl_replay.core.words import Consistency
@@ -63,7 +72,9 @@ Outages = Sequence[tuple[float, float]]
 class MonteCarloSetup:
     """The common part of all runs of a study."""
 
-    exact: Dive  # with perfect sensors; reference and truth have a row at the start and at each ping
+    exact: (
+        Dive  # with perfect sensors; reference and truth have a row at the start and at each ping
+    )
     imu_errors: ImuErrors  # size of the errors of each run
     dvl_errors: DvlErrors
     config: Config  # filters and uncertainty of the start; biases, scale, span and log are not used
@@ -116,7 +127,9 @@ def simulated_run(setup: MonteCarloSetup, seed: int) -> tuple[RunErrors, ...]:
     sensors, _ = prepare_sensors(dive.sensors, config, alignment.start, start_ns, end_ns)
     start = Prepared(velocities, alignment, end_ns, NO_GAPS, mounting, filters, None, sensors, ())
     timeline = prepared_timeline(dive, start)
-    histories = (run_one(filter_, start, timeline, cov_ns=dive.reference.time_ns) for filter_ in filters)
+    histories = (
+        run_one(filter_, start, timeline, cov_ns=dive.reference.time_ns) for filter_ in filters
+    )
     return tuple(run_errors(history, dive.reference, dive.truth) for history in histories)
 
 
@@ -184,7 +197,11 @@ def study_montecarlo(
         figures={"nees": nees_figure(title, nees), **pictures},
         config=config,
         arguments=asked | {"runs": runs},
-        series={"nees": nees, "ensemble": ensemble_table(ensembles), "runs": runs_table(seeds, list(tallies.values()))},
+        series={
+            "nees": nees,
+            "ensemble": ensemble_table(ensembles),
+            "runs": runs_table(seeds, list(tallies.values())),
+        },
         display=tuple(_display(tables)),
     )
     return result, ensembles
@@ -202,7 +219,10 @@ def repeat_run(
 ) -> Result:
     """Repeat one run of a study, by its number, from 1."""
     setup, own_seed = make_setup(scenario, config, imu, duration_s, outages), run_seed(seed, run)
-    table, (asked, length, drawn) = run_table(simulated_run(setup, own_seed)), _asked(setup, imu, seed, outages)
+    table, (asked, length, drawn) = (
+        run_table(simulated_run(setup, own_seed)),
+        _asked(setup, imu, seed, outages),
+    )
     columns = (
         ("state", "l", "state:label"),
         ("unit", "l", "unit"),
@@ -228,7 +248,9 @@ def repeat_run(
     )
 
 
-def _asked(setup: MonteCarloSetup, imu: str, seed: int, outages: Outages) -> tuple[dict[str, Any], str, str]:
+def _asked(
+    setup: MonteCarloSetup, imu: str, seed: int, outages: Outages
+) -> tuple[dict[str, Any], str, str]:
     """Return the arguments, the duration, and a text on the random draws."""
     time_ns = setup.exact.imu.time_ns
     duration_s = float(time_ns[-1] - time_ns[0]) * 1e-9
@@ -255,9 +277,15 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
     baseline, *candidates = tables["verdicts"]["filter"]
     nine = tables["montecarlo"][tables["montecarlo"]["state"].isin([state.id for state in NINE])]
     for name in candidates:
-        means = nine[nine["filter"] == name][["predicted_improvement_pct", "true_improvement_pct"]].mean()
-        predicted, true = (f"{abs(mean):.1f} % {'smaller' if mean >= 0 else 'larger'}" for mean in means)
-        yield (f"{name} against {baseline}, mean over nine states: predicted errors {predicted}, true errors {true}")
+        means = nine[nine["filter"] == name][
+            ["predicted_improvement_pct", "true_improvement_pct"]
+        ].mean()
+        predicted, true = (
+            f"{abs(mean):.1f} % {'smaller' if mean >= 0 else 'larger'}" for mean in means
+        )
+        yield (
+            f"{name} against {baseline}, mean over nine states: predicted errors {predicted}, true errors {true}"
+        )
 
 
 def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
@@ -271,7 +299,10 @@ def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
         ("ensemble\nmean", "r", "ensemble_mean"),
         ("rms /\nsigma", "r", "ratio"),
     ]
-    gains = [("prediction", "r", "predicted_improvement_pct:percent"), ("truth", "r", "true_improvement_pct:percent")]
+    gains = [
+        ("prediction", "r", "predicted_improvement_pct:percent"),
+        ("truth", "r", "true_improvement_pct:percent"),
+    ]
     for name, rows in tables["montecarlo"].groupby("filter", sort=False):
         is_baseline = name == baseline
         against = "" if is_baseline else f"; predicted and true improvement over {baseline}"
@@ -313,23 +344,37 @@ def nees_figure(title: str, nees: pd.DataFrame) -> Figure:
     low, high = float(nees["low"][0]), float(nees["high"][0])
     curves, legend = [], []
     for number, (name, rows) in enumerate(nees.groupby("filter", sort=False)):
-        curves.append(Curve(rows["time_s"].to_numpy(), rows["mean_nees"].to_numpy(), filter_style(number)))
+        curves.append(
+            Curve(rows["time_s"].to_numpy(), rows["mean_nees"].to_numpy(), filter_style(number))
+        )
         legend.append((filter_style(number), str(name)))
     far_above = nees["mean_nees"].max() > FAR_ABOVE * high
-    panel = Panel("mean NEES", "time [s]", tuple(curves), (low, high), "log" if far_above else "linear")
+    panel = Panel(
+        "mean NEES", "time [s]", tuple(curves), (low, high), "log" if far_above else "linear"
+    )
     caption = "Dashed lines: 95 % interval of a consistent filter."
     return Figure(title, caption, (panel,), (*legend, (LIMIT, "95 % interval")))
 
 
 def ensemble_figure(
-    title: str, states: Sequence[State], time_s: Floats, sd: Floats, error_sd: Floats, error_mean: Floats
+    title: str,
+    states: Sequence[State],
+    time_s: Floats,
+    sd: Floats,
+    error_sd: Floats,
+    error_mean: Floats,
 ) -> Figure:
     """Draw sigma from P, ensemble sigma and ensemble mean, (k, 12) in SI, over time, one panel for each state."""
     panels = []
     settled = time_s >= SETTLED * time_s[-1]
     for state in states:
-        predicted, actual, mean = (column[:, state.index] / state.factor for column in (sd, error_sd, error_mean))
-        lowest, highest = min(0.0, mean[settled].min()), max(predicted[settled].max(), actual[settled].max())
+        predicted, actual, mean = (
+            column[:, state.index] / state.factor for column in (sd, error_sd, error_mean)
+        )
+        lowest, highest = (
+            min(0.0, mean[settled].min()),
+            max(predicted[settled].max(), actual[settled].max()),
+        )
         curves = (
             Curve(time_s, actual, REFERENCE),
             Curve(time_s, mean, filter_style(2)),
@@ -341,5 +386,9 @@ def ensemble_figure(
         title,
         "For a consistent filter, sigma from P is equal to that of the ensemble.",
         tuple(panels),
-        ((SIGMA, "sigma from P"), (REFERENCE, "ensemble sigma"), (filter_style(2), "ensemble mean")),
+        (
+            (SIGMA, "sigma from P"),
+            (REFERENCE, "ensemble sigma"),
+            (filter_style(2), "ensemble mean"),
+        ),
     )

@@ -14,7 +14,15 @@ from insdvl_replay.core.config import Acceleration, Config, Filter, Initial
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.quantities import label
-from insdvl_replay.core.result import LIMIT, Curve, DisplayTable, Figure, Panel, Result, filter_style
+from insdvl_replay.core.result import (
+    LIMIT,
+    Curve,
+    DisplayTable,
+    Figure,
+    Panel,
+    Result,
+    filter_style,
+)
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import DirectionStatus
 from insdvl_replay.nav.measurements import Measurement
@@ -54,7 +62,9 @@ _GROWN_PCT: Final = 101.0
 """Percent of the prior above which a state counts as less certain; the walk of a bias alone is below it."""
 
 
-def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bool = True) -> Result:
+def study_observability(
+    dive_or_scenario: str, config: Config, *, earth_rate: bool = True
+) -> Result:
     """Analyse the observability of the errors at the start of a dive from velocities and accelerations.
 
     The errors are linearised around the motion of the first filter. In a scenario, with perfect sensors, this is the
@@ -67,16 +77,22 @@ def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bo
     timeline = prepared_timeline(replace(dive, reference=None), start)
     baseline = replace(start.filters[0], gate_probability=NO_GATE)
     nominal = run_one(baseline, start, timeline)
-    pings = nominal_pings(timeline, nominal, baseline.noise_density[: len(STATES)], earth_rate=earth_rate)
+    pings = nominal_pings(
+        timeline, nominal, baseline.noise_density[: len(STATES)], earth_rate=earth_rate
+    )
     measurements, arm_b = _measurements(start, config), start.mounting.lever_arm_b
     prior_sd = start.alignment.start.sd
     found, left_sd = {}, {}
     for name, aiding in AIDING.items():
         stack = [measurements[single] for single in aiding]
-        found[name] = analyse(np.vstack([whitened_rows(pings, single, arm_b) for single in stack]), prior_sd)
+        found[name] = analyse(
+            np.vstack([whitened_rows(pings, single, arm_b) for single in stack]), prior_sd
+        )
         left_sd[name] = np.sqrt(np.diag(remaining_cov(pings, stack, arm_b, prior_sd)))
     start_of = (nominal.position[0], nominal.velocity_n[0], nominal.mat_nb[0])
-    tables = observability_tables(found, named_directions(*start_of, earth_rate=earth_rate), prior_sd, left_sd)
+    tables = observability_tables(
+        found, named_directions(*start_of, earth_rate=earth_rate), prior_sd, left_sd
+    )
     seconds_s = (start.end_ns - start.alignment.start_ns) * 1e-9
     earth = "" if earth_rate else ", Earth rate left out"
     title = f"Observability study: {dive.name}, {seconds_s:.1f} s, {len(start.velocities.time_ns)} pings{earth}"
@@ -88,7 +104,9 @@ def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bo
             f"Singular values up to {TOLERANCE:.0e} of the largest count as zero.",
         ),
         tables=tables,
-        figures={"singular_values": singular_value_figure(title, tables["singular_values"], TOLERANCE)},
+        figures={
+            "singular_values": singular_value_figure(title, tables["singular_values"], TOLERANCE)
+        },
         notes=dive.notes + start.notes,
         config=config,
         arguments={"dive": dive.name, "earth_rate": earth_rate},
@@ -100,20 +118,31 @@ def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
     """Read the log, or simulate the scenario's exact dive, with scale 1 and zero biases in the settings."""
     path = Path(dive_or_scenario)
     if path.exists():
-        return with_reference_at_imu(read_checked_dive(path, config.without_solutions()), config), config
+        return with_reference_at_imu(
+            read_checked_dive(path, config.without_solutions()), config
+        ), config
     if dive_or_scenario not in SCENARIOS:
-        raise ConfigError(f"{dive_or_scenario}: is neither a log nor a scenario", f"scenarios: {', '.join(SCENARIOS)}")
+        raise ConfigError(
+            f"{dive_or_scenario}: is neither a log nor a scenario",
+            f"scenarios: {', '.join(SCENARIOS)}",
+        )
     change, unbiased = msgspec.structs.replace, Initial()
     dvl = change(config.dvl, scale=1.0)
     biases = {"accel_bias_mg": unbiased.accel_bias_mg, "gyro_bias_degph": unbiased.gyro_bias_degph}
-    dive = exact_dive(dive_or_scenario, lever_arm_m=dvl.lever_arm_m, mounting_rpy_deg=dvl.mounting_rpy_deg)
-    return dive, change(config, dvl=dvl, initial=change(config.initial, source="reference", **biases))
+    dive = exact_dive(
+        dive_or_scenario, lever_arm_m=dvl.lever_arm_m, mounting_rpy_deg=dvl.mounting_rpy_deg
+    )
+    return dive, change(
+        config, dvl=dvl, initial=change(config.initial, source="reference", **biases)
+    )
 
 
 def _measurements(start: Prepared, config: Config) -> dict[str, Measurement]:
     """Prepare each measurement alone: the first filter's velocities, the first accelerations configured."""
     baseline = config.filters[config.baseline]
-    with_acceleration = (filter_ for filter_ in config.filters.values() if filter_.acceleration is not None)
+    with_acceleration = (
+        filter_ for filter_ in config.filters.values() if filter_.acceleration is not None
+    )
     owner = next(with_acceleration, baseline)
     acceleration = owner.acceleration or Acceleration()
     change = partial(msgspec.structs.replace, gate_probability=NO_GATE)
@@ -164,9 +193,20 @@ def observability_tables(
         for count, (value, vector) in enumerate(
             zip(analysis.singular_values, analysis.directions, strict=True), start=1
         ):
-            values.append((aiding, count, value, 100.0 / np.sqrt(1.0 + value**2), *(vector * prior_sd / factors)))
+            values.append(
+                (
+                    aiding,
+                    count,
+                    value,
+                    100.0 / np.sqrt(1.0 + value**2),
+                    *(vector * prior_sd / factors),
+                )
+            )
         columns = {"prior_sd": prior_sd / factors, "left_sd": left_sd[aiding] / factors}
-        columns |= {"left_pct": 100.0 * left_sd[aiding] / prior_sd, "left_without_noise_pct": 100.0 * analysis.left()}
+        columns |= {
+            "left_pct": 100.0 * left_sd[aiding] / prior_sd,
+            "left_without_noise_pct": 100.0 * analysis.left(),
+        }
         names = {"aiding": aiding, "state": ids, "unit": [state.unit for state in STATES]}
         states.append(pd.DataFrame({**names, **columns}))
     catalogue = []
@@ -175,8 +215,12 @@ def observability_tables(
         leading = displayed[np.argmax(np.abs(direction.scaled(prior_sd)))]
         catalogue.append((direction.id, direction.label, *(displayed / leading)))
     return {
-        "ranks": pd.DataFrame(ranks, columns=["aiding", "rank", "states", "gap", "weak", "unnamed"]),
-        "directions": pd.DataFrame(seen, columns=["aiding", "direction", "label", "signal_to_noise", "status"]),
+        "ranks": pd.DataFrame(
+            ranks, columns=["aiding", "rank", "states", "gap", "weak", "unnamed"]
+        ),
+        "directions": pd.DataFrame(
+            seen, columns=["aiding", "direction", "label", "signal_to_noise", "status"]
+        ),
         "catalogue": pd.DataFrame(catalogue, columns=["direction", "label", *ids]),
         "singular_values": pd.DataFrame(
             values, columns=["aiding", "number", "singular_value", "left_without_noise_pct", *ids]
@@ -201,8 +245,15 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
         if row.rank == row.states:
             yield f"{rank}."
             continue
-        names = [*unseen.get(row.aiding, []), *([f"{row.unnamed} without a name"] if row.unnamed else [])]
-        gap = f"; the next singular value is {row.gap:.0e} times smaller" if np.isfinite(row.gap) else ""
+        names = [
+            *unseen.get(row.aiding, []),
+            *([f"{row.unnamed} without a name"] if row.unnamed else []),
+        ]
+        gap = (
+            f"; the next singular value is {row.gap:.0e} times smaller"
+            if np.isfinite(row.gap)
+            else ""
+        )
         yield f"{rank}{gap}; unobservable: {', '.join(names)}."
     for aiding, states in tables["states"].groupby("aiding", sort=False):
         less = states[states["left_pct"] > _GROWN_PCT]  # not visible in the rank
@@ -223,10 +274,18 @@ def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
     yield table_of(
         "Named directions of error at the start",
         tables["catalogue"],
-        (("direction", "l", "direction"), ("meaning", "l", "label"), ("components", "l", components)),
+        (
+            ("direction", "l", "direction"),
+            ("meaning", "l", "label"),
+            ("components", "l", components),
+        ),
     )
     seen = tables["directions"]
-    signal = seen["signal_to_noise"].map(number).where(seen["status"] != DirectionStatus.UNOBSERVABLE, MISSING)
+    signal = (
+        seen["signal_to_noise"]
+        .map(number)
+        .where(seen["status"] != DirectionStatus.UNOBSERVABLE, MISSING)
+    )
     yield _by_aiding(
         "Signal to noise of each direction, for an error as large as the prior",
         seen.assign(text=signal),
@@ -236,7 +295,9 @@ def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
     values = tables["singular_values"]
     yield _by_aiding(
         "Singular values: signal to noise of twelve orthogonal directions",
-        values.assign(text=values["singular_value"].map(number), number=values["number"].astype(str)),
+        values.assign(
+            text=values["singular_value"].map(number), number=values["number"].astype(str)
+        ),
         "number",
     )
     states = tables["states"].assign(state=tables["states"]["state"].map(label))
@@ -258,7 +319,9 @@ def _by_aiding(title: str, table: pd.DataFrame, key: str, footnote: str = "") ->
     aidings, keys = table["aiding"].unique(), table[key].unique()
     cells = table.pivot(index=key, columns="aiding", values="text").loc[keys, aidings]
     header = ("" if key == "number" else key, *(aiding.replace("+ ", "+\n") for aiding in aidings))
-    return DisplayTable(title, header, "l" + "r" * len(aidings), tuple(cells.itertuples(name=None)), footnote)
+    return DisplayTable(
+        title, header, "l" + "r" * len(aidings), tuple(cells.itertuples(name=None)), footnote
+    )
 
 
 def singular_value_figure(title: str, values: pd.DataFrame, tolerance: float) -> Figure:
@@ -278,5 +341,8 @@ def singular_value_figure(title: str, values: pd.DataFrame, tolerance: float) ->
         x_whole=True,
     )
     return Figure(
-        title, "Directions below the tolerance are not observable.", (panel,), (*legend, (LIMIT, "tolerance"))
+        title,
+        "Directions below the tolerance are not observable.",
+        (panel,),
+        (*legend, (LIMIT, "tolerance")),
     )

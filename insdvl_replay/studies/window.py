@@ -49,7 +49,9 @@ Windows = tuple[pd.DataFrame, float, tuple[Note, ...]]
 """Table of a dive, the time in s over which its reference is differentiated, and notes."""
 
 
-def study_window(paths: Sequence[Path], config: Config, longest: int = 10, *, jobs: int = 1) -> Result:
+def study_window(
+    paths: Sequence[Path], config: Config, longest: int = 10, *, jobs: int = 1
+) -> Result:
     """Compare the accelerations from 2 to ``longest`` velocities with the reference of each log.
 
     The gap that starts a new window is that of the first filter with accelerations. With several logs, rows of log
@@ -59,11 +61,15 @@ def study_window(paths: Sequence[Path], config: Config, longest: int = 10, *, jo
     names = [dive_name(path) for path in paths]
     for place, name in enumerate(names):
         if (first := names.index(name)) < place:
-            raise ConfigError(f"{paths[first]} and {paths[place]} have the same name", "rename one of them")
+            raise ConfigError(
+                f"{paths[first]} and {paths[place]} have the same name", "rename one of them"
+            )
 
     def study(path: Path) -> Windows | LogError:
         try:
-            return dive_windows(read_checked_dive(path, config.without_solutions()), config, longest)
+            return dive_windows(
+                read_checked_dive(path, config.without_solutions()), config, longest
+            )
         except LogError as error:
             return error
 
@@ -85,7 +91,10 @@ def study_window(paths: Sequence[Path], config: Config, longest: int = 10, *, jo
         figures={"window": window_figure(windows)},
         notes=(
             *(note for dive_notes in notes for note in dive_notes),
-            *(Note(LEFT_OUT, f"{error.message}; ignored", 1, Severity.WARNING, error.hint) for error in refused),
+            *(
+                Note(LEFT_OUT, f"{error.message}; ignored", 1, Severity.WARNING, error.hint)
+                for error in refused
+            ),
         ),
         config=config,
         arguments={"logs": names, "longest": longest},
@@ -106,15 +115,23 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
     reference = reference_as_configured(dive.reference, dive.imu, config)
     start = prepare_with_heading(replace(dive, reference=reference), config)
     velocities = start.velocities
-    configured = (filter_.acceleration for filter_ in config.filters.values() if filter_.acceleration is not None)
+    configured = (
+        filter_.acceleration
+        for filter_ in config.filters.values()
+        if filter_.acceleration is not None
+    )
     max_gap_s = next(configured, Acceleration()).max_window_gap_s
     time_s = seconds(velocities.time_ns, velocities.time_ns[:1])
     windows = {n: slope_windows(time_s, n, 1, max_gap_s) for n in range(2, longest + 1)}
     expected_b = _expected(windows, velocities, reference, max_gap_s)
     # A window over a long IMU gap is ignored: the lever arm's velocity is unknown.
     first = np.maximum(np.arange(len(velocities.time_ns)) - longest + 1, 0)
-    compared = windows[longest].complete & ~start.gaps.overlap(velocities.time_ns[first], velocities.time_ns)
-    compared &= np.all([np.isfinite(expected).all(axis=1) for expected in expected_b.values()], axis=0)
+    compared = windows[longest].complete & ~start.gaps.overlap(
+        velocities.time_ns[first], velocities.time_ns
+    )
+    compared &= np.all(
+        [np.isfinite(expected).all(axis=1) for expected in expected_b.values()], axis=0
+    )
     if not compared.any():
         raise LogError(
             f"{dive.name}: the {len(time_s)} pings have no window of {longest} velocities without a gap above "
@@ -125,17 +142,34 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
     for lever_arm, velocity_b in _velocities_at_imu(dive, velocities, start.mounting).items():
         for (at, n), expected in expected_b.items():
             slope_b = windowed_sum(windows[n].velocity_weights, velocity_b)
-            rows.append((dive.name, n, at, lever_arm, vector_rmse(slope_b, expected, compared), int(compared.sum())))
-    return pd.DataFrame(rows, columns=WINDOW_COLUMNS), differentiated_over_s(reference), dive.notes + start.notes
+            rows.append(
+                (
+                    dive.name,
+                    n,
+                    at,
+                    lever_arm,
+                    vector_rmse(slope_b, expected, compared),
+                    int(compared.sum()),
+                )
+            )
+    return (
+        pd.DataFrame(rows, columns=WINDOW_COLUMNS),
+        differentiated_over_s(reference),
+        dive.notes + start.notes,
+    )
 
 
 def _expected(
-    windows: dict[int, SlopeWindows], velocities: DvlVelocities, reference: ReferenceColumns, max_gap_s: float
+    windows: dict[int, SlopeWindows],
+    velocities: DvlVelocities,
+    reference: ReferenceColumns,
+    max_gap_s: float,
 ) -> dict[tuple[str, int], Floats]:
     """Return the reference's acceleration at the middle and at the end of each window, by place and size."""
     acceleration_b = reference_acceleration(reference, max_gap_s)
     middle_ns = {
-        n: velocities.time_ns[:1] + np.round(window.middle_s * 1e9).astype(np.int64) for n, window in windows.items()
+        n: velocities.time_ns[:1] + np.round(window.middle_s * 1e9).astype(np.int64)
+        for n, window in windows.items()
     }
     return {
         (at, n): acceleration_at(time_ns, reference.time_ns, acceleration_b)
@@ -144,7 +178,9 @@ def _expected(
     }
 
 
-def _velocities_at_imu(dive: Dive, velocities: DvlVelocities, mounting: DvlMounting) -> dict[str, Floats]:
+def _velocities_at_imu(
+    dive: Dive, velocities: DvlVelocities, mounting: DvlMounting
+) -> dict[str, Floats]:
     """Return the DVL's velocities with ``w x l`` subtracted, and with it.
 
     The gyro's rate includes the Earth rate, which moves a lever arm of 1 m by a constant 0.07 mm/s.
@@ -152,8 +188,12 @@ def _velocities_at_imu(dive: Dive, velocities: DvlVelocities, mounting: DvlMount
     lever_arm_b = mounting.lever_arm_b
     if not lever_arm_b.any():
         return {NO_ARM: velocities.velocity_b}
-    ping_s, sample_s = (seconds(time_ns, dive.imu.time_ns[:1]) for time_ns in (velocities.time_ns, dive.imu.time_ns))
-    rate_b = np.column_stack([np.interp(ping_s, sample_s, axis) for axis in dive.imu.angular_rate_b.T])
+    ping_s, sample_s = (
+        seconds(time_ns, dive.imu.time_ns[:1]) for time_ns in (velocities.time_ns, dive.imu.time_ns)
+    )
+    rate_b = np.column_stack(
+        [np.interp(ping_s, sample_s, axis) for axis in dive.imu.angular_rate_b.T]
+    )
     return {
         COMPENSATED: velocities.velocity_b - np.cross(rate_b, lever_arm_b),
         IGNORED: velocities.velocity_b,
@@ -163,8 +203,12 @@ def _velocities_at_imu(dive: Dive, velocities: DvlVelocities, mounting: DvlMount
 def pooled_windows(table: pd.DataFrame) -> pd.DataFrame:
     """Pool the logs of a window study, each sample with the same weight."""
     squares = table.assign(squares=table["samples"] * table["rmse_mps2"] ** 2)
-    sums = squares.groupby(["lever_arm", "at", "n"], sort=False, as_index=False)[["squares", "samples"]].sum()
-    return sums.assign(log=POOLED, rmse_mps2=np.sqrt(sums["squares"] / sums["samples"]))[WINDOW_COLUMNS]
+    sums = squares.groupby(["lever_arm", "at", "n"], sort=False, as_index=False)[
+        ["squares", "samples"]
+    ].sum()
+    return sums.assign(log=POOLED, rmse_mps2=np.sqrt(sums["squares"] / sums["samples"]))[
+        WINDOW_COLUMNS
+    ]
 
 
 def best_windows(table: pd.DataFrame) -> pd.DataFrame:
@@ -185,7 +229,11 @@ def _sentences(best: pd.DataFrame, differentiated_s: Sequence[float]) -> Iterato
             f"{number(middle['rmse_mps2'])} m/s^2 rms, and {end['n']} at its end, {number(end['rmse_mps2'])} m/s^2 rms."
         )
     shortest_s, longest_s = min(differentiated_s), max(differentiated_s)
-    over = f"{shortest_s:.3g} s" if longest_s - shortest_s < 0.01 else f"{shortest_s:.3g} to {longest_s:.3g} s"
+    over = (
+        f"{shortest_s:.3g} s"
+        if longest_s - shortest_s < 0.01
+        else f"{shortest_s:.3g} to {longest_s:.3g} s"
+    )
     yield f"The reference's acceleration is a difference of velocities over {over}. It misses faster changes."
 
 
@@ -220,10 +268,18 @@ def window_figure(windows: pd.DataFrame) -> Figure:
     first_log, panels = windows["log"].iloc[0], []
     for arm, of_arm in windows.groupby("lever_arm", sort=False):
         curves = []
-        for (log, at), rows in reversed(list(of_arm.groupby(["log", "at"], sort=False))):  # the first log is on top
-            style, n, rmse = _STYLES[str(at)], rows["n"].to_numpy(np.float64), rows["rmse_mps2"].to_numpy()
+        for (log, at), rows in reversed(
+            list(of_arm.groupby(["log", "at"], sort=False))
+        ):  # the first log is on top
+            style, n, rmse = (
+                _STYLES[str(at)],
+                rows["n"].to_numpy(np.float64),
+                rows["rmse_mps2"].to_numpy(),
+            )
             name = f"{at} of the window" + ("" if log == first_log else f", {log}")
-            curves.append(Curve(n, rmse, style if log == first_log else f"{style} {_ALONE}", name=name))
+            curves.append(
+                Curve(n, rmse, style if log == first_log else f"{style} {_ALONE}", name=name)
+            )
             if log == first_log:
                 least = int(rmse.argmin())
                 curves.append(Curve(n[[least]], rmse[[least]], style, points=True, name=""))
@@ -241,4 +297,6 @@ def window_figure(windows: pd.DataFrame) -> Figure:
     if windows["log"].nunique() > 1:
         legend.append((_ALONE, "single logs"))
     caption = "Dots: number of velocities with the smallest error."
-    return Figure("Acceleration errors by the number of velocities", caption, tuple(panels), tuple(legend))
+    return Figure(
+        "Acceleration errors by the number of velocities", caption, tuple(panels), tuple(legend)
+    )

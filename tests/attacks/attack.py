@@ -113,14 +113,21 @@ def bombs(arguments: argparse.Namespace, folder: Path) -> bool:
     failed = False
     for name, command, verdict, ended, size in attacker.attack(folder, clean_mb, arguments.only):
         failed |= verdict != "ok"
-        rows.setdefault(name, [f"{size / 1e3:.0f}"]).append(f"{verdict}, {ended.peak_mb - clean_mb:.0f} MB")
+        rows.setdefault(name, [f"{size / 1e3:.0f}"]).append(
+            f"{verdict}, {ended.peak_mb - clean_mb:.0f} MB"
+        )
         if verdict != "ok":
-            sys.stdout.write(f"{verdict}: {name}, {command}: {ended.peak_mb:.0f} MB, {ended.said[-300:].rstrip()}\n")
+            sys.stdout.write(
+                f"{verdict}: {name}, {command}: {ended.peak_mb:.0f} MB, {ended.said[-300:].rstrip()}\n"
+            )
             sys.stdout.flush()
     text = f"What takes {LIMIT_S} s of processor time, or {BEYOND_MB:.0f} MB more than a clean log, is a defect."
     columns = ("bomb", "kB", "`run`", "`run --allow-damaged`", "`inspect`")
     _told(
-        arguments, "bombs", text, table(columns, [f"| {' | '.join([name, *cells])} |" for name, cells in rows.items()])
+        arguments,
+        "bombs",
+        text,
+        table(columns, [f"| {' | '.join([name, *cells])} |" for name, cells in rows.items()]),
     )
     return failed
 
@@ -131,7 +138,11 @@ def names(arguments: argparse.Namespace, folder: Path) -> bool:
 
     found = hostile_names.attack(folder, *_clean(folder), arguments.only)
     outcomes = (
-        (f"{what.partition(' ')[0]}, `{command}`", verdict, f"{what}, {command}: {ended.said[-200:]!r}")
+        (
+            f"{what.partition(' ')[0]}, `{command}`",
+            verdict,
+            f"{what}, {command}: {ended.said[-200:]!r}",
+        )
         for what, command, verdict, ended in found
     )
     lines, failed = _counted(outcomes)
@@ -145,7 +156,9 @@ def surroundings(arguments: argparse.Namespace, folder: Path) -> bool:
     import surroundings as attacker
 
     content, _ = _clean(folder)
-    lines, failed = _counted(found for found in attacker.attack(folder, content) if arguments.only in found[0])
+    lines, failed = _counted(
+        found for found in attacker.attack(folder, content) if arguments.only in found[0]
+    )
     text = "Each ends with the exit code and the sentence that it should, in a time that goes with its size."
     _told(arguments, "surroundings", text, lines)
     return failed
@@ -155,8 +168,12 @@ def kills(arguments: argparse.Namespace, folder: Path) -> bool:
     """Send signals at random moments."""
     import kills as attacker
 
-    found = attacker.attack(folder / "archive", range(arguments.seed, arguments.seed + (arguments.count or KILLS)))
-    lines, failed = _counted((f"`{command}`, {signal}", verdict, seen) for command, signal, verdict, seen in found)
+    found = attacker.attack(
+        folder / "archive", range(arguments.seed, arguments.seed + (arguments.count or KILLS))
+    )
+    lines, failed = _counted(
+        (f"`{command}`, {signal}", verdict, seen) for command, signal, verdict, seen in found
+    )
     text = (
         "Nothing is half written, no process lives on for 5 s, the next run succeeds. A hidden folder is left where "
         "nobody could clean up; the bare signal ends Python before or after the program."
@@ -169,9 +186,16 @@ def swaps(arguments: argparse.Namespace, folder: Path) -> bool:
     """Change logs while they are read."""
     import swaps as attacker
 
-    found = attacker.attack(folder / "swaps", range(arguments.seed, arguments.seed + (arguments.count or SWAPS)))
+    found = attacker.attack(
+        folder / "swaps", range(arguments.seed, arguments.seed + (arguments.count or SWAPS))
+    )
     lines, failed = _counted(found)
-    _told(arguments, "logs that change", "What a result says of its log is so, or there is no result.", lines)
+    _told(
+        arguments,
+        "logs that change",
+        "What a result says of its log is so, or there is no result.",
+        lines,
+    )
     return failed
 
 
@@ -197,12 +221,20 @@ def main() -> None:
     parser.add_argument("attack", choices=[*ATTACKS, "all"])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, help="how many; each attack has its own number")
-    parser.add_argument("--only", default="", metavar="TEXT", help="logs, bombs and names whose name has this in it")
+    parser.add_argument(
+        "--only", default="", metavar="TEXT", help="logs, bombs and names whose name has this in it"
+    )
     parser.add_argument("--jobs", type=int, default=2, help="of mutate")
     parser.add_argument("--short", action="store_true", help="damage only short logs")
-    parser.add_argument("--recorded", action="store_true", help="damage only the logs of ROS 1 in ../shared")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the mutants that show defects")
-    parser.add_argument("--write", action="store_true", help="write the tables to benchmarks/RESULTS.md")
+    parser.add_argument(
+        "--recorded", action="store_true", help="damage only the logs of ROS 1 in ../shared"
+    )
+    parser.add_argument(
+        "--keep", type=Path, metavar="DIR", help="keep the mutants that show defects"
+    )
+    parser.add_argument(
+        "--write", action="store_true", help="write the tables to benchmarks/RESULTS.md"
+    )
     arguments = parser.parse_args()
     prepare_process()
     chosen = list(ATTACKS) if arguments.attack == "all" else [arguments.attack]

@@ -81,15 +81,36 @@ STATEMENTS: tuple[Callable[[Random], tuple[str, tuple[object, ...]]], ...] = (
     lambda rng: ("DELETE FROM messages WHERE id % ? = 1", (rng.choice((2, 3, 50)),)),
     lambda rng: ("DELETE FROM messages WHERE topic_id = ?", (rng.choice((1, 2)),)),
     lambda rng: ("DELETE FROM topics WHERE id = ?", (rng.choice((1, 2)),)),
-    lambda rng: ("INSERT INTO messages SELECT id + 100000, topic_id, timestamp, data FROM messages WHERE id < 50", ()),
+    lambda rng: (
+        "INSERT INTO messages SELECT id + 100000, topic_id, timestamp, data FROM messages WHERE id < 50",
+        (),
+    ),
     lambda rng: ("UPDATE messages SET id = 100000 - id", ()),
     lambda rng: ("UPDATE messages SET id = ? WHERE id = 7", (rng.choice(NUMBERS),)),
-    lambda rng: ("UPDATE messages SET timestamp = ? WHERE id % 7 = 1", (rng.choice((*NUMBERS, "x", 1.5, b"y")),)),
-    lambda rng: ("UPDATE messages SET timestamp = timestamp + ?", (rng.choice((10**9, -(10**18), 10**17)),)),
-    lambda rng: ("UPDATE messages SET topic_id = ? WHERE id % 9 = 1", (rng.choice((1, 2, 77, -1, "z")),)),
-    lambda rng: ("UPDATE messages SET data = substr(data, 1, ?) WHERE id % 5 = 1", (rng.choice((0, 1, 4, 40, 300)),)),
-    lambda rng: ("UPDATE messages SET data = data || ? WHERE id % 5 = 1", (rng.randbytes(rng.choice((1, 3, 9))),)),
-    lambda rng: ("UPDATE messages SET data = ? WHERE id % 5 = 1", (rng.choice((b"", 5, "text", bytes(4000))),)),
+    lambda rng: (
+        "UPDATE messages SET timestamp = ? WHERE id % 7 = 1",
+        (rng.choice((*NUMBERS, "x", 1.5, b"y")),),
+    ),
+    lambda rng: (
+        "UPDATE messages SET timestamp = timestamp + ?",
+        (rng.choice((10**9, -(10**18), 10**17)),),
+    ),
+    lambda rng: (
+        "UPDATE messages SET topic_id = ? WHERE id % 9 = 1",
+        (rng.choice((1, 2, 77, -1, "z")),),
+    ),
+    lambda rng: (
+        "UPDATE messages SET data = substr(data, 1, ?) WHERE id % 5 = 1",
+        (rng.choice((0, 1, 4, 40, 300)),),
+    ),
+    lambda rng: (
+        "UPDATE messages SET data = data || ? WHERE id % 5 = 1",
+        (rng.randbytes(rng.choice((1, 3, 9))),),
+    ),
+    lambda rng: (
+        "UPDATE messages SET data = ? WHERE id % 5 = 1",
+        (rng.choice((b"", 5, "text", bytes(4000))),),
+    ),
     lambda rng: ("UPDATE topics SET name = ?", (rng.choice(fixed_harm.TEXTS),)),
     lambda rng: ("UPDATE topics SET type = ?", (rng.choice((*fixed_harm.TEXTS, b"\xff\xfe", 3)),)),
     lambda rng: (
@@ -97,7 +118,10 @@ STATEMENTS: tuple[Callable[[Random], tuple[str, tuple[object, ...]]], ...] = (
         (rng.choice(("", "ros1", "protobuf", "json", b"\xff")),),
     ),
     lambda rng: ("UPDATE topics SET id = ? WHERE id = 1", (rng.choice((0, -1, 70000, 2**62)),)),
-    lambda rng: ("UPDATE message_definitions SET encoding = ?", (rng.choice(("", "ros2idl", "ros1msg", 9)),)),
+    lambda rng: (
+        "UPDATE message_definitions SET encoding = ?",
+        (rng.choice(("", "ros2idl", "ros1msg", 9)),),
+    ),
     lambda rng: (
         "UPDATE message_definitions SET encoded_message_definition = replace(encoded_message_definition, ?, ?)",
         (
@@ -105,7 +129,10 @@ STATEMENTS: tuple[Callable[[Random], tuple[str, tuple[object, ...]]], ...] = (
             rng.choice(("float32", "[]", "wstring", "", "float64[4000000]")),
         ),
     ),
-    lambda rng: (f"DROP TABLE {rng.choice(('messages', 'topics', 'message_definitions', 'schema'))}", ()),
+    lambda rng: (
+        f"DROP TABLE {rng.choice(('messages', 'topics', 'message_definitions', 'schema'))}",
+        (),
+    ),
     lambda rng: ("DROP INDEX timestamp_idx", ()),
     lambda rng: (
         f"ALTER TABLE messages RENAME COLUMN {rng.choice(COLUMNS)} TO other",
@@ -157,7 +184,9 @@ def repeat_record(data: bytes, rng: Random) -> bytes:
 
 def swap_records(data: bytes, rng: Random) -> bytes:
     """Exchange two records."""
-    (one, _, one_end), (two, _, two_end) = sorted((rng.choice(_records(data)), rng.choice(_records(data))))
+    (one, _, one_end), (two, _, two_end) = sorted(
+        (rng.choice(_records(data)), rng.choice(_records(data)))
+    )
     if one_end > two:
         return data
     return data[:one] + data[two:two_end] + data[one_end:two] + data[one:one_end] + data[two_end:]
@@ -174,7 +203,9 @@ def change_length(data: bytes, rng: Random) -> bytes:
     """Let a record say a wrong length of its header or of its data."""
     start, behind, _ = rng.choice(_records(data))
     return _over(
-        data, rng.choice((start, behind - 4)), (rng.choice(raw_harm.LENGTHS) & 0xFFFFFFFF).to_bytes(4, "little")
+        data,
+        rng.choice((start, behind - 4)),
+        (rng.choice(raw_harm.LENGTHS) & 0xFFFFFFFF).to_bytes(4, "little"),
     )
 
 
@@ -185,7 +216,9 @@ def change_chunks(data: bytes, rng: Random) -> bytes:
     """Damage records inside a chunk, pack it again, and leave the indexes out as in a bag that was not closed."""
     harm, parts = rng.choice((*RECORDS, *PLAIN)), [ROSBAG]
     records = [
-        one for one in _records(data) if b"op=\x05" in data[one[0] : one[1]] or b"op=\x03" in data[one[0] : one[1]]
+        one
+        for one in _records(data)
+        if b"op=\x05" in data[one[0] : one[1]] or b"op=\x03" in data[one[0] : one[1]]
     ]
     harmed = rng.choice(records[1:] or records)
     for start, behind, end in records:
@@ -199,7 +232,9 @@ def change_chunks(data: bytes, rng: Random) -> bytes:
             content = lz4.frame.compress(content) if b"lz4" in header else content
         if b"index_pos=" in header:
             header = _over(header, header.index(b"index_pos=") + 10, bytes(8))
-        parts.append(struct.pack("<I", len(header)) + header + struct.pack("<I", len(content)) + content)
+        parts.append(
+            struct.pack("<I", len(header)) + header + struct.pack("<I", len(content)) + content
+        )
     return b"".join(parts)
 
 
@@ -215,7 +250,10 @@ def _unpacked(header: bytes, content: bytes) -> bytes:
     return content
 
 
-RAW: dict[bytes, tuple[Harm, ...]] = {SQLITE: (*PLAIN, *PAGES, *PAGES), ROSBAG: (*PLAIN, *RECORDS, *RECORDS)}
+RAW: dict[bytes, tuple[Harm, ...]] = {
+    SQLITE: (*PLAIN, *PAGES, *PAGES),
+    ROSBAG: (*PLAIN, *RECORDS, *RECORDS),
+}
 FIXED: dict[bytes, tuple[Harm, ...]] = {SQLITE: (change_rows,), ROSBAG: (change_chunks,)}
 
 

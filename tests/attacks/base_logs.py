@@ -19,7 +19,11 @@ from insdvl_replay.sim.dive import simulate_dive
 ROOT = Path(__file__).resolve().parents[2]
 RECORDED = ROOT.parent / "shared" / "data" / "ros1"
 SHORT_S = 8.0
-ANSWERS = {"initial.heading_deg": "30.0", "initial.latitude_deg": "32.8", "imu.angular_rate_unit": '"rad/s"'}
+ANSWERS = {
+    "initial.heading_deg": "30.0",
+    "initial.latitude_deg": "32.8",
+    "imu.angular_rate_unit": '"rad/s"',
+}
 """What a person knows of the dives in types of nobody."""
 CONTAINERS = {
     "lz4": {"compression": CompressionType.LZ4},
@@ -32,7 +36,9 @@ BAGS: dict[str, Callable[[Path, bytes], Path]] = {
     "bz2.bag": lambda path, log: other_bags.bag(path, "bz2", log),
     "lz4.bag": lambda path, log: other_bags.bag(path, "lz4", log),
     "iron.db3": lambda path, log: _part(other_bags.ros2_bag(path.with_suffix(""), log=log)),
-    "humble.db3": lambda path, log: _part(other_bags.ros2_bag(path.with_suffix(""), log=log, humble=True)),
+    "humble.db3": lambda path, log: _part(
+        other_bags.ros2_bag(path.with_suffix(""), log=log, humble=True)
+    ),
 }
 """The same dive as others record it. rosbags writes lz4 without the checksum that roscpp writes."""
 PROTECTED = ("ros1.mcap", "bz2.bag")
@@ -76,7 +82,11 @@ def short_logs(folder: Path) -> list[Base]:
     for name, write in BAGS.items():
         path = write(folder / name, known.read_bytes())
         found.append(Base(path, protected=name in PROTECTED, weight=6))
-    writers = {"cdr": unknown_logs.nested_cdr, "json": unknown_logs.bare_json, "protobuf": unknown_logs.protobuf}
+    writers = {
+        "cdr": unknown_logs.nested_cdr,
+        "json": unknown_logs.bare_json,
+        "protobuf": unknown_logs.protobuf,
+    }
     return [*found, *(_unknown(folder, name, write) for name, write in writers.items())]
 
 
@@ -102,7 +112,10 @@ def all_logs(folder: Path) -> list[Base]:
     """Give the short dives, and the longer ones of the project less often."""
     archive = sorted((ROOT / "examples" / "archive" / "dives").glob("*.mcap"))
     samples = sorted((ROOT / "sample_logs").glob("*.mcap"))
-    longer = [*(Base(path, weight=2) for path in archive), *(Base(path, weight=1) for path in samples)]
+    longer = [
+        *(Base(path, weight=2) for path in archive),
+        *(Base(path, weight=1) for path in samples),
+    ]
     return [*short_logs(folder), *longer]
 
 
@@ -110,13 +123,19 @@ def _rewritten(data: bytes, options: dict[str, object]) -> bytes:
     content, stream = content_of(data), BytesIO()
     writer = Writer(stream, chunk_size=15_000, **options)
     writer.start(profile=content.header.profile, library="attacks")
-    schemas = {one.id: writer.register_schema(one.name, one.encoding, one.data) for one in content.schemas}
+    schemas = {
+        one.id: writer.register_schema(one.name, one.encoding, one.data) for one in content.schemas
+    }
     ids = {
-        one.id: writer.register_channel(one.topic, one.message_encoding, schemas[one.schema_id], one.metadata)
+        one.id: writer.register_channel(
+            one.topic, one.message_encoding, schemas[one.schema_id], one.metadata
+        )
         for one in content.channels
     }
     for message in content.messages:
-        writer.add_message(ids[message.channel_id], message.log_time, message.data, message.publish_time)
+        writer.add_message(
+            ids[message.channel_id], message.log_time, message.data, message.publish_time
+        )
     writer.finish()
     return stream.getvalue()
 
@@ -127,10 +146,16 @@ def _unknown(folder: Path, name: str, write: Callable[[Path, Dive], None]) -> Ba
     write(path, unknown_logs.plain_dive("straight"))
     inventory = inspect_log(path, load_config())
     answers = {key: value for key, value in ANSWERS.items() if key in inventory.decisions}
-    axes = {key: '"flu"' if key == "imu.axes" else '"frd"' for key in inventory.decisions if key.endswith(".axes")}
+    axes = {
+        key: '"flu"' if key == "imu.axes" else '"frd"'
+        for key in inventory.decisions
+        if key.endswith(".axes")
+    }
     settings.write_text(unknown_logs.decided(inventory, answers | axes), "utf-8")
     content = content_of(path.read_bytes())
     first_ns = content.messages[0].log_time
     kept = [message for message in content.messages if message.log_time - first_ns < SHORT_S * 1e9]
-    path.write_bytes(file_of(replace(content, messages=sorted(kept, key=lambda message: message.log_time))))
+    path.write_bytes(
+        file_of(replace(content, messages=sorted(kept, key=lambda message: message.log_time)))
+    )
     return Base(path, settings=("-c", str(settings)))

@@ -79,7 +79,10 @@ def private_records() -> bytes:
 
 
 def _imu_log(
-    text: bytes, encoding: str = "ros2msg", name: str = "sensor_msgs/msg/Imu", data: bytes = bytes(400)
+    text: bytes,
+    encoding: str = "ros2msg",
+    name: str = "sensor_msgs/msg/Imu",
+    data: bytes = bytes(400),
 ) -> bytes:
     """Write messages of a type that is described so."""
     content = Content(records.Header("ros2", "attacks"))
@@ -117,7 +120,11 @@ def long_array(length: str) -> bytes:
         path = Path(folder) / "dive.mcap"
         write_dive(path, simulate_dive("straight", seed=1, duration_s=8.0))
         content = content_of(path.read_bytes())
-    place = next(place for place, schema in enumerate(content.schemas) if schema.name == "sensor_msgs/msg/Imu")
+    place = next(
+        place
+        for place, schema in enumerate(content.schemas)
+        if schema.name == "sensor_msgs/msg/Imu"
+    )
     schema = content.schemas[place]
     more = f"geometry_msgs/Vector3[{length}] v\n".encode()
     content.schemas[place] = replace(schema, data=more + schema.data)
@@ -136,7 +143,9 @@ def _protobuf(levels: int, each: int, *, mutual: bool) -> bytes:
         message.field.add(name="x", number=1, label=1, type=1)
         inner = range(levels) if mutual else [level + 1] * each if level + 1 < levels else []
         for number, other in enumerate(inner):
-            message.field.add(name=f"f{number}", number=number + 2, label=1, type=11, type_name=f".a.L{other}")
+            message.field.add(
+                name=f"f{number}", number=number + 2, label=1, type=11, type_name=f".a.L{other}"
+            )
     return _imu_log(FileDescriptorSet(file=[file]).SerializeToString(), "protobuf", "a.L0", b"")
 
 
@@ -148,9 +157,12 @@ def many_channels() -> bytes:
     """Have 2000 IMUs, each with one message."""
     content = Content(records.Header("ros2", "attacks"))
     content.schemas = [records.Schema(1, b"float64 x\n", "ros2msg", "sensor_msgs/msg/Imu")]
-    content.channels = [records.Channel(number, f"/imu{number}", "cdr", {}, 1) for number in range(1, 2001)]
+    content.channels = [
+        records.Channel(number, f"/imu{number}", "cdr", {}, 1) for number in range(1, 2001)
+    ]
     content.messages = [
-        records.Message(number, START_NS + number, bytes(400), START_NS, 0) for number in range(1, 2001)
+        records.Message(number, START_NS + number, bytes(400), START_NS, 0)
+        for number in range(1, 2001)
     ]
     return file_of(content)
 
@@ -158,7 +170,9 @@ def many_channels() -> bytes:
 def many_metadata() -> bytes:
     """Have 50 000 records of metadata."""
     content = Content(records.Header("ros2", "attacks"))
-    content.others = [records.Metadata("insdvl_replay", {"a": str(number)}) for number in range(50_000)]
+    content.others = [
+        records.Metadata("insdvl_replay", {"a": str(number)}) for number in range(50_000)
+    ]
     return file_of(content)
 
 
@@ -211,11 +225,15 @@ BOMBS: dict[str, Callable[[], bytes]] = {
     "protobuf, 3000 deep": lambda: _protobuf(3000, 1, mutual=False),
     "JSON, 100 000 deep": lambda: _json("[" * 100_000 + "]" * 100_000),
     "JSON, 5000 digits": lambda: _json('{"a": ' + "9" * 5000 + "}"),
-    "JSON, 20 000 names": lambda: _json(json.dumps({f"name_{number}": number for number in range(20_000)})),
+    "JSON, 20 000 names": lambda: _json(
+        json.dumps({f"name_{number}": number for number in range(20_000)})
+    ),
     "2000 channels": many_channels,
     "50 000 metadata": many_metadata,
     "bag of 10^8 small records": lambda: packed_records(bag_record({"op": b"\x63"}, b"")),
-    "bag of 10^7 messages": lambda: packed_records(bag_record({"op": b"\2", "conn": bytes(4), "time": bytes(8)}, b"")),
+    "bag of 10^7 messages": lambda: packed_records(
+        bag_record({"op": b"\2", "conn": bytes(4), "time": bytes(8)}, b"")
+    ),
     "db3, messages without end": lambda: sqlite_bag(
         f"CREATE VIEW messages AS {ENDLESS} SELECT i AS id, 1 AS topic_id, i AS timestamp, zeroblob(9) AS data FROM n"
     ),

@@ -50,7 +50,9 @@ def content_of(log: bytes) -> Content:
     """Take the records out of a log that is whole."""
     found = Content(records.Header("", ""))
     packed = StreamReader(BytesIO(log), emit_chunks=True).records
-    found.compression = next((one.compression for one in packed if isinstance(one, records.Chunk)), "zstd")
+    found.compression = next(
+        (one.compression for one in packed if isinstance(one, records.Chunk)), "zstd"
+    )
     for record in StreamReader(BytesIO(log)).records:
         match record:
             case records.Header():
@@ -83,7 +85,9 @@ def file_of(content: Content) -> bytes:
     groups = range(0, max(len(content.messages), 1), MESSAGES_OF_A_CHUNK)
     for number, start in enumerate(groups):
         messages = content.messages[start : start + MESSAGES_OF_A_CHUNK]
-        written, index = _chunk(content, number, b"" if number else b"".join(first), messages, place)
+        written, index = _chunk(
+            content, number, b"" if number else b"".join(first), messages, place
+        )
         parts.append(written)
         indexes.append(index)
         place += len(written)
@@ -93,7 +97,9 @@ def file_of(content: Content) -> bytes:
         indexes.append(_index(record, place, len(written)))
         place += len(written)
     parts.append(record_bytes(records.DataEnd(zlib.crc32(b"".join(parts)))))
-    return b"".join([*parts, _end(content, [one for one in indexes if one], sum(map(len, parts))), MAGIC])
+    return b"".join(
+        [*parts, _end(content, [one for one in indexes if one], sum(map(len, parts))), MAGIC]
+    )
 
 
 def _chunk(
@@ -112,7 +118,9 @@ def _chunk(
     packed = PACKERS[content.compression](plain)
     span = {"message_start_time": min(times), "message_end_time": max(times)}
     size = {"compression": content.compression, "uncompressed_size": len(plain)}
-    chunk = record_bytes(records.Chunk(data=packed, uncompressed_crc=zlib.crc32(plain), **size, **span))
+    chunk = record_bytes(
+        records.Chunk(data=packed, uncompressed_crc=zlib.crc32(plain), **size, **span)
+    )
     offsets, behind = {}, b""
     for channel_id, entries in stood.items():
         offsets[channel_id] = place + len(chunk) + len(behind)
@@ -163,14 +171,18 @@ def _end(content: Content, indexes: list[records.McapRecord], start: int) -> byt
         Opcode.CHANNEL: content.channels,
         Opcode.STATISTICS: [_statistics(content, chunks)],
         Opcode.CHUNK_INDEX: [one for one in indexes if isinstance(one, records.ChunkIndex)],
-        Opcode.ATTACHMENT_INDEX: [one for one in indexes if isinstance(one, records.AttachmentIndex)],
+        Opcode.ATTACHMENT_INDEX: [
+            one for one in indexes if isinstance(one, records.AttachmentIndex)
+        ],
         Opcode.METADATA_INDEX: [one for one in indexes if isinstance(one, records.MetadataIndex)],
     }
     summary, offsets = b"", b""
     for opcode, group in groups.items():
         written = b"".join(map(record_bytes, group))
         if written:
-            offsets += record_bytes(records.SummaryOffset(opcode, start + len(summary), len(written)))
+            offsets += record_bytes(
+                records.SummaryOffset(opcode, start + len(summary), len(written))
+            )
         summary += written
     if content.harm_summary:
         summary = content.harm_summary(summary)

@@ -25,9 +25,31 @@ TEXTS = (
     "\u202eevil",
     "a" * 5000,
 )
-JSON_VALUES = ("NaN", "Infinity", "1e999", "null", '"x"', "[]", "{}", "-0", "9" * 400, "[" * 200 + "]" * 200, "true")
-FIELD = re.compile(rb"\b(float64|float32|int32|uint32|uint8|uint16|int16|bool|string)(\[[0-9]*\])?(?= )")
-FIELD_TYPES = (b"float32", b"float64", b"string", b"float64[]", b"float64[3]", b"float64[4000000]", b"acme/Missing")
+JSON_VALUES = (
+    "NaN",
+    "Infinity",
+    "1e999",
+    "null",
+    '"x"',
+    "[]",
+    "{}",
+    "-0",
+    "9" * 400,
+    "[" * 200 + "]" * 200,
+    "true",
+)
+FIELD = re.compile(
+    rb"\b(float64|float32|int32|uint32|uint8|uint16|int16|bool|string)(\[[0-9]*\])?(?= )"
+)
+FIELD_TYPES = (
+    b"float32",
+    b"float64",
+    b"string",
+    b"float64[]",
+    b"float64[3]",
+    b"float64[4000000]",
+    b"acme/Missing",
+)
 FIELD_TYPES += (b"int8", b"wstring", b"string<=3", b"float64[<=2]", b"float64[-1]")
 
 
@@ -54,7 +76,9 @@ def drop(content: Content, rng: Random) -> None:
 def repeat(content: Content, rng: Random) -> None:
     """Record messages twice."""
     twice = set(_chosen(content, rng))
-    content.messages = [one for place, one in enumerate(content.messages) for _ in range(1 + (place in twice))]
+    content.messages = [
+        one for place, one in enumerate(content.messages) for _ in range(1 + (place in twice))
+    ]
 
 
 def reorder(content: Content, rng: Random) -> None:
@@ -68,7 +92,10 @@ def reorder(content: Content, rng: Random) -> None:
 
 def change_log_times(content: Content, rng: Random) -> None:
     """Set or shift the times at which messages were recorded."""
-    fixed, shift = rng.choice((*TIMES, None, None, None)), rng.choice((-(10**9), 10**7, 10**9, 10**13, -(10**18)))
+    fixed, shift = (
+        rng.choice((*TIMES, None, None, None)),
+        rng.choice((-(10**9), 10**7, 10**9, 10**13, -(10**18))),
+    )
     for place in _chosen(content, rng):
         message = content.messages[place]
         time_ns = (message.log_time + shift) % 2**64 if fixed is None else fixed
@@ -77,7 +104,9 @@ def change_log_times(content: Content, rng: Random) -> None:
 
 def _change_payloads(content: Content, rng: Random, change: Callable[[bytes], bytes]) -> None:
     for place in _chosen(content, rng):
-        content.messages[place] = replace(content.messages[place], data=change(content.messages[place].data))
+        content.messages[place] = replace(
+            content.messages[place], data=change(content.messages[place].data)
+        )
 
 
 def change_numbers(content: Content, rng: Random) -> None:
@@ -105,14 +134,20 @@ def change_all_numbers(content: Content, rng: Random) -> None:
 
 def change_stamps(content: Content, rng: Random) -> None:
     """Set the first eight bytes of CDR, a header's stamp."""
-    sec, nanosec = rng.choice((0, 1, 2**31 - 1, -(2**31), -1, 1_700_000_000)), rng.choice((0, 5, 10**9, 2**32 - 1))
+    sec, nanosec = (
+        rng.choice((0, 1, 2**31 - 1, -(2**31), -1, 1_700_000_000)),
+        rng.choice((0, 5, 10**9, 2**32 - 1)),
+    )
     stamp = struct.pack("<iI", sec, nanosec)
     _change_payloads(content, rng, lambda data: data[:4] + stamp + data[12:])
 
 
 def change_size(content: Content, rng: Random) -> None:
     """Cut payloads, or put something behind them."""
-    keep, more = rng.choice((0, 1, 3, 4, 5, 12, 40, 10**6)), rng.choice((b"", b"", b"\0", bytes(100)))
+    keep, more = (
+        rng.choice((0, 1, 3, 4, 5, 12, 40, 10**6)),
+        rng.choice((b"", b"", b"\0", bytes(100))),
+    )
     _change_payloads(content, rng, lambda data: data[:keep] + more)
 
 
@@ -143,7 +178,9 @@ def change_json(content: Content, rng: Random) -> None:
     value, which = rng.choice(JSON_VALUES).encode(), rng.randrange(8)
 
     def change(data: bytes) -> bytes:
-        numbers = list(re.finditer(rb"-?[0-9]+\.?[0-9]*(e-?[0-9]+)?", data)) if data[:1] == b"{" else []
+        numbers = (
+            list(re.finditer(rb"-?[0-9]+\.?[0-9]*(e-?[0-9]+)?", data)) if data[:1] == b"{" else []
+        )
         if not numbers:
             return data[len(data) // 2 :]
         number = numbers[which % len(numbers)]
@@ -175,7 +212,12 @@ def change_channel(content: Content, rng: Random) -> None:
 def repeat_channel(content: Content, rng: Random) -> None:
     """Describe a channel twice: the same, otherwise, or under another number."""
     channel = rng.choice(content.channels)
-    changes = ({}, {"id": channel.id + 100}, {"topic": "/other"}, {"schema_id": rng.choice(content.channels).schema_id})
+    changes = (
+        {},
+        {"id": channel.id + 100},
+        {"topic": "/other"},
+        {"schema_id": rng.choice(content.channels).schema_id},
+    )
     content.channels.append(replace(channel, **rng.choice(changes)))
 
 
@@ -221,14 +263,22 @@ def change_field_type(content: Content, rng: Random) -> None:
 def add_others(content: Content, rng: Random) -> None:
     """Put attachments and metadata with strange names and times beside the messages."""
     name, time_ns = rng.choice(TEXTS), rng.choice(TIMES)
-    content.others.append(records.Attachment(time_ns, time_ns, name, rng.choice(TEXTS), rng.randbytes(50)))
-    content.others.append(records.Metadata(rng.choice((*TEXTS, "insdvl_replay")), {rng.choice(TEXTS): name}))
+    content.others.append(
+        records.Attachment(time_ns, time_ns, name, rng.choice(TEXTS), rng.randbytes(50))
+    )
+    content.others.append(
+        records.Metadata(rng.choice((*TEXTS, "insdvl_replay")), {rng.choice(TEXTS): name})
+    )
     content.header = records.Header(rng.choice(("ros2", "ros1", *TEXTS)), rng.choice(TEXTS))
 
 
 def harm_chunk(content: Content, rng: Random) -> None:
     """Change a byte of a chunk before it is packed and its checksum is taken."""
-    chunk, where, new = rng.randrange(3), rng.random(), rng.choice((0, 1, 5, 255, rng.randrange(256)))
+    chunk, where, new = (
+        rng.randrange(3),
+        rng.random(),
+        rng.choice((0, 1, 5, 255, rng.randrange(256))),
+    )
 
     def change(number: int, data: bytes) -> bytes:
         place = int(where * min(len(data), 6000 if number == 0 else len(data)))
@@ -249,8 +299,25 @@ def harm_summary(content: Content, rng: Random) -> None:
 
 
 HARMS: tuple[Harm, ...] = (
-    *(drop, repeat, reorder, change_log_times, change_numbers, change_all_numbers, change_stamps, change_size),
-    *(change_bytes, change_lengths, change_json, change_channel_ids, change_channel, repeat_channel, forget),
+    *(
+        drop,
+        repeat,
+        reorder,
+        change_log_times,
+        change_numbers,
+        change_all_numbers,
+        change_stamps,
+        change_size,
+    ),
+    *(
+        change_bytes,
+        change_lengths,
+        change_json,
+        change_channel_ids,
+        change_channel,
+        repeat_channel,
+        forget,
+    ),
     *(change_schema, change_field_type, add_others, harm_chunk, harm_summary),
 )
 
@@ -266,7 +333,13 @@ def harmed(data: bytes, rng: Random) -> tuple[str, bytes]:
     """
     content, names = content_of(data), []
     for _ in range(rng.choice((1, 1, 1, 1, 1, 1, 2, 3))):
-        harm = rng.choice([one for one in HARMS if content.channels or one not in (change_channel, repeat_channel)])
+        harm = rng.choice(
+            [
+                one
+                for one in HARMS
+                if content.channels or one not in (change_channel, repeat_channel)
+            ]
+        )
         harm(content, rng)
         names.append(harm.__name__)
     return " + ".join(names), file_of(content)

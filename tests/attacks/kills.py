@@ -25,7 +25,14 @@ def commands(folder: Path) -> dict[str, list[str]]:
     gates, results = str(folder / "gates.toml"), str(folder / "results")
     return {
         "run": ["run", str(folder / "dives" / "lost_beam.mcap"), "-o", results],
-        "run --force": ["run", str(folder / "dives" / "lost_beam.mcap"), "-o", results, "--force", "--rerun"],
+        "run --force": [
+            "run",
+            str(folder / "dives" / "lost_beam.mcap"),
+            "-o",
+            results,
+            "--force",
+            "--rerun",
+        ],
         "check --jobs 2": ["check", gates, "--results", results, "--jobs", "2", "--rerun"],
         "check --update": ["check", gates, "--results", results, "--update"],
     }
@@ -56,7 +63,9 @@ def durations(folder: Path) -> dict[str, float]:
 def imports_s() -> float:
     """Measure how long a command imports, before it reads its first file."""
     start_s = time.monotonic()
-    subprocess.run([sys.executable, "-c", "import insdvl_replay.api, insdvl_replay.replay"], check=True)
+    subprocess.run(
+        [sys.executable, "-c", "import insdvl_replay.api, insdvl_replay.replay"], check=True
+    )
     return time.monotonic() - start_s
 
 
@@ -94,15 +103,23 @@ def _killed(folder: Path, name: str, number: signal.Signals, delay_s: float) -> 
         return "hang", "still there"
     left = waited(process)
     said = (folder / "said").read_text("utf-8", "replace").rstrip().rpartition("\n")[2][:160]
-    return _judged(folder, name, number, code, left), f"exit {code}, {len(left)} processes left: {said}"
+    return _judged(
+        folder, name, number, code, left
+    ), f"exit {code}, {len(left)} processes left: {said}"
 
 
 def _judged(folder: Path, name: str, number: signal.Signals, code: int, left: list[int]) -> str:
     if left:
         return "processes left"
-    if half_written(folder / "results") or not all(map(_whole, (folder / "expected").glob("*.json"))):
+    if half_written(folder / "results") or not all(
+        map(_whole, (folder / "expected").glob("*.json"))
+    ):
         return "half written"
-    if name == "run --force" and not (folder / "results" / "lost_beam").is_dir() and not hidden(folder):
+    if (
+        name == "run --force"
+        and not (folder / "results" / "lost_beam").is_dir()
+        and not hidden(folder)
+    ):
         return "older result lost"
     if number == signal.SIGKILL:
         return _again(folder, name)
@@ -111,7 +128,9 @@ def _judged(folder: Path, name: str, number: signal.Signals, code: int, left: li
         return "traceback" if str(ROOT / "insdvl_replay") in said else BARE
     if hidden(folder):
         return "leftovers"
-    return {4: "exit 4", -number: BARE}.get(code, "ok" if code in (0, INTERRUPTED) else "other code")
+    return {4: "exit 4", -number: BARE}.get(
+        code, "ok" if code in (0, INTERRUPTED) else "other code"
+    )
 
 
 def _again(folder: Path, name: str) -> str:

@@ -33,7 +33,9 @@ def alive(session: int) -> list[int]:
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             try:
-                state, _, _, its = (entry / "stat").read_text("utf-8").rpartition(")")[2].split()[:4]
+                state, _, _, its = (
+                    (entry / "stat").read_text("utf-8").rpartition(")")[2].split()[:4]
+                )
             except OSError:
                 continue
             if int(its) == session and state not in "ZX":
@@ -56,7 +58,9 @@ def half_written(results: Path) -> list[Path]:
     """Give result folders that are not whole; hidden ones are none."""
     folders = results.iterdir() if results.is_dir() else ()
     return [
-        folder for folder in folders if folder.is_dir() and not folder.name.startswith(".") and not _is_whole(folder)
+        folder
+        for folder in folders
+        if folder.is_dir() and not folder.name.startswith(".") and not _is_whole(folder)
     ]
 
 
@@ -64,7 +68,11 @@ def _is_whole(folder: Path) -> bool:
     """Say whether a result has all files that its report names, with the digests there."""
     try:
         named = json.loads((folder / COMPLETE).read_bytes())["files"]
-        found = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in named if name != COMPLETE}
+        found = {
+            name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
+            for name in named
+            if name != COMPLETE
+        }
     except (OSError, ValueError, KeyError):
         return False
     return bool(found) and all(named[name] == digest for name, digest in found.items())

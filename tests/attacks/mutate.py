@@ -17,7 +17,17 @@ import bag_harm
 import fixed_harm
 import raw_harm
 from base_logs import Base
-from victim import DEFECTS, HARMLESS, Ended, Result, ready, result_of, run_forked, verdict, verdict_on_result
+from victim import (
+    DEFECTS,
+    HARMLESS,
+    Ended,
+    Result,
+    ready,
+    result_of,
+    run_forked,
+    verdict,
+    verdict_on_result,
+)
 
 CLEAN = ("run", "inspect --deep")
 """What is tried on clean logs; `--allow-damaged` changes nothing there."""
@@ -67,7 +77,13 @@ def prepared(bases: list[Base], folder: Path) -> list[Clean]:
     for number, base in enumerate(bases):
         log, output = _log(folder / f"clean_{number}"), folder / f"clean_{number}" / "results"
         shutil.copy(base.path, log)
-        ready([command for name, command in commands(log, base, folder / f"warm_{number}").items() if name in CLEAN])
+        ready(
+            [
+                command
+                for name, command in commands(log, base, folder / f"warm_{number}").items()
+                if name in CLEAN
+            ]
+        )
         tried = commands(log, base, output)
         ended = [run_forked(tried[name], folder / "said") for name in CLEAN]
         result = result_of(output / log.stem)
@@ -89,7 +105,9 @@ def mutant(seed: int, cleans: list[Clean]) -> tuple[Clean, str, str, bytes]:
     clean = rng.choices(cleans, [one.base.weight for one in cleans])[0]
     kind = "raw" if rng.random() < 0.6 else "fixed"
     data = clean.base.path.read_bytes()
-    harms, data = bag_harm.harmed(data, rng, kind) if bag_harm.harms_of(data) else HARMED[kind](data, rng)
+    harms, data = (
+        bag_harm.harmed(data, rng, kind) if bag_harm.harms_of(data) else HARMED[kind](data, rng)
+    )
     return clean, kind, harms, data
 
 
@@ -103,7 +121,11 @@ def attempts(seed: int, cleans: list[Clean], folder: Path) -> Iterator[Outcome]:
             continue
         ended = run_forked(command, folder / "said")
         judged = _judged(ended, name, clean, output, kind)
-        if judged == "ok" and {path.name for path in folder.iterdir()} - {"log.mcap", "said", "results"}:
+        if judged == "ok" and {path.name for path in folder.iterdir()} - {
+            "log.mcap",
+            "said",
+            "results",
+        }:
             judged = "leftovers"
         shutil.rmtree(output, ignore_errors=True)
         protected, base = clean.base.protected, clean.base.path.name
@@ -115,7 +137,9 @@ def _judged(ended: Ended, name: str, clean: Clean, output: Path, kind: str) -> s
     if judged != "ok" or name.startswith("inspect"):
         return judged
     protected = clean.base.protected
-    return verdict_on_result(ended, output, clean.result, protected=protected, same_content=kind == "raw")
+    return verdict_on_result(
+        ended, output, clean.result, protected=protected, same_content=kind == "raw"
+    )
 
 
 class _Work:
@@ -132,11 +156,16 @@ def _attempts_of(seeds: list[int]) -> list[Outcome]:
     return found
 
 
-def campaign(bases: list[Base], seeds: range, jobs: int, folder: Path, keep: Path | None) -> list[Outcome]:
+def campaign(
+    bases: list[Base], seeds: range, jobs: int, folder: Path, keep: Path | None
+) -> list[Outcome]:
     """Try all seeds; say each defect as it is found, and keep its mutant if there is a place for it."""
     _Work.cleans, _Work.folder = prepared(bases, folder), folder
     found: list[Outcome] = []
-    start_s, portions = time.monotonic(), [list(seeds[i : i + 10]) for i in range(0, len(seeds), 10)]
+    start_s, portions = (
+        time.monotonic(),
+        [list(seeds[i : i + 10]) for i in range(0, len(seeds), 10)],
+    )
     with ProcessPoolExecutor(jobs, get_context("fork")) as pool:
         for number, outcomes in enumerate(pool.map(_attempts_of, portions)):
             found += outcomes
@@ -164,6 +193,11 @@ def rows(outcomes: list[Outcome]) -> list[str]:
     mutants = {(outcome.kind, outcome.protected, outcome.seed) for outcome in outcomes}
     tried = Counter((kind, protected) for kind, protected, _ in mutants)
     runs = Counter((outcome.kind, outcome.protected) for outcome in outcomes)
-    lines = [("mutants", [tried[column] for column in columns]), ("runs", [runs[column] for column in columns])]
-    lines += [(name, [counts[name, *column] for column in columns]) for name in (*DEFECTS, *HARMLESS)]
+    lines = [
+        ("mutants", [tried[column] for column in columns]),
+        ("runs", [runs[column] for column in columns]),
+    ]
+    lines += [
+        (name, [counts[name, *column] for column in columns]) for name in (*DEFECTS, *HARMLESS)
+    ]
     return [f"| {name} | {' | '.join(map(str, numbers))} |" for name, numbers in lines]

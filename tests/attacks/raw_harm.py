@@ -109,7 +109,13 @@ def swap_spans(data: bytes, rng: Random) -> bytes:
         return data[::-1]
     one = rng.randrange(len(data) - 2 * size + 1)
     two = rng.randrange(one + size, len(data) - size + 1)
-    return data[:one] + data[two : two + size] + data[one + size : two] + data[one : one + size] + data[two + size :]
+    return (
+        data[:one]
+        + data[two : two + size]
+        + data[one + size : two]
+        + data[one : one + size]
+        + data[two + size :]
+    )
 
 
 def drop_record(data: bytes, rng: Random) -> bytes:
@@ -162,7 +168,19 @@ def append_noise(data: bytes, rng: Random) -> bytes:
 
 
 HARMS: tuple[Harm, ...] = (
-    *(flip_bit, flip_in_record, noise, zeros, ones, cut_end, cut_few, cut_start, zero_end, cut_out, insert_noise),
+    *(
+        flip_bit,
+        flip_in_record,
+        noise,
+        zeros,
+        ones,
+        cut_end,
+        cut_few,
+        cut_start,
+        zero_end,
+        cut_out,
+        insert_noise,
+    ),
     *(repeat_span, swap_spans, drop_record, repeat_record, move_record, change_kind, change_length),
     *(change_inner_length, change_magic, append_noise),
 )

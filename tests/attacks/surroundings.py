@@ -24,14 +24,18 @@ Outcome = tuple[str, str, str]
 
 def attack(folder: Path, clean: bytes) -> Iterator[Outcome]:
     """Try all; ``clean`` is a short dive."""
-    for number, tried in enumerate((_code, _solutions, _two_runs, _names, _writing, _cache, _slow), 1):
+    for number, tried in enumerate(
+        (_code, _solutions, _two_runs, _names, _writing, _cache, _slow), 1
+    ):
         place = folder / f"{number}"
         place.mkdir()
         (place / "dive.mcap").write_bytes(clean)
         yield from tried(place)
 
 
-def _ended(folder: Path, *arguments: str, limit: Callable[[], None] | None = None) -> tuple[int, float, str]:
+def _ended(
+    folder: Path, *arguments: str, limit: Callable[[], None] | None = None
+) -> tuple[int, float, str]:
     """Run a command; its exit code, processor seconds and last line on stderr. -1 where it hangs."""
     environment = os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{Path(__file__).parents[2]}"}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -56,7 +60,11 @@ def _code(folder: Path) -> Iterator[Outcome]:
     (folder / "stranger.py").write_text(CODE)
     (folder / "gates.toml").write_text(GATE)
     check = ["check", "gates.toml", "dive.mcap", "--set", OWN]
-    for command in (["run", "dive.mcap", "--set", OWN], ["calibrate", "dive.mcap", "--set", OWN], check):
+    for command in (
+        ["run", "dive.mcap", "--set", OWN],
+        ["calibrate", "dive.mcap", "--set", OWN],
+        check,
+    ):
         code, _, said = _ended(folder, *command)
         yield _judged(f"1 code in settings, `{command[0]}`", code, said, 2, "--allow-code")
     for command in (["inspect", "--deep", "dive.mcap", "--set", OWN], ["config", "--set", OWN]):
@@ -74,10 +82,21 @@ def _solutions(folder: Path) -> Iterator[Outcome]:
     (folder / "nan.tum").write_text("nan nan nan nan nan nan nan nan\n")
     (folder / "nothing.tum").write_text("1000.0 nan nan nan nan nan nan nan\n")
     (folder / "secret.tum").write_text("root:secret\n")
-    for name, wanted in (("zero", 2), ("pipe", 2), ("late", 3), ("nan", 3), ("nothing", 3), ("secret", 3)):
-        code, _, said = _ended(folder, "run", "dive.mcap", "--set", f"filters.own.solution='{name}.tum'")
+    for name, wanted in (
+        ("zero", 2),
+        ("pipe", 2),
+        ("late", 3),
+        ("nan", 3),
+        ("nothing", 3),
+        ("secret", 3),
+    ):
+        code, _, said = _ended(
+            folder, "run", "dive.mcap", "--set", f"filters.own.solution='{name}.tum'"
+        )
         found = "quoted" if "root:secret" in said else ""
-        yield _judged(f"2 solution, {name}", code, found or said, wanted, "" if not found else "never")
+        yield _judged(
+            f"2 solution, {name}", code, found or said, wanted, "" if not found else "never"
+        )
 
 
 def _two_runs(folder: Path) -> Iterator[Outcome]:
@@ -86,9 +105,15 @@ def _two_runs(folder: Path) -> Iterator[Outcome]:
             for starts in ("1", "2")]  # fmt: skip
     said = [run.communicate(timeout=LIMIT_S)[1].decode() for run in runs]
     codes = [run.returncode for run in runs]
-    kept = json.loads((folder / "replay" / "dive" / "report.json").read_text())["config"]["evaluation"]["starts"]
+    kept = json.loads((folder / "replay" / "dive" / "report.json").read_text())["config"][
+        "evaluation"
+    ]["starts"]
     is_reported = sorted(codes) == [0, 2] and kept == 1 + codes.index(0)
-    yield "3 two runs at once", "ok" if is_reported else f"exits {codes}, {kept} kept", " ".join(said)[-200:]
+    yield (
+        "3 two runs at once",
+        "ok" if is_reported else f"exits {codes}, {kept} kept",
+        " ".join(said)[-200:],
+    )
 
 
 def _names(folder: Path) -> Iterator[Outcome]:
@@ -118,7 +143,9 @@ def _writing(folder: Path) -> Iterator[Outcome]:
         code, _, said = _ended(folder, "run", "dive.mcap", "other.mcap", "--force")
         (folder / "replay" / name).unlink()
         yield _judged(f"5 a link {name}", code, said, 2, "is not replaced")
-    code, _, said = _ended(folder, "check", "gates.toml", "dive.mcap", "--output", "absent/deep/gates.xml")
+    code, _, said = _ended(
+        folder, "check", "gates.toml", "dive.mcap", "--output", "absent/deep/gates.xml"
+    )
     made = (folder / "absent").exists()
     yield _judged("5 --output in no folder", -2 if made else code, said, 2, "does not exist")
 
@@ -131,17 +158,29 @@ def _cache(folder: Path) -> Iterator[Outcome]:
     )  # fmt: skip
     said = done.stderr.decode()
     is_reported = done.returncode == 0 and "warning: compiled code cannot be stored" in said
-    yield "6 a cache that cannot be written", "ok" if is_reported else f"exit {done.returncode}", said[-200:]
+    yield (
+        "6 a cache that cannot be written",
+        "ok" if is_reported else f"exit {done.returncode}",
+        said[-200:],
+    )
 
 
 def _slow(folder: Path) -> Iterator[Outcome]:
     _, base_s, _ = _ended(folder, "inspect", "dive.mcap")
-    for what, least_s, make in (("channels", 20.0, _channels), ("wide JSON", 4.0, _wide), ("private", 4.0, _private)):
+    for what, least_s, make in (
+        ("channels", 20.0, _channels),
+        ("wide JSON", 4.0, _wide),
+        ("private", 4.0, _private),
+    ):
         make(folder / "large.mcap")
         start_s = time.monotonic()
         code, took_s, said = _ended(folder, "inspect", "large.mcap", "--allow-damaged")
         seen = f"{took_s - base_s:.1f} s of the processor, {time.monotonic() - start_s:.1f} s"
-        yield f"7 {what}", "ok" if code == 0 and took_s - base_s < least_s else "slow", f"{seen} {said}"
+        yield (
+            f"7 {what}",
+            "ok" if code == 0 and took_s - base_s < least_s else "slow",
+            f"{seen} {said}",
+        )
 
 
 def _channels(path: Path) -> None:
@@ -158,11 +197,15 @@ def _channels(path: Path) -> None:
 
 def _wide(path: Path) -> None:
     """Write ten messages of 363 kB, of 12000 structures each."""
-    message = json.dumps({f"field_{number:05}": {"value": number} for number in range(12_000)}).encode()
+    message = json.dumps(
+        {f"field_{number:05}": {"value": number} for number in range(12_000)}
+    ).encode()
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.NONE)
         writer.start()
-        channel = writer.register_channel("/wide", "json", writer.register_schema("wide", "jsonschema", b"{}"))
+        channel = writer.register_channel(
+            "/wide", "json", writer.register_schema("wide", "jsonschema", b"{}")
+        )
         for number in range(10):
             writer.add_message(channel, number, message, number)
         writer.finish()

@@ -65,10 +65,14 @@ def _clean(folder: Path, log: Path) -> tuple[float, dict[str, bytes]]:
     victim = folder / "victim.mcap"
     shutil.copyfile(log, victim)
     start_s = time.monotonic()
-    started(["run", str(victim), "-o", str(folder / "clean"), "--force", "--rerun"], folder / "said").wait(PATIENCE_S)
+    started(
+        ["run", str(victim), "-o", str(folder / "clean"), "--force", "--rerun"], folder / "said"
+    ).wait(PATIENCE_S)
     taken_s, result = time.monotonic() - start_s, _result(folder / "clean" / "victim")
     if result is None:
-        raise SystemExit(f"{log}: the clean log gives no result: {(folder / 'said').read_text('utf-8')}")
+        raise SystemExit(
+            f"{log}: the clean log gives no result: {(folder / 'said').read_text('utf-8')}"
+        )
     return taken_s, result[1]
 
 
@@ -89,7 +93,11 @@ def attack(folder: Path, seeds: range) -> Iterator[tuple[str, str, str]]:
         rng = Random(seed)
         swap, delay_s = rng.choice(SWAPS), rng.uniform(0.2, 0.9) * taken_s
         judged, seen = _swapped(folder, swap, delay_s, tables)
-        yield swap.__name__, judged, f"--seed {seed} --count 1: {swap.__name__} after {delay_s:.2f} s: {seen}"
+        yield (
+            swap.__name__,
+            judged,
+            f"--seed {seed} --count 1: {swap.__name__} after {delay_s:.2f} s: {seen}",
+        )
 
 
 def _swapped(

@@ -32,7 +32,9 @@ def runs(rows: int, columns: int = 1) -> bytes:
 
 def long_texts(rows: int, letters: int) -> bytes:
     """Have one long text in all rows."""
-    text = pa.DictionaryArray.from_arrays(pa.array(np.zeros(rows, np.int8)), pa.array(["1" * letters]))
+    text = pa.DictionaryArray.from_arrays(
+        pa.array(np.zeros(rows, np.int8)), pa.array(["1" * letters])
+    )
     return parquet(pa.table({"time": np.arange(float(rows)), "text": text}), row_group_size=rows)
 
 
@@ -98,14 +100,18 @@ def _packed_zeros(size: int, kind: int, type_: int, item: int) -> bytes:
     """Compress a variable that is all zero."""
     start = matrix_start("imu_time", kind, (size // item, 1))
     packer = zlib.compressobj(9)
-    out = packer.compress(struct.pack("<II", 14, len(start) + 8 + size) + start + struct.pack("<II", type_, size))
+    out = packer.compress(
+        struct.pack("<II", 14, len(start) + 8 + size) + start + struct.pack("<II", type_, size)
+    )
     for _ in range(size // len(PIECE)):
         out += packer.compress(PIECE)
     out += packer.compress(bytes(size % len(PIECE))) + packer.flush()
     return struct.pack("<II", 15, len(out)) + out
 
 
-def zeros(size: int, kind: int = DOUBLE_CLASS, type_: int = DOUBLE, item: int = 8, times: int = 1) -> bytes:
+def zeros(
+    size: int, kind: int = DOUBLE_CLASS, type_: int = DOUBLE, item: int = 8, times: int = 1
+) -> bytes:
     """Have variables that are all zero."""
     return matlab(*[_packed_zeros(size, kind, type_, item)] * times)
 
@@ -196,7 +202,9 @@ TABLE_BOMBS: dict[str, Callable[[], bytes]] = {
     "10^9 claimed.npy": partial(npy, (1 << 30,), bytes(800)),
     "10^9 claimed.npz": lambda: npz({"time": npy((1 << 30,), bytes(800))}),
     "objects.npz": lambda: npz({"time": npy((3,), b"\x80\x04cos\nsystem\n", "|O")}),
-    "10^4 arrays.npz": lambda: npz({f"a{number}": npy((2,), bytes(16)) for number in range(10_000)}),
+    "10^4 arrays.npz": lambda: npz(
+        {f"a{number}": npy((2,), bytes(16)) for number in range(10_000)}
+    ),
     "blanks in a title.csv": lambda: text(["time", "[" + 3000 * " " + "x", "b"]),
     "brackets in a title.csv": lambda: text(["time", 60_000 * "[", "b"]),
     "4000 equal titles.csv": lambda: text(["time", *["a"] * 4000], rows=20),

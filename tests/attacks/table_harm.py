@@ -18,7 +18,9 @@ TEXTS = ("", "n/a", "ERR", "12 34", "1.2.3", "TRUE", "0x1f", "\u22125", "--", "1
 
 
 def _table(tables: Tables, rng: Random) -> tuple[str, dict[str, Column]]:
-    name = rng.choice(sorted(name for name, table in tables.items() if len(next(iter(table.values())))))
+    name = rng.choice(
+        sorted(name for name, table in tables.items() if len(next(iter(table.values()))))
+    )
     return name, tables[name]
 
 
@@ -44,7 +46,9 @@ def no_rows_between(tables: Tables, rng: Random) -> str:
     """Keep the first and the last rows."""
     name, table = _table(tables, rng)
     count = rng.choice((1, 2, 20))
-    tables[name] = {title: np.concatenate([column[:count], column[-count:]]) for title, column in table.items()}
+    tables[name] = {
+        title: np.concatenate([column[:count], column[-count:]]) for title, column in table.items()
+    }
     return f"{name}: {count} rows at each end"
 
 
@@ -199,7 +203,9 @@ def harmed_text(data: bytes, rng: Random) -> tuple[str, bytes]:
     way = rng.randrange(4)
     if way == 0:
         harm = rng.choice(HARMS)
-        return harm.__name__, harm(text.splitlines(), np.random.default_rng(rng.randrange(1 << 30))).encode()
+        return harm.__name__, harm(
+            text.splitlines(), np.random.default_rng(rng.randrange(1 << 30))
+        ).encode()
     if way == 1 and rng.random() < 0.4:
         encoding = rng.choice(ENCODINGS)
         return encoding, text.encode(encoding)
@@ -238,7 +244,11 @@ def written(tables: Tables, folder: Path, ending: str, rng: Random | None) -> tu
     """Write tables, damaged in one or two ways if there is a generator; return what was done, and what to read."""
     done: list[str] = []
     tables = {name: dict(table) for name, table in tables.items()}
-    kind = rng.choice(("columns", "columns", "text" if ending == "csv" else "columns", "bytes")) if rng else ""
+    kind = (
+        rng.choice(("columns", "columns", "text" if ending == "csv" else "columns", "bytes"))
+        if rng
+        else ""
+    )
     for _ in range(rng.choice((1, 1, 2)) if rng and kind == "columns" else 0):
         done.append(rng.choice(COLUMN_HARMS)(tables, rng))
     path, _ = write_tables(folder, tables, ending)

@@ -14,7 +14,17 @@ from tempfile import mkdtemp
 
 from made_tables import SECTIONS, Tables, simulated, tables_of
 from table_harm import ENDINGS, written
-from victim import DEFECTS, HARMLESS, Ended, Result, ready, result_of, run_forked, verdict, verdict_on_result
+from victim import (
+    DEFECTS,
+    HARMLESS,
+    Ended,
+    Result,
+    ready,
+    result_of,
+    run_forked,
+    verdict,
+    verdict_on_result,
+)
 
 from insdvl_replay.geometry.frames import solve_beams
 
@@ -79,7 +89,9 @@ def short_tables() -> Tables:
     assert dive.dvl.beam_velocity_mps is not None
     assert dive.dvl.beam_vectors_d is not None
     velocity_d = solve_beams(dive.dvl.beam_velocity_mps, dive.dvl.beam_vectors_d)[0]
-    velocities = {f"Vel {axis} [m/s]": column for axis, column in zip("xyz", velocity_d.T, strict=True)}
+    velocities = {
+        f"Vel {axis} [m/s]": column for axis, column in zip("xyz", velocity_d.T, strict=True)
+    }
     tables["dvl"] = {"Time [ns]": tables["dvl"]["Time [ns]"], **velocities}
     last_ns = tables["imu"]["Time [ns]"][0] + SPAN_NS
     shortened: Tables = {}
@@ -91,7 +103,13 @@ def short_tables() -> Tables:
 
 def command(path: Path, output: Path, settings: Path | None) -> list[str]:
     """Return the command on tables, with settings or without."""
-    return ["run", str(path), "-o", str(output), *(["-c", str(settings)] if settings else ["--starts", "1"])]
+    return [
+        "run",
+        str(path),
+        "-o",
+        str(output),
+        *(["-c", str(settings)] if settings else ["--starts", "1"]),
+    ]
 
 
 def prepared(folder: Path) -> list[Clean]:
@@ -102,7 +120,10 @@ def prepared(folder: Path) -> list[Clean]:
         place.mkdir(parents=True)
         _, path = written(short_tables(), place / "dive", ending, None)
         settings = place / "settings.toml"
-        at = {name: f"{name}.{ending}" if path.is_dir() else f"dive.{ending}/{name}" for name in SECTIONS}
+        at = {
+            name: f"{name}.{ending}" if path.is_dir() else f"dive.{ending}/{name}"
+            for name in SECTIONS
+        }
         settings.write_text(SETTINGS.format(**at))
         ready([command(path, place / "warm", settings), command(path, place / "searched", None)])
         ended = run_forked(command(path, place / "results", settings), folder / "said")
@@ -123,7 +144,9 @@ def attempt(seed: int, cleans: list[Clean], folder: Path) -> Outcome:
     output = folder / "results"
     try:
         harms, path = written(short_tables(), folder / "dive", clean.ending, rng)
-        ended = run_forked(command(path, output, None if searched else clean.settings), folder / "said")
+        ended = run_forked(
+            command(path, output, None if searched else clean.settings), folder / "said"
+        )
         judged = verdict(ended, clean.peak_mb)
         if judged == "ok" and not searched:
             judged = _judged(ended, output, clean.result, harms)
@@ -139,7 +162,9 @@ def _judged(ended: Ended, output: Path, clean: Result, harms: str) -> str:
     found = result_of(output / "dive")
     if judged != "differs, noted" or found is None:
         return judged
-    added = {code for code, _ in found.notes.items() - clean.notes.items() if code.startswith(OF_DATA)}
+    added = {
+        code for code, _ in found.notes.items() - clean.notes.items() if code.startswith(OF_DATA)
+    }
     if added:
         return judged
     return "differs unnoted" if _is_noted(harms) else "differs, other content"
@@ -147,7 +172,17 @@ def _judged(ended: Ended, output: Path, clean: Result, harms: str) -> str:
 
 def _is_noted(harms: str) -> bool:
     """Return whether a loss or change by such harm can be seen in the tables: other numbers in a column cannot."""
-    unseen = ("exchanged", "times ", " is ", " as ", "bytes", "texts in cells", "more cells", " at each end", "rows of")
+    unseen = (
+        "exchanged",
+        "times ",
+        " is ",
+        " as ",
+        "bytes",
+        "texts in cells",
+        "more cells",
+        " at each end",
+        "rows of",
+    )
     return not any(word in harms for word in unseen)
 
 
@@ -183,5 +218,7 @@ def rows(outcomes: list[Outcome]) -> list[str]:
     counts = Counter((outcome.verdict, outcome.ending) for outcome in outcomes)
     tried = Counter(outcome.ending for outcome in outcomes)
     lines = [("mutants", [tried[ending] for ending in ENDINGS])]
-    lines += [(name, [counts[name, ending] for ending in ENDINGS]) for name in (*DEFECTS, *HARMLESS)]
+    lines += [
+        (name, [counts[name, ending] for ending in ENDINGS]) for name in (*DEFECTS, *HARMLESS)
+    ]
     return [f"| {name} | {' | '.join(map(str, numbers))} |" for name, numbers in lines]

@@ -27,7 +27,16 @@ ADDRESS_SPACE = 6 << 30
 """Protects the machine, not the verdict: what takes more has failed already."""
 INTERNAL_ERROR = 4
 DEFECTS = (
-    *("traceback", "exit 4", "hang", "memory", "killed by signal", "leftovers", "no sentence", "differs unnoted"),
+    *(
+        "traceback",
+        "exit 4",
+        "hang",
+        "memory",
+        "killed by signal",
+        "leftovers",
+        "no sentence",
+        "differs unnoted",
+    ),
 )
 HARMLESS = ("differs, unprotected", "differs, other content", "differs, noted", "ok")
 
@@ -84,7 +93,11 @@ def run_forked(command: list[str], said: Path, printed: Path = Path(os.devnull))
     if child == 0:
         _live(command, said, printed)
     _, status, usage = os.wait4(child, 0)
-    return Ended(os.waitstatus_to_exitcode(status), usage.ru_maxrss / 1024, said.read_text("utf-8", "replace"))
+    return Ended(
+        os.waitstatus_to_exitcode(status),
+        usage.ru_maxrss / 1024,
+        said.read_text("utf-8", "replace"),
+    )
 
 
 def _live(command: list[str], said: Path, printed: Path) -> None:
@@ -136,7 +149,9 @@ def verdict(ended: Ended, clean_mb: float) -> str:
     return "ok"
 
 
-def verdict_on_result(ended: Ended, folder: Path, clean: Result, *, protected: bool, same_content: bool) -> str:
+def verdict_on_result(
+    ended: Ended, folder: Path, clean: Result, *, protected: bool, same_content: bool
+) -> str:
     """Judge what `run` left: a whole result of what the clean log says, or nothing at all.
 
     Parameters

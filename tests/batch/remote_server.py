@@ -57,12 +57,16 @@ class _Handler(BaseHTTPRequestHandler):
             start = int(first) if first else max(len(log) - int(last), 0)
             content = log[start : int(last) + 1 if first and last else len(log)]
             self.send_response(206)
-            self.send_header("Content-Range", f"bytes {start}-{start + len(content) - 1}/{len(log)}")
+            self.send_header(
+                "Content-Range", f"bytes {start}-{start + len(content) - 1}/{len(log)}"
+            )
         else:
             self.send_response(200)
         if told.flips:
             content = content[:-40] + bytes([content[-40] ^ 1]) + content[-39:]
-        announced = told.head_announces if told.head_announces and not with_content else told.announced
+        announced = (
+            told.head_announces if told.head_announces and not with_content else told.announced
+        )
         if told.has_length:
             self.send_header("Content-Length", str(announced or len(content)))
         if told.has_tags:
@@ -84,7 +88,9 @@ class _Handler(BaseHTTPRequestHandler):
         part = content if told.cut is None else content[: told.cut]
         self.wfile.write(part)
         told.sent += len(part)
-        self.close_connection = told.cut is not None or told.announced is not None or not told.has_length
+        self.close_connection = (
+            told.cut is not None or told.announced is not None or not told.has_length
+        )
 
     def log_message(self, *_: Any) -> None:
         pass
@@ -102,7 +108,9 @@ def served(logs: dict[str, bytes]) -> Iterator[LogServer]:
     """Serve logs by their paths, such as ``/dive.mcap``."""
     told = LogServer(logs)
     with _Server(("127.0.0.1", 0), partial(_Handler, told)) as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
+        thread = threading.Thread(
+            target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True
+        )
         thread.start()
         told.url = f"http://127.0.0.1:{server.server_port}"
         yield told

@@ -18,8 +18,12 @@ from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
 FOG = GRADES["fog"]
 BEAM_SD_MPS = 0.004
 CONFIG = Config(
-    noise=Noise(accel_white_mps_rts=FOG.accel_white_mps_rts, gyro_white_rad_rts=FOG.gyro_white_rad_rts),
-    dvl=Dvl(lever_arm_m=(1.0, -0.2, 0.3), mounting_rpy_deg=(0.0, 0.0, 45.0), beam_sd_mps=BEAM_SD_MPS),
+    noise=Noise(
+        accel_white_mps_rts=FOG.accel_white_mps_rts, gyro_white_rad_rts=FOG.gyro_white_rad_rts
+    ),
+    dvl=Dvl(
+        lever_arm_m=(1.0, -0.2, 0.3), mounting_rpy_deg=(0.0, 0.0, 45.0), beam_sd_mps=BEAM_SD_MPS
+    ),
     filters={"baseline": Filter(aiding=("velocity",)), "beams": Filter(aiding=("beams",))},
     initial=Initial(uncertainty="settings", misalignment_sd_deg=(0.02, 0.02, 0.02)),
     evaluation=Evaluation(starts=4),
@@ -104,9 +108,12 @@ def test_every_control_does_something_to_the_errors(rows: list[AssayRow]) -> Non
 
 
 @pytest.mark.parametrize(
-    ("control", "of_way"), [("heading_half_deg", np.sin(np.deg2rad(0.5))), ("dvl_scale_half_pct", 0.005)]
+    ("control", "of_way"),
+    [("heading_half_deg", np.sin(np.deg2rad(0.5))), ("dvl_scale_half_pct", 0.005)],
 )
-def test_faults_of_the_dvl_drift_by_their_share_of_the_way(control: str, of_way: float, rows: list[AssayRow]) -> None:
+def test_faults_of_the_dvl_drift_by_their_share_of_the_way(
+    control: str, of_way: float, rows: list[AssayRow]
+) -> None:
     """Over 100 m on a straight course, but for the drift that the baseline has without them: they add as vectors."""
     [row] = [row for row in rows if (row.filter, row.quantity) == (control, "drift_100m")]
     assert row.baseline is not None
@@ -126,7 +133,16 @@ def of_dives(ratios: dict[str, list[float]]) -> list[list[AssayRow]]:
     """Return rows on three dives or more, by control."""
     return [
         [
-            AssayRow(f"dive {place}", control, "position", "m", 1.0, values[place], values[place], Role.PRIMARY)
+            AssayRow(
+                f"dive {place}",
+                control,
+                "position",
+                "m",
+                1.0,
+                values[place],
+                values[place],
+                Role.PRIMARY,
+            )
             for control, values in ratios.items()
         ]
         for place in range(len(next(iter(ratios.values()))))
@@ -135,5 +151,11 @@ def of_dives(ratios: dict[str, list[float]]) -> list[list[AssayRow]]:
 
 def test_a_control_is_seen_where_its_fault_is_large() -> None:
     """On several dives by the rule of any candidate: the first changes every dive, the last none surely."""
-    dives = of_dives({"large": [3.0, 3.2, 2.9, 3.1], "small": [1.01, 1.0, 1.02, 1.0], "loose": [3.0, 0.4, 1.0, 2.0]})
+    dives = of_dives(
+        {
+            "large": [3.0, 3.2, 2.9, 3.1],
+            "small": [1.01, 1.0, 1.02, 1.0],
+            "loose": [3.0, 0.4, 1.0, 2.0],
+        }
+    )
     assert seen_controls(assay_rows(dives, "position")) == (["large"], ["small", "loose"])

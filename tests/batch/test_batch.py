@@ -72,7 +72,9 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six simulated dives of 20 s."""
     folder = tmp_path_factory.mktemp("archive")
     for seed in range(1, 7):
-        write_dive(folder / f"dive_{seed}.mcap", simulate_dive("straight", seed=seed, duration_s=20.0))
+        write_dive(
+            folder / f"dive_{seed}.mcap", simulate_dive("straight", seed=seed, duration_s=20.0)
+        )
     return folder
 
 
@@ -88,7 +90,9 @@ def results(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cluster() -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """A dask.distributed cluster of two worker processes: its address and its own process."""
     command = [sys.executable, "-c", CLUSTER]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         yield process.stdout.readline().strip(), process
         process.communicate(timeout=60)
@@ -98,12 +102,18 @@ def run(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run a command in a folder, which may have code of the user's: it is imported from there if somebody says so."""
     command = [*TOOL, "run", "--preset", "levy-klein", *map(str, arguments)]
     environment = os.environ | {"PYTHONPATH": str(cwd)}
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    return subprocess.run(
+        command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
 
 
 def bytes_of(output: Path) -> dict[str, bytes]:
     """Every file of a result, without the block that may differ. What a killed worker leaves is hidden."""
-    files = {str(path.relative_to(output)): path.read_bytes() for path in output.rglob("*") if path.is_file()}
+    files = {
+        str(path.relative_to(output)): path.read_bytes()
+        for path in output.rglob("*")
+        if path.is_file()
+    }
     files = {name: data for name, data in files.items() if not name.startswith(".")}
     for name, data in files.items():
         if name.endswith("report.json"):
@@ -151,7 +161,16 @@ def test_names_are_for_dives(name: str, found: str, tree: Path) -> None:
 
 
 def test_logs_of_every_kind_are_dives_and_converted_ones_once(tmp_path: Path) -> None:
-    for name in ("x.bag", "x.mcap", "y.bag", "z.db3", "z.bag", "older/x.bag", "bag/0.db3", "bag/metadata.yaml"):
+    for name in (
+        "x.bag",
+        "x.mcap",
+        "y.bag",
+        "z.db3",
+        "z.bag",
+        "older/x.bag",
+        "bag/0.db3",
+        "bag/metadata.yaml",
+    ):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
 
@@ -200,7 +219,9 @@ def test_a_text_without_paths_is_a_file_and_no_list(content: bytes, tmp_path: Pa
     assert found_paths(["dump.txt"], tmp_path) == [tmp_path / "dump.txt"]
 
 
-@pytest.mark.parametrize("line", ["dive_7", "2026/dive 7", "lost.mcap", "s3://bucket/dive.mcap", "a, 1, 2.mcap"])
+@pytest.mark.parametrize(
+    "line", ["dive_7", "2026/dive 7", "lost.mcap", "s3://bucket/dive.mcap", "a, 1, 2.mcap"]
+)
 def test_a_list_of_names_that_are_not_there_is_a_list(line: str, tmp_path: Path) -> None:
     (tmp_path / "list.txt").write_text(f"{line}\n")
     assert [path.name for path in found_paths(["list.txt"], tmp_path)] == [line.rpartition("/")[2]]
@@ -212,7 +233,9 @@ def test_a_folder_of_tables_is_a_dive_for_every_command(results: bool, tmp_path:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("time,ax\n0,1\n")
     assert found_paths(["dive_7"], tmp_path, results=results) == [tmp_path / "dive_7"]
-    assert found_paths(["archive"], tmp_path, results=results) == [tmp_path / "archive" / "dive.mcap"]
+    assert found_paths(["archive"], tmp_path, results=results) == [
+        tmp_path / "archive" / "dive.mcap"
+    ]
 
 
 def test_a_dive_that_is_meant_twice_is_one(tree: Path) -> None:
@@ -236,9 +259,18 @@ def test_dives_that_would_share_a_name_are_reported_apart_by_their_folders(
 
 
 @pytest.mark.parametrize(
-    ("file", "name"), [("..mcap", "mcap"), ("...mcap", "mcap"), (".mcap", ".mcap"), ("a..mcap", "a."), ("...", "dive")]
+    ("file", "name"),
+    [
+        ("..mcap", "mcap"),
+        ("...mcap", "mcap"),
+        (".mcap", ".mcap"),
+        ("a..mcap", "a."),
+        ("...", "dive"),
+    ],
 )
-def test_no_dive_bears_the_name_of_the_folder_it_is_in(file: str, name: str, tmp_path: Path) -> None:
+def test_no_dive_bears_the_name_of_the_folder_it_is_in(
+    file: str, name: str, tmp_path: Path
+) -> None:
     assert unique_names([tmp_path / file]) == [name]
 
 
@@ -258,25 +290,35 @@ def test_dives_that_folders_do_not_tell_apart_are_refused(paths: str, tmp_path: 
         unique_names([tmp_path / path for path in paths.split()])
 
 
-def test_two_dives_of_one_name_are_replayed_next_to_each_other(archive: Path, tmp_path: Path) -> None:
+def test_two_dives_of_one_name_are_replayed_next_to_each_other(
+    archive: Path, tmp_path: Path
+) -> None:
     for day, seed in (("monday", 1), ("tuesday", 2)):
         (tmp_path / day).mkdir()
         shutil.copy(archive / f"dive_{seed}.mcap", tmp_path / day / "dive.mcap")
     logs = [str(tmp_path / day) for day in ("monday", "tuesday")]
-    assert run_command_line(["run", "--preset", "levy-klein", *logs, "-o", str(tmp_path / "out")]) == 0
+    assert (
+        run_command_line(["run", "--preset", "levy-klein", *logs, "-o", str(tmp_path / "out")]) == 0
+    )
     for name in ("monday_dive", "tuesday_dive"):
-        assert decode_report((tmp_path / "out" / name / "report.json").read_bytes()).log.name == name
+        assert (
+            decode_report((tmp_path / "out" / name / "report.json").read_bytes()).log.name == name
+        )
     rows = (tmp_path / "out" / "summary.csv").read_text().splitlines()[1:]
     assert [row.partition(",")[0] for row in rows] == ["monday_dive", "tuesday_dive"]
     assert known_reports(
-        plan_jobs(find_dives(logs), tmp_path / "out", ReplayOptions(load_config("levy-klein"))), force=False
+        plan_jobs(find_dives(logs), tmp_path / "out", ReplayOptions(load_config("levy-klein"))),
+        force=False,
     )
     assert not known_reports(
-        plan_jobs(find_dives(logs[:1]), tmp_path / "out", ReplayOptions(load_config("levy-klein"))), force=False
+        plan_jobs(find_dives(logs[:1]), tmp_path / "out", ReplayOptions(load_config("levy-klein"))),
+        force=False,
     )
 
 
-def test_a_result_that_lost_a_file_is_made_again(archive: Path, results: Path, tmp_path: Path) -> None:
+def test_a_result_that_lost_a_file_is_made_again(
+    archive: Path, results: Path, tmp_path: Path
+) -> None:
     shutil.copytree(results, tmp_path / "out")
     (tmp_path / "out" / "dive_2" / "report.html").unlink()
     done = done_here("run", "--preset", "levy-klein", archive, "-o", "out", "--force", cwd=tmp_path)
@@ -311,13 +353,27 @@ def test_code_of_ones_own_that_was_changed_is_run_again(archive: Path, tmp_path:
     for sd in (0.1, 0.2):
         (tmp_path / "mine.py").write_text(OWN.replace("SD", str(sd)))
         aiding = 'filters.mine.aiding=["velocity","mine:Down"]'
-        done = run(archive / "dive_1.mcap", "-o", "out", "--set", aiding, "--starts", "1", "--allow-code", cwd=tmp_path)
+        done = run(
+            archive / "dive_1.mcap",
+            "-o",
+            "out",
+            "--set",
+            aiding,
+            "--starts",
+            "1",
+            "--allow-code",
+            cwd=tmp_path,
+        )
         assert "wrote out/dive_1" in done.stderr
         code = json.loads((tmp_path / "out" / "dive_1" / "report.json").read_text())["code"]
         digest = hashlib.sha256((tmp_path / "mine.py").read_bytes()).hexdigest()
         assert code == {"mine:Down": {"file": str(tmp_path / "mine.py"), "sha256": digest}}
         with (tmp_path / "out" / "dive_1" / "consistency.csv").open() as stream:
-            (noise[sd],) = (float(row["mean_nis"]) for row in csv.DictReader(stream) if row["measurement"] == "down")
+            (noise[sd],) = (
+                float(row["mean_nis"])
+                for row in csv.DictReader(stream)
+                if row["measurement"] == "down"
+            )
     assert noise[0.2] < 0.5 * noise[0.1]
     for version, sd, is_kept in (("1", 0.3, False), ("1", 0.4, True), ("2", 0.4, False)):
         (tmp_path / "mine.py").write_text(OWN.replace("SD", str(sd)))
@@ -335,7 +391,16 @@ def test_one_bad_name_stops_no_archive(archive: Path, tmp_path: Path) -> None:
     assert [path.name.encode(errors="replace") for path in found] == [b"bad?.mcap", b"dive.mcap"]
     assert (
         run_command_line(
-            ["run", "--preset", "levy-klein", *map(str, found), "-o", str(tmp_path / "out"), "--starts", "1"]
+            [
+                "run",
+                "--preset",
+                "levy-klein",
+                *map(str, found),
+                "-o",
+                str(tmp_path / "out"),
+                "--starts",
+                "1",
+            ]
         )
         == 3
     )
@@ -343,7 +408,9 @@ def test_one_bad_name_stops_no_archive(archive: Path, tmp_path: Path) -> None:
     assert "UTF-8" in (tmp_path / "out" / "summary.csv").read_text()
 
 
-def test_a_folder_that_may_not_be_read_is_a_dive_that_cannot(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_may_not_be_read_is_a_dive_that_cannot(
+    tree: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scanned = os.scandir
 
     def scandir(path: Path | str) -> Any:
@@ -393,26 +460,41 @@ def test_digest_of_a_log_and_a_bag_is_that_of_the_reader(archive: Path, tmp_path
 
 def task(*logs: Path, output: Path = Path(), **wishes: Any) -> ReplayJob:
     (planned,) = plan_jobs(
-        [*map(FoundDive, logs)], output, ReplayOptions(load_config("levy-klein"), **wishes), one_dive=True
+        [*map(FoundDive, logs)],
+        output,
+        ReplayOptions(load_config("levy-klein"), **wishes),
+        one_dive=True,
     )
     return planned
 
 
 def known(archive: Path, results: Path, order: ReplayOptions) -> set[str]:
-    return {target.name for target in known_reports(plan_jobs(find_dives([str(archive)]), results, order), force=True)}
+    return {
+        target.name
+        for target in known_reports(
+            plan_jobs(find_dives([str(archive)]), results, order), force=True
+        )
+    }
 
 
-def test_results_are_known_by_log_settings_and_versions(archive: Path, results: Path, tmp_path: Path) -> None:
+def test_results_are_known_by_log_settings_and_versions(
+    archive: Path, results: Path, tmp_path: Path
+) -> None:
     shutil.copytree(archive, tmp_path / "logs")
     shutil.copytree(results, tmp_path / "out")
     config = load_config("levy-klein")
     everything = {f"dive_{seed}" for seed in range(1, 7)}
     assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config)) == everything
-    assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config, allow_damaged=True)) == everything
+    assert (
+        known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config, allow_damaged=True))
+        == everything
+    )
     assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config, control=True)) == set()
     assert (
         known(
-            tmp_path / "logs", tmp_path / "out", ReplayOptions(load_config("levy-klein", overrides=["dvl.scale=1.01"]))
+            tmp_path / "logs",
+            tmp_path / "out",
+            ReplayOptions(load_config("levy-klein", overrides=["dvl.scale=1.01"])),
         )
         == set()
     )
@@ -425,7 +507,10 @@ def test_results_are_known_by_log_settings_and_versions(archive: Path, results: 
     versions.write_text(json.dumps({**report, "versions": {**report["versions"], "numpy": "1.0"}}))
     (tmp_path / "out" / "dive_5" / "report.json").write_text("{}")
     assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config)) == {"dive_2", "dive_6"}
-    assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config, sources="other code")) == set()
+    assert (
+        known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config, sources="other code"))
+        == set()
+    )
 
 
 def test_a_worker_with_other_code_refuses(archive: Path, tmp_path: Path) -> None:
@@ -434,7 +519,9 @@ def test_a_worker_with_other_code_refuses(archive: Path, tmp_path: Path) -> None
         replay_into(other)
 
 
-def test_a_result_that_another_run_has_written_meanwhile_stays(archive: Path, tmp_path: Path) -> None:
+def test_a_result_that_another_run_has_written_meanwhile_stays(
+    archive: Path, tmp_path: Path
+) -> None:
     job = task(archive / "dive_1.mcap", output=tmp_path)
     job.target.mkdir()
     (job.target / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
@@ -460,12 +547,19 @@ def test_other_sources_are_another_digest(tmp_path: Path) -> None:
 
 def test_a_result_of_the_control_is_known(archive: Path, tmp_path: Path) -> None:
     log, output = archive / "dive_1.mcap", tmp_path / "out"
-    assert run_command_line(["run", "--preset", "levy-klein", str(log), "--control", "-o", str(output)]) == 0
+    assert (
+        run_command_line(
+            ["run", "--preset", "levy-klein", str(log), "--control", "-o", str(output)]
+        )
+        == 0
+    )
     assert known_reports([task(log, output=output, control=True)], force=False)
     assert run_command_line(["run", "--preset", "levy-klein", str(log), "-o", str(output)]) == 2
 
 
-def test_a_damaged_log_is_known_only_to_whom_it_is_good_enough(archive: Path, tmp_path: Path) -> None:
+def test_a_damaged_log_is_known_only_to_whom_it_is_good_enough(
+    archive: Path, tmp_path: Path
+) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((archive / "dive_1.mcap").read_bytes()[:-200])
     arguments = ["run", "--preset", "levy-klein", str(cut), "-o", str(tmp_path / "out")]
@@ -478,7 +572,9 @@ def test_only_what_changed_is_replayed(archive: Path, results: Path, tmp_path: P
     shutil.copytree(results, tmp_path / "out")
     shutil.rmtree(tmp_path / "out" / "dive_3")
     before = bytes_of(tmp_path / "out")
-    done = done_here("run", "--preset", "levy-klein", archive, "-o", "out", "--format", "csv", cwd=tmp_path)
+    done = done_here(
+        "run", "--preset", "levy-klein", archive, "-o", "out", "--format", "csv", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     said = [line for line in done.stderr.splitlines() if "[not_evaluated]" not in line]
     assert said == [
@@ -491,7 +587,9 @@ def test_only_what_changed_is_replayed(archive: Path, results: Path, tmp_path: P
     assert before.items() <= bytes_of(tmp_path / "out").items()
 
 
-def test_a_changed_result_needs_force_before_any_work_is_done(archive: Path, results: Path, tmp_path: Path) -> None:
+def test_a_changed_result_needs_force_before_any_work_is_done(
+    archive: Path, results: Path, tmp_path: Path
+) -> None:
     shutil.copytree(results, tmp_path / "out")
     shutil.rmtree(tmp_path / "out" / "dive_1")
     changed = [archive, "-o", "out", "--set", "dvl.scale=1.01"]
@@ -499,13 +597,20 @@ def test_a_changed_result_needs_force_before_any_work_is_done(archive: Path, res
     assert (refused.returncode, refused.stdout) == (2, "")
     assert refused.stderr.startswith("error: out/dive_2: ")
     assert not (tmp_path / "out" / "dive_1").exists()
-    assert done_here("run", "--preset", "levy-klein", *changed, "--force", cwd=tmp_path).returncode == 0
+    assert (
+        done_here("run", "--preset", "levy-klein", *changed, "--force", cwd=tmp_path).returncode
+        == 0
+    )
     report = decode_report((tmp_path / "out" / "dive_2" / "report.json").read_bytes())
     assert report.config["dvl"]["scale"] == 1.01
 
 
-@pytest.mark.parametrize("data", [b'{"baseline": "\xff"}', b'{"log": ' + b"[" * 100_000], ids=["letters", "nested"])
-def test_a_report_that_nobody_can_read_is_no_result(data: bytes, archive: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "data", [b'{"baseline": "\xff"}', b'{"log": ' + b"[" * 100_000], ids=["letters", "nested"]
+)
+def test_a_report_that_nobody_can_read_is_no_result(
+    data: bytes, archive: Path, tmp_path: Path
+) -> None:
     jobs = plan_jobs(find_dives([str(archive)]), tmp_path, ReplayOptions(load_config("levy-klein")))
     jobs[0].target.mkdir()
     (jobs[0].target / "report.json").write_bytes(data)
@@ -517,8 +622,16 @@ def test_a_report_that_nobody_can_read_is_no_result(data: bytes, archive: Path, 
     ("settings", "wishes", "found"),
     [
         (["dvl.scale=1.01"], {}, r"with other settings: dvl\.scale 1\.0 -> 1\.01\n"),
-        (['filters.more.aiding=["beams"]'], {}, r'settings: filters "baseline, aided" -> "baseline, aided, more"\n'),
-        ([f"dvl.{key}=0.5" for key in ("scale", "latency_s", "velocity_sd_mps", "beam_sd_mps")], {}, r" and 1 more\n"),
+        (
+            ['filters.more.aiding=["beams"]'],
+            {},
+            r'settings: filters "baseline, aided" -> "baseline, aided, more"\n',
+        ),
+        (
+            [f"dvl.{key}=0.5" for key in ("scale", "latency_s", "velocity_sd_mps", "beam_sd_mps")],
+            {},
+            r" and 1 more\n",
+        ),
         ([], {"control": True}, r"with other settings: --control false -> true\n"),
         ([], {"sources": "other code"}, r"holds a result by another version\n"),
     ],
@@ -535,10 +648,17 @@ def test_the_error_on_another_result_says_what_differs(
 
 
 def test_the_error_on_a_result_of_another_log_says_so(archive: Path, results: Path) -> None:
-    (job,) = plan_jobs([FoundDive(archive / "dive_1.mcap")], results, ReplayOptions(load_config("levy-klein")))
+    (job,) = plan_jobs(
+        [FoundDive(archive / "dive_1.mcap")], results, ReplayOptions(load_config("levy-klein"))
+    )
     with pytest.raises(ConfigError, match=r"dive_1: holds a result of another log\n"):
         known_reports(
-            [dataclasses.replace(job, logs=(archive / "dive_2.mcap",), name=archive / "dive_2.mcap")], force=False
+            [
+                dataclasses.replace(
+                    job, logs=(archive / "dive_2.mcap",), name=archive / "dive_2.mcap"
+                )
+            ],
+            force=False,
         )
 
 
@@ -581,7 +701,9 @@ def test_rerun_replays_what_is_unchanged(archive: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["summary.csv", "index.html"])
-def test_a_file_that_bears_an_overviews_name_is_left_alone(name: str, archive: Path, tmp_path: Path) -> None:
+def test_a_file_that_bears_an_overviews_name_is_left_alone(
+    name: str, archive: Path, tmp_path: Path
+) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).write_text("my own notes\n")
     done = done_here("run", "--preset", "levy-klein", archive, "-o", "out", cwd=tmp_path)
@@ -599,7 +721,12 @@ def test_no_link_or_pipe_that_bears_an_overviews_name_is_written_to(
         (tmp_path / name).symlink_to("thesis.tex")
     else:
         os.mkfifo(tmp_path / name)
-    assert run_command_line(["run", "--preset", "levy-klein", str(archive), "-o", str(tmp_path), "--force"]) == 2
+    assert (
+        run_command_line(
+            ["run", "--preset", "levy-klein", str(archive), "-o", str(tmp_path), "--force"]
+        )
+        == 2
+    )
     assert re.search(rf"{name}: .*; hint: rm ", capsys.readouterr().err)
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 
@@ -726,7 +853,9 @@ def test_work_whose_answer_is_lost_is_done_once_more(monkeypatch: pytest.MonkeyP
     assert dict(do_each(int, ["1", "2", "3"], forgetful)) == {0: 1, 1: 2, 2: 3}
 
 
-def test_a_dive_that_a_lost_worker_has_written_is_not_in_the_way(archive: Path, tmp_path: Path) -> None:
+def test_a_dive_that_a_lost_worker_has_written_is_not_in_the_way(
+    archive: Path, tmp_path: Path
+) -> None:
     job = task(archive / "dive_1.mcap", output=tmp_path)
     report = replay_into(job)
     assert replay_into(job) == report
@@ -769,9 +898,15 @@ def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
 @pytest.mark.nightly
 def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: Path) -> None:
     command = [*TOOL, "run", "--preset", "levy-klein", str(archive), "-o", "out", "--jobs", "2"]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         wait_for(tmp_path / "out" / "dive_2", process)
-        workers = [child for child in psutil.Process(process.pid).children() if "spawn_main" in str(child.cmdline())]
+        workers = [
+            child
+            for child in psutil.Process(process.pid).children()
+            if "spawn_main" in str(child.cmdline())
+        ]
         workers[0].kill()
         _, err = ended(process)
     assert process.returncode == 0, err
@@ -779,9 +914,13 @@ def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: P
 
 
 @pytest.mark.nightly
-def test_an_interrupted_run_goes_on_where_it_stopped(archive: Path, results: Path, tmp_path: Path) -> None:
+def test_an_interrupted_run_goes_on_where_it_stopped(
+    archive: Path, results: Path, tmp_path: Path
+) -> None:
     command = [*TOOL, "run", "--preset", "levy-klein", str(archive), "-o", "out", "--jobs", "2"]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         wait_for(tmp_path / "out" / "dive_1", process)
         process.send_signal(signal.SIGTERM)
         _, err = ended(process)
@@ -822,7 +961,9 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(
         "--scheduler",
         address,
     ]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         wait_for(tmp_path / "out" / "dive_1", process)
         children = psutil.Process(of_cluster.pid).children(recursive=True)
         next(child for child in children if "spawn_main" in str(child.cmdline())).kill()

@@ -47,13 +47,17 @@ if __name__ == "__main__":
 
 
 @pytest.mark.nightly
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process that its parent has ended")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="only Linux tells a process that its parent has ended"
+)
 def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     script = tmp_path / "parent.py"
     script.write_text(PARENT)
     tests = Path(__file__).resolve().parents[1]
     environment = os.environ | {"PYTHONPATH": f"{tests}{os.pathsep}{tests.parent}"}
-    with subprocess.Popen([sys.executable, str(script)], env=environment, stdout=subprocess.PIPE, text=True) as parent:
+    with subprocess.Popen(
+        [sys.executable, str(script)], env=environment, stdout=subprocess.PIPE, text=True
+    ) as parent:
         assert parent.stdout
         assert [parent.stdout.readline() for _ in range(2)] == ["done\n"] * 2
         workers = psutil.Process(parent.pid).children(recursive=True)
@@ -74,7 +78,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def scheduler() -> Iterator[tuple[str, psutil.Process]]:
     """A scheduler without workers, and its process."""
     pytest.importorskip("distributed")
-    with subprocess.Popen([sys.executable, "-c", SCHEDULER], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", SCHEDULER], stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout
         yield process.stdout.readline().strip(), psutil.Process(process.pid)
         process.kill()
@@ -88,7 +94,12 @@ def test_a_cluster_without_workers_is_reported(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(workers, "_WORKERS_WITHIN_S", 1)
-    assert run_command_line(["run", str(log), "-o", str(log.parent / "out"), "--scheduler", scheduler[0]]) == 2
+    assert (
+        run_command_line(
+            ["run", str(log), "-o", str(log.parent / "out"), "--scheduler", scheduler[0]]
+        )
+        == 2
+    )
     (line,) = capsys.readouterr().err.splitlines()
     assert re.fullmatch(rf"error: --scheduler {scheduler[0]}: .*; hint: .*`dask worker`.*", line)
 
@@ -113,7 +124,9 @@ def test_a_worker_answers_only_for_the_bytes_that_are_meant(
     log_there.write_bytes(log.read_bytes())
     monkeypatch.chdir(tmp_path)
     tasks = plan_jobs([FoundDive(Path("dive.mcap"))], Path("out"), ReplayOptions(Config()))
-    [outcome] = replay_jobs(tasks, {}, lambda _alone: nullcontext((submit, 1, bool)), elsewhere=True)
+    [outcome] = replay_jobs(
+        tasks, {}, lambda _alone: nullcontext((submit, 1, bool)), elsewhere=True
+    )
     assert seen[0].logs == (log_there,)
     assert seen[0].target == tmp_path / "out" / "dive"
     assert isinstance(outcome.result, LogError)

@@ -24,7 +24,9 @@ def dives(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("dives")
     paths = [folder / f"{name}.mcap" for name in ("first", "second", "third")]
     for seed, path in enumerate(paths):
-        write_dive(path, simulate_dive("figure-eight", duration_s=60.0, seed=seed, grade="tactical"))
+        write_dive(
+            path, simulate_dive("figure-eight", duration_s=60.0, seed=seed, grade="tactical")
+        )
     return paths
 
 
@@ -73,7 +75,12 @@ def test_python_fits_the_same_noise_as_the_command(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "given", [("--preset", "levy-klein"), ("--set", "noise.gyro_white_rad_rts=3.7e-5"), ("--set", "noise.fit=[]")]
+    "given",
+    [
+        ("--preset", "levy-klein"),
+        ("--set", "noise.gyro_white_rad_rts=3.7e-5"),
+        ("--set", "noise.fit=[]"),
+    ],
 )
 def test_a_noise_that_is_given_stays(
     given: tuple[str, str], dives: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -89,10 +96,15 @@ def test_a_noise_that_is_given_stays(
 
 def test_what_is_given_beside_the_noise_stays(dives: list[Path], tmp_path: Path) -> None:
     file = tmp_path / "vehicle.toml"
-    file.write_text("[dvl]\nvelocity_sd_mps = 0.02\n[initial]\ngyro_bias_sd_degph = 10.0\n", "utf-8")
+    file.write_text(
+        "[dvl]\nvelocity_sd_mps = 0.02\n[initial]\ngyro_bias_sd_degph = 10.0\n", "utf-8"
+    )
     config = replayed(dives[:1], tmp_path / "out", "-c", str(file))["first"]["config"]
     assert (config["dvl"]["velocity_sd_mps"], config["dvl"]["beam_sd_mps"]) == (0.02, None)
-    assert (config["initial"]["gyro_bias_sd_degph"], config["initial"]["accel_bias_sd_mg"]) == (10.0, 50.0)
+    assert (config["initial"]["gyro_bias_sd_degph"], config["initial"]["accel_bias_sd_mg"]) == (
+        10.0,
+        50.0,
+    )
     assert config["noise"]["accel_white_mps_rts"] < 0.1 * Noise().accel_white_mps_rts
 
 
@@ -104,7 +116,9 @@ def test_dives_of_a_run_have_one_noise_which_moves_with_a_dive_that_is_added(
     two = replayed(dives[:2], out, "-c", str(file))
     assert two["first"]["config"] == two["second"]["config"]
     assert capsys.readouterr().err.count("noise fitted") == 1
-    three = replayed(dives, out, "-c", str(file))  # replaces what was fitted to two, without --force
+    three = replayed(
+        dives, out, "-c", str(file)
+    )  # replaces what was fitted to two, without --force
     assert len({json.dumps(report["config"]) for report in three.values()}) == 1
     assert capsys.readouterr().err.count("noise fitted") == 1
     assert replayed(dives, out, "-c", str(file)) == three
@@ -129,8 +143,14 @@ def test_both_sides_of_a_change_have_the_noise_before_it(
     change: str, key: str, value: float, dives: list[Path], tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    assert run_command_line(["run", str(dives[0]), "-o", str(out), *ONE_START, "--against", change]) == 0
-    before, after = (json.loads((out / side / "first" / "report.json").read_text()) for side in ("before", "after"))
+    assert (
+        run_command_line(["run", str(dives[0]), "-o", str(out), *ONE_START, "--against", change])
+        == 0
+    )
+    before, after = (
+        json.loads((out / side / "first" / "report.json").read_text())
+        for side in ("before", "after")
+    )
     section, name = key.split(".")
     assert after["config"][section][name] == value
     expected = json.loads(json.dumps(before["config"]))
@@ -146,7 +166,8 @@ def test_compare_settings_and_check_of_python_fit_it_too(dives: list[Path], tmp_
     after = load_config(settings={"evaluation.starts": 1, "dvl.scale": 1.01})
     compare_settings(dives[:1], before, after, tmp_path / "sides")
     reports = [
-        json.loads((tmp_path / "sides" / side / "first" / "report.json").read_text()) for side in ("before", "after")
+        json.loads((tmp_path / "sides" / side / "first" / "report.json").read_text())
+        for side in ("before", "after")
     ]
     assert reports[0]["config"]["noise"] == reports[1]["config"]["noise"]
     assert reports[0]["config"]["noise"]["accel_white_mps_rts"] < 0.1 * Noise().accel_white_mps_rts
@@ -155,8 +176,14 @@ def test_compare_settings_and_check_of_python_fit_it_too(dives: list[Path], tmp_
     gates.write_text(f'{gate}column = "mean_nis"\nmin = 0.9\nmax = 9.0\n', "utf-8")
     found = check(gates, dives[0], results=tmp_path / "checked")
     assert list(found.tables["gates"]["status"]) == ["passed"]
-    assert run_command_line(["check", str(gates), str(dives[0]), "--results", str(tmp_path / "command")]) == 0
+    assert (
+        run_command_line(
+            ["check", str(gates), str(dives[0]), "--results", str(tmp_path / "command")]
+        )
+        == 0
+    )
     ours, theirs = (
-        json.loads((tmp_path / side / "first" / "report.json").read_text()) for side in ("checked", "command")
+        json.loads((tmp_path / side / "first" / "report.json").read_text())
+        for side in ("checked", "command")
     )
     assert without_tool(ours) == without_tool(theirs)

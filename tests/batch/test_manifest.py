@@ -67,10 +67,14 @@ def test_a_wrong_entry_is_a_wrong_setting(tmp_path: Path, line: str) -> None:
         find_dives([manifest(tmp_path, line)])
 
 
-def test_a_wrong_digest_ends_with_3_and_stops_no_other_dive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_digest_ends_with_3_and_stops_no_other_dive(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for name in ("a", "b"):
         (tmp_path / f"{name}.mcap").write_bytes(LOG)
-    listed = manifest(tmp_path, f'path = "a.mcap"\nsha256 = "{WRONG}"', 'path = "b.mcap"', 'path = "c.mcap"')
+    listed = manifest(
+        tmp_path, f'path = "a.mcap"\nsha256 = "{WRONG}"', 'path = "b.mcap"', 'path = "c.mcap"'
+    )
     assert run_command_line(["run", listed, "-o", str(tmp_path / "out")]) == 3
     said = capsys.readouterr().err
     assert f"its SHA-256 is {SHA256}" in said
@@ -88,11 +92,29 @@ def test_each_dive_has_its_own_settings_below_those_of_c(tmp_path: Path) -> None
         (tmp_path / f"{name}.toml").write_text("[dvl]\nscale = 1.01\nlatency_s = 0.02\n")
     (tmp_path / "b.toml").write_text("[dvl]\nscale = 1.02\n")
     (tmp_path / "c.toml").write_text("[dvl]\nlatency_s = 0.03\n")
-    listed = manifest(tmp_path, *(f'path = "{name}.mcap"\nsettings = "{name}.toml"' for name in "ab"))
-    command = ["run", listed, "-c", str(tmp_path / "c.toml"), "--starts", "2", "-q", "-o", str(tmp_path / "out")]
+    listed = manifest(
+        tmp_path, *(f'path = "{name}.mcap"\nsettings = "{name}.toml"' for name in "ab")
+    )
+    command = [
+        "run",
+        listed,
+        "-c",
+        str(tmp_path / "c.toml"),
+        "--starts",
+        "2",
+        "-q",
+        "-o",
+        str(tmp_path / "out"),
+    ]
     assert run_command_line(command) == 0
-    used = [json.loads((tmp_path / "out" / name / "report.json").read_bytes())["config"] for name in "ab"]
-    assert [(config["dvl"]["scale"], config["dvl"]["latency_s"]) for config in used] == [(1.01, 0.03), (1.02, 0.03)]
+    used = [
+        json.loads((tmp_path / "out" / name / "report.json").read_bytes())["config"]
+        for name in "ab"
+    ]
+    assert [(config["dvl"]["scale"], config["dvl"]["latency_s"]) for config in used] == [
+        (1.01, 0.03),
+        (1.02, 0.03),
+    ]
     assert [config["evaluation"]["starts"] for config in used] == [2, 2]
     with pytest.raises(ConfigError, match="the dives have different settings"):
         shared_settings(find_dives([listed]), "calibrate")
@@ -112,13 +134,17 @@ def test_the_vehicle_of_a_dive_is_that_of_its_manifest_else_of_its_settings(tmp_
     output = tmp_path / "out"
     command = ["run", listed, "-o", str(output), "--starts", "1", "--no-auto"]
     assert run_command_line(command) == 0
-    reports = {name: json.loads((output / name / "report.json").read_text()) for name in ("a", "b", "c")}
+    reports = {
+        name: json.loads((output / name / "report.json").read_text()) for name in ("a", "b", "c")
+    }
     vehicles = {name: report["vehicle"] for name, report in reports.items()}
     assert vehicles == {"a": "of manifest", "b": "of settings", "c": ""}
     assert reports["a"]["config"]["vehicle"] == {"name": "of manifest"}
     assert run_command_line(command) == 0
     again = json.loads((output / "a" / "report.json").read_text())
-    assert again["tool"]["started_at"] == reports["a"]["tool"]["started_at"], "the same vehicle is no other setting"
+    assert again["tool"]["started_at"] == reports["a"]["tool"]["started_at"], (
+        "the same vehicle is no other setting"
+    )
 
 
 def test_settings_that_are_not_there_end_with_2(tmp_path: Path) -> None:
@@ -138,11 +164,26 @@ def test_a_dive_is_listed_once(tmp_path: Path) -> None:
         find_dives([str(tmp_path / "dives.toml")])
 
 
-def test_a_change_that_no_dive_heeds_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name, text in (("a", "beam_sd_mps = 0.01"), ("b", "velocity_sd_mps = 0.02\nbeam_sd_mps = 0.01")):
+def test_a_change_that_no_dive_heeds_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, text in (
+        ("a", "beam_sd_mps = 0.01"),
+        ("b", "velocity_sd_mps = 0.02\nbeam_sd_mps = 0.01"),
+    ):
         (tmp_path / f"{name}.mcap").write_bytes(LOG)
         (tmp_path / f"{name}.toml").write_text(f"[dvl]\n{text}\n")
-    listed = manifest(tmp_path, *(f'path = "{name}.mcap"\nsettings = "{name}.toml"' for name in "ab"))
-    for change, said in (("velocity_sd_mps=0.5", "has no effect"), ("beam_sd_mps=0.01", "is the setting already")):
-        assert run_command_line(["run", listed, "--against", f"dvl.{change}", "-o", str(tmp_path / "out")]) == 2
+    listed = manifest(
+        tmp_path, *(f'path = "{name}.mcap"\nsettings = "{name}.toml"' for name in "ab")
+    )
+    for change, said in (
+        ("velocity_sd_mps=0.5", "has no effect"),
+        ("beam_sd_mps=0.01", "is the setting already"),
+    ):
+        assert (
+            run_command_line(
+                ["run", listed, "--against", f"dvl.{change}", "-o", str(tmp_path / "out")]
+            )
+            == 2
+        )
         assert said in capsys.readouterr().err

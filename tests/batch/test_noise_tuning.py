@@ -23,7 +23,9 @@ from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 
-SNAPIR = tuple(Path(__file__).parents[2] / "examples" / name for name in ("snapir.toml", "paper_noise.toml"))
+SNAPIR = tuple(
+    Path(__file__).parents[2] / "examples" / name for name in ("snapir.toml", "paper_noise.toml")
+)
 TRUE = {"accel_white_mps_rts": 3e-3, "gyro_white_rad_rts": 2e-5, "beam_sd_mps": 0.006}
 WRONG = Config(
     noise=Noise(accel_white_mps_rts=0.05, gyro_white_rad_rts=1e-6),
@@ -41,9 +43,12 @@ def dive() -> Dive:
         imu_rate_hz=50.0,
         dvl_rate_hz=2.0,
         imu_errors=ImuErrors(
-            accel_white_mps_rts=TRUE["accel_white_mps_rts"], gyro_white_rad_rts=TRUE["gyro_white_rad_rts"]
+            accel_white_mps_rts=TRUE["accel_white_mps_rts"],
+            gyro_white_rad_rts=TRUE["gyro_white_rad_rts"],
         ),
-        dvl_errors=DvlErrors(beam_sd_mps=TRUE["beam_sd_mps"], beam_bias_sd_mps=0.0, beam_scale_sd=0.0),
+        dvl_errors=DvlErrors(
+            beam_sd_mps=TRUE["beam_sd_mps"], beam_bias_sd_mps=0.0, beam_scale_sd=0.0
+        ),
     )
 
 
@@ -75,7 +80,9 @@ def test_fit_finds_the_noise_that_the_dive_was_made_with(dive: Dive) -> None:
     assert nis.loc[("baseline", "velocity"), "verdict"] == "conservative"
 
 
-def test_fit_says_where_it_met_the_edge_of_its_range(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fit_says_where_it_met_the_edge_of_its_range(
+    dive: Dive, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("insdvl_replay.batch.noise_tuning.LOWEST", 0.5)
     config, (note, *_) = with_tuned_baseline(dive, WRONG)
     assert config.filters["tuned"].accel_white_mps_rts == pytest.approx(0.5 * 0.05, rel=0.01)
@@ -86,18 +93,24 @@ def test_fit_starts_where_the_filters_do_whatever_point_the_reference_is_of(dive
     """In a turn, in which the reference's point is faster than the IMU."""
     assert dive.reference is not None
     arm_m = (1.8, -0.4, 0.3)
-    elsewhere = replace(dive, reference=reference_at_imu(dive.reference, dive.imu, -np.array(arm_m)))
+    elsewhere = replace(
+        dive, reference=reference_at_imu(dive.reference, dive.imu, -np.array(arm_m))
+    )
     turning = msgspec.structs.replace(WRONG, span=Span(start_s=105.0, end_s=150.0))
     known = msgspec.structs.replace(turning, reference=Reference(lever_arm_m=arm_m))
     assert with_tuned_baseline(elsewhere, known)[1] == with_tuned_baseline(dive, turning)[1]
 
 
-def test_fit_reads_the_dive_from_its_first_ping_on(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fit_reads_the_dive_from_its_first_ping_on(
+    dive: Dive, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As of a deep dive, on whose way down the bottom is out of reach for longer than the fit reads."""
     monkeypatch.setattr("insdvl_replay.batch.noise_tuning.FIT_S", 120.0)
     assert dive.dvl.beam_velocity_mps is not None
     late = slice(300, None)
-    reached = replace(dive.dvl, time_ns=dive.dvl.time_ns[late], beam_velocity_mps=dive.dvl.beam_velocity_mps[late])
+    reached = replace(
+        dive.dvl, time_ns=dive.dvl.time_ns[late], beam_velocity_mps=dive.dvl.beam_velocity_mps[late]
+    )
     config, _ = with_tuned_baseline(replace(dive, dvl=reached), WRONG)
     assert config.filters["tuned"].beam_sd_mps == pytest.approx(TRUE["beam_sd_mps"], rel=0.1)
 
@@ -131,7 +144,9 @@ def test_simulated_imus_are_fitted_within_their_class(grade: str, preset: str) -
 def test_what_a_wrong_lever_arm_does_is_not_called_noise_of_a_sensor(dive: Dive) -> None:
     """The DVL is at the IMU; in a turn at 3 deg/s an arm of 3 m is 16 cm/s off."""
     turning = msgspec.structs.replace(WRONG, span=Span(start_s=100.0, end_s=250.0))
-    wrong = msgspec.structs.replace(turning, dvl=msgspec.structs.replace(WRONG.dvl, lever_arm_m=(3.0, 0.0, 0.0)))
+    wrong = msgspec.structs.replace(
+        turning, dvl=msgspec.structs.replace(WRONG.dvl, lever_arm_m=(3.0, 0.0, 0.0))
+    )
     assert not warnings(with_tuned_baseline(dive, turning)[1])
     (note,) = warnings(with_tuned_baseline(dive, wrong)[1])
     assert note.code == "control_out_of_class"
@@ -139,7 +154,9 @@ def test_what_a_wrong_lever_arm_does_is_not_called_noise_of_a_sensor(dive: Dive)
 
 
 @pytest.mark.nightly
-def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(snapir: Path, tmp_path: Path) -> None:
+def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(
+    snapir: Path, tmp_path: Path
+) -> None:
     config = load_config(file=SNAPIR)
     for run in ("02", "05", "12"):
         replay = replay_with_tuned_baseline(snapir / f"snapir_{run}.mcap", config)

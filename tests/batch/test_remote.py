@@ -53,7 +53,9 @@ def test_a_log_is_fetched_once_and_asked_for_once(server: LogServer) -> None:
         assert server.asked == ["HEAD"]
 
 
-def test_a_log_that_changed_is_fetched_again_and_refused_if_its_digest_is_known(server: LogServer) -> None:
+def test_a_log_that_changed_is_fetched_again_and_refused_if_its_digest_is_known(
+    server: LogServer,
+) -> None:
     url = f"{server.url}/dive.mcap"
     fetched(url)
     server.logs["/dive.mcap"] = OTHER
@@ -62,7 +64,9 @@ def test_a_log_that_changed_is_fetched_again_and_refused_if_its_digest_is_known(
         fetched(url, SHA256)
 
 
-def test_a_server_that_says_nothing_of_changes_is_asked_for_the_log_each_time(server: LogServer) -> None:
+def test_a_server_that_says_nothing_of_changes_is_asked_for_the_log_each_time(
+    server: LogServer,
+) -> None:
     server.has_tags = False
     for _ in range(2):
         fetched(f"{server.url}/dive.mcap")
@@ -96,7 +100,11 @@ def test_without_its_server_a_kept_log_is_used_if_its_digest_is_known(server: Lo
     ],
 )
 def test_nothing_is_kept_of_a_server_that_misbehaves(
-    server: LogServer, cache: Path, monkeypatch: pytest.MonkeyPatch, fault: dict[str, Any], sha256: str
+    server: LogServer,
+    cache: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    fault: dict[str, Any],
+    sha256: str,
 ) -> None:
     monkeypatch.setattr(remote, "STALLED_S", 0.3)
     for name, value in fault.items():
@@ -108,7 +116,9 @@ def test_nothing_is_kept_of_a_server_that_misbehaves(
 
 
 @pytest.mark.parametrize("url", ["http://127.0.0.1:9/x.mcap", "http://[::1]:9/x.mcap"])
-def test_what_cannot_be_fetched_is_an_error_of_that_dive(tmp_path: Path, cache: Path, url: str) -> None:
+def test_what_cannot_be_fetched_is_an_error_of_that_dive(
+    tmp_path: Path, cache: Path, url: str
+) -> None:
     (tmp_path / "a.mcap").write_bytes(LOG)
     first, second = fetch_dives(
         find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{WRONG}"', 'path = "a.mcap"')])
@@ -131,7 +141,11 @@ OTHER_URLS = (
         "http://[x/y.mcap",
     ),
     *("reference://dive.mcap::file:///refs.json", "zip://a.mcap::http://127.0.0.1:9/x.zip"),
-    *("simplecache::http://127.0.0.1:9/x.mcap", "http::https://x/y.mcap", "file://elsewhere/x.mcap"),
+    *(
+        "simplecache::http://127.0.0.1:9/x.mcap",
+        "http::https://x/y.mcap",
+        "file://elsewhere/x.mcap",
+    ),
 )
 
 
@@ -182,14 +196,18 @@ def test_a_transfer_ends_at_the_longest_log_and_time(
         fetched(url, SHA256)
 
 
-def test_an_inspection_ends_where_a_server_drips(server: LogServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_inspection_ends_where_a_server_drips(
+    server: LogServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(remote, "ANSWERED_S", 0.3)
     server.drips_s = 0.1
     with pytest.raises(LogError, match=r"it takes longer than 0\.3 s"):
         inspect_summary(f"{server.url}/dive.mcap", Config())
 
 
-def test_offline_nothing_is_asked_for(server: LogServer, capsys: pytest.CaptureFixture[str]) -> None:
+def test_offline_nothing_is_asked_for(
+    server: LogServer, capsys: pytest.CaptureFixture[str]
+) -> None:
     url = f"{server.url}/dive.mcap"
     command = ["inspect", url, "--offline", "--format", "json"]
     assert run_command_line(command) == 3
@@ -237,14 +255,18 @@ def test_a_fault_of_a_fetched_log_names_its_url(
     assert "SIGNED" not in printed
 
 
-def test_a_url_is_a_dive_whose_results_hold_nothing_that_gives_access(server: LogServer, tmp_path: Path) -> None:
+def test_a_url_is_a_dive_whose_results_hold_nothing_that_gives_access(
+    server: LogServer, tmp_path: Path
+) -> None:
     server.logs["/dive.mcap?sig=SIGNED"] = LOG
     url = f"http://user:s3cret@{server.url.removeprefix('http://')}/dive.mcap?sig=SIGNED"
     out = tmp_path / "out"
     assert run_command_line(["run", url, "-o", str(out), "-q", "--starts", "1"]) == 0
     assert (out / "dive" / "report.json").is_file()
     for file in out.rglob("*"):
-        assert file.is_dir() or not {b"s3cret", b"SIGNED"} & set(re.findall(b"s3cret|SIGNED", file.read_bytes()))
+        assert file.is_dir() or not {b"s3cret", b"SIGNED"} & set(
+            re.findall(b"s3cret|SIGNED", file.read_bytes())
+        )
         assert "s3cret" not in file.name
 
 
@@ -257,7 +279,14 @@ def test_a_second_check_asks_once_for_each_dive_and_reads_no_log(tmp_path: Path)
             'dives = ["dives.toml"]\n[[gate]]\nname = "calm"\ntable = "consistency"\ncolumn = "mean_nis"\nmax = 9\n'
         )
         # One log under 8 names; the settings are those of one quick replay.
-        command = ["check", str(gates), "--results", str(tmp_path / "out"), "--set", "evaluation.starts=1"]
+        command = [
+            "check",
+            str(gates),
+            "--results",
+            str(tmp_path / "out"),
+            "--set",
+            "evaluation.starts=1",
+        ]
         first = run_command_line(command)
         assert server.asked.count("GET") == 8
         server.asked.clear()
@@ -270,8 +299,14 @@ def test_a_second_check_asks_once_for_each_dive_and_reads_no_log(tmp_path: Path)
 def test_logs_of_one_name_are_named_after_their_urls(tmp_path: Path) -> None:
     with served({"/x/log.mcap": LOG, "/y/log.mcap": LOG}) as server:
         urls = [f"{server.url}/{folder}/log.mcap" for folder in ("x", "y", "none")]
-        assert run_command_line(["run", *urls, "--starts", "1", "-q", "-o", str(tmp_path / "out")]) == 3
-    assert {path.name for path in (tmp_path / "out").iterdir() if path.is_dir()} == {"x_log", "y_log"}
+        assert (
+            run_command_line(["run", *urls, "--starts", "1", "-q", "-o", str(tmp_path / "out")])
+            == 3
+        )
+    assert {path.name for path in (tmp_path / "out").iterdir() if path.is_dir()} == {
+        "x_log",
+        "y_log",
+    }
 
 
 def test_a_log_of_unknown_length_needs_a_digest(server: LogServer, cache: Path) -> None:
@@ -297,7 +332,9 @@ def test_a_server_that_stalled_is_not_asked_for_other_dives(
     assert server.asked.count("GET") == 1
 
 
-def test_a_transfer_ends_that_is_not_wanted_or_longer_than_announced(server: LogServer, cache: Path) -> None:
+def test_a_transfer_ends_that_is_not_wanted_or_longer_than_announced(
+    server: LogServer, cache: Path
+) -> None:
     with pytest.raises(LogError, match="stopped"):
         fetched(f"{server.url}/dive.mcap", "", lambda: True)
     server.head_announces = 5000
@@ -352,7 +389,10 @@ def test_names_of_logs_come_from_their_urls(url: str, name: str) -> None:
 
 
 def test_inspection_reads_the_summary_alone(
-    server: LogServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    server: LogServer,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "dive.mcap").write_bytes(b"another dive of this name")
     monkeypatch.chdir(tmp_path)
@@ -391,7 +431,10 @@ def long_log(hours: float, chunk_s: float) -> bytes:
 
 @pytest.mark.parametrize(
     "chunk_s",
-    [pytest.param(20.0, id="1 MB of sensors"), pytest.param(2.0, marks=pytest.mark.nightly, id="1 MB with a camera")],
+    [
+        pytest.param(20.0, id="1 MB of sensors"),
+        pytest.param(2.0, marks=pytest.mark.nightly, id="1 MB with a camera"),
+    ],
 )
 def test_a_log_of_six_hours_takes_two_requests_and_512_kib(chunk_s: float) -> None:
     with served({"/long.mcap": long_log(6.0, chunk_s)}) as server:
@@ -423,7 +466,9 @@ def test_a_summary_that_cannot_be_trusted_is_refused(
         inspect_summary(f"{server.url}/dive.mcap", Config())
 
 
-@pytest.mark.parametrize(("content", "said"), [(b"x" * 5000, "does not end as an MCAP file"), (b"x", "does not end")])
+@pytest.mark.parametrize(
+    ("content", "said"), [(b"x" * 5000, "does not end as an MCAP file"), (b"x", "does not end")]
+)
 def test_other_files_have_no_summary(server: LogServer, content: bytes, said: str) -> None:
     server.logs["/dive.mcap"] = content
     with pytest.raises(LogError, match=said):
@@ -460,7 +505,9 @@ def test_logs_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None:
     assert fetched(url, SHA256).read_bytes() == LOG
     assert fetched(url) == fetched(url, SHA256)
     assert len(json.loads(next(cache.rglob("urls/*.json")).read_bytes())["state"]) > 1
-    assert [role.topic for role in inspect_summary(url, Config()).roles if role.role == "dvl"] == ["/dvl"]
+    assert [role.topic for role in inspect_summary(url, Config()).roles if role.role == "dvl"] == [
+        "/dvl"
+    ]
     bucket.pipe("dives/dive.mcap", OTHER)
     assert fetched(url).read_bytes() == OTHER
     with pytest.raises(LogError, match="the SHA-256 of what was sent is"):

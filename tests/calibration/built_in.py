@@ -30,8 +30,12 @@ def built_in_otherwise(
     grade: str = "fog",
 ) -> ReadDive:
     """Simulate a dive whose configuration knows nothing of arm, yaw, delay and scale."""
-    exact = exact_dive(scenario, duration_s=duration_s, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, yaw_deg))
-    return as_read(late_and_long(add_errors(exact, GRADES[grade], dvl_errors, seed), DELAY_S, SCALE), config)
+    exact = exact_dive(
+        scenario, duration_s=duration_s, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, yaw_deg)
+    )
+    return as_read(
+        late_and_long(add_errors(exact, GRADES[grade], dvl_errors, seed), DELAY_S, SCALE), config
+    )
 
 
 def as_read(dive: Dive, config: Config = CONFIG) -> ReadDive:

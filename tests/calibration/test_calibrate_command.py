@@ -23,8 +23,18 @@ def dives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("dives")
     for seed in ("1", "2"):
         dive = str(folder / f"dive_{seed}.mcap")
-        assert run_command_line(["simulate", "calibration", "--seed", seed, "--duration", "150", "-o", dive]) == 0
-    assert run_command_line(["simulate", "static", "--duration", "100", "-o", str(folder / "static.mcap")]) == 0
+        assert (
+            run_command_line(
+                ["simulate", "calibration", "--seed", seed, "--duration", "150", "-o", dive]
+            )
+            == 0
+        )
+    assert (
+        run_command_line(
+            ["simulate", "static", "--duration", "100", "-o", str(folder / "static.mcap")]
+        )
+        == 0
+    )
     return folder
 
 
@@ -32,7 +42,9 @@ def calibrate(dives: Path, *names: str) -> list[str]:
     return ["calibrate", *(str(dives / f"{name}.mcap") for name in names), "--preset", "fog"]
 
 
-def test_settings_are_written_that_a_run_takes(dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_settings_are_written_that_a_run_takes(
+    dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = tmp_path / "found.toml"
     assert run_command_line([*calibrate(dives, "dive_1", "dive_2"), "-o", str(found)]) == 0
     out, err = capsys.readouterr()
@@ -40,7 +52,16 @@ def test_settings_are_written_that_a_run_takes(dives: Path, tmp_path: Path, caps
     assert f"-c {found}`" in out
     assert err.endswith(f"wrote {found}\n")
     assert load_config("fog", found).dvl.lever_arm_m == pytest.approx((0.0, 0.0, 0.0), abs=0.03)
-    run = ["run", str(dives / "dive_1.mcap"), "-c", str(found), "-o", str(tmp_path / "replay"), "--starts", "1"]
+    run = [
+        "run",
+        str(dives / "dive_1.mcap"),
+        "-c",
+        str(found),
+        "-o",
+        str(tmp_path / "replay"),
+        "--starts",
+        "1",
+    ]
     assert run_command_line(run) == 0
     assert run_command_line([*calibrate(dives, "dive_1"), "-o", str(found)]) == 2
     assert "exists" in capsys.readouterr().err
@@ -48,21 +69,34 @@ def test_settings_are_written_that_a_run_takes(dives: Path, tmp_path: Path, caps
 
 def test_later_settings_are_over_earlier_ones(tmp_path: Path) -> None:
     files = [tmp_path / "vehicle.toml", tmp_path / "found.toml"]
-    files[0].write_text("[dvl]\nscale = 1.1\nlatency_s = 0.5\n[filters.only]\naiding = ['velocity']\n", "utf-8")
+    files[0].write_text(
+        "[dvl]\nscale = 1.1\nlatency_s = 0.5\n[filters.only]\naiding = ['velocity']\n", "utf-8"
+    )
     files[1].write_text("[dvl]\nlatency_s = 0.1\n", "utf-8")
     config = load_config("fog", files)
     assert (config.dvl.scale, config.dvl.latency_s, list(config.filters)) == (1.1, 0.1, ["only"])
     assert load_config("fog", files[::-1]).dvl.latency_s == 0.5
 
 
-def test_json_has_what_the_schema_describes(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command_line([*calibrate(dives, "dive_1", "dive_2"), "--hold-out", "0.5", "--format", "json"]) == 0
+def test_json_has_what_the_schema_describes(
+    dives: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        run_command_line(
+            [*calibrate(dives, "dive_1", "dive_2"), "--hold-out", "0.5", "--format", "json"]
+        )
+        == 0
+    )
     result = json.loads(capsys.readouterr().out)
-    tables = {name: msgspec.convert(rows, list[TABLES[name]]) for name, rows in result["tables"].items()}  # type: ignore[misc]
+    tables = {
+        name: msgspec.convert(rows, list[TABLES[name]]) for name, rows in result["tables"].items()
+    }  # type: ignore[misc]
     assert tables.keys() == {"parameters", "noise", "dives", "held_out"}
     assert [row.dive for row in tables["dives"]] == ["dive_1"]
     assert [row.dive for row in tables["held_out"]] == ["dive_2"]
-    assert {row.parameter: row.status for row in tables["parameters"]}["arm_x"] == Estimated.ESTIMATED
+    assert {row.parameter: row.status for row in tables["parameters"]}[
+        "arm_x"
+    ] == Estimated.ESTIMATED
     assert result["config"]["dvl"]["scale"] == 1.0
 
 
@@ -71,7 +105,9 @@ def test_csv_has_a_column_for_each_axis(dives: Path, capsys: pytest.CaptureFixtu
     lines = capsys.readouterr().out.split("\n")
     header = next(line for line in lines if line.startswith("table,dive,"))
     assert header.endswith(
-        ",".join(f"{name}_{axis}" for name in ("before", "after", "autocorrelation") for axis in "xyz")
+        ",".join(
+            f"{name}_{axis}" for name in ("before", "after", "autocorrelation") for axis in "xyz"
+        )
     )
     row = next(line for line in lines if line.startswith("dives,"))
     assert row.count(",") == header.count(",")
@@ -129,7 +165,15 @@ def test_a_mounting_that_was_found_is_written_with_what_rests_on_it(
     """Configured by a right angle off; the messages tell where the beams look, which leaves four of the 24 ways."""
     wrong, found = tmp_path / "wrong.toml", tmp_path / "found.toml"
     wrong.write_text("[dvl]\nmounting_rpy_deg = [0.0, 0.0, 90.0]\n", "utf-8")
-    command = [*calibrate(dives, "dive_1"), "-c", str(wrong), "--mounting", "unknown", "--only", "arm,delay"]
+    command = [
+        *calibrate(dives, "dive_1"),
+        "-c",
+        str(wrong),
+        "--mounting",
+        "unknown",
+        "--only",
+        "arm,delay",
+    ]
     assert run_command_line([*command, "-o", str(found)]) == 0
     assert re.search(r"\b4 mountings.* roll 0, pitch 0, heading 0 deg", capsys.readouterr().out)
     dvl = load_config("fog", [wrong, found]).dvl
@@ -145,7 +189,16 @@ def test_dives_of_the_same_name_are_held_out_one_by_one(
         (tmp_path / name).mkdir()
         logs.append(tmp_path / name / "dive.mcap")
         logs[-1].write_bytes((dives / f"{name}.mcap").read_bytes())
-    command = ["calibrate", *map(str, logs), "--preset", "fog", "--hold-out", "0.5", "--format", "json"]
+    command = [
+        "calibrate",
+        *map(str, logs),
+        "--preset",
+        "fog",
+        "--hold-out",
+        "0.5",
+        "--format",
+        "json",
+    ]
     assert run_command_line(command) == 0
     tables = json.loads(capsys.readouterr().out)["tables"]
     assert (len(tables["dives"]), len(tables["held_out"])) == (1, 1)
@@ -168,17 +221,33 @@ main()
     "where",
     [
         "output.toml_value",
-        *(pytest.param(one, marks=pytest.mark.nightly) for one in ("fit.robust_cost", "output.delay_profile")),
+        *(
+            pytest.param(one, marks=pytest.mark.nightly)
+            for one in ("fit.robust_cost", "output.delay_profile")
+        ),
     ],
 )
-@pytest.mark.parametrize("signal_", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
-def test_an_interruption_leaves_nothing(signal_: signal.Signals, where: str, dives: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "signal_", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)]
+)
+def test_an_interruption_leaves_nothing(
+    signal_: signal.Signals, where: str, dives: Path, tmp_path: Path
+) -> None:
     """While it is fitted, and while the page and the settings are made."""
     module, _, name = where.partition(".")
     script = STOPPED_WHILE_FITTING.replace("WHERE", module).replace("WHAT", name)
     made = tmp_path / "temporary"
     made.mkdir()
-    command = [sys.executable, "-c", script, *calibrate(dives, "dive_1"), "-o", "found.toml", "--page", "found.html"]
+    command = [
+        sys.executable,
+        "-c",
+        script,
+        *calibrate(dives, "dive_1"),
+        "-o",
+        "found.toml",
+        "--page",
+        "found.html",
+    ]
     with subprocess.Popen(
         [*command, "--format", "csv"],
         cwd=tmp_path,
@@ -210,7 +279,9 @@ def test_a_terminal_sees_how_far_it_is(
     assert capsys.readouterr().err == ""
 
 
-def test_notes_of_the_dives_are_reported_when_asked(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_notes_of_the_dives_are_reported_when_asked(
+    dives: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run_command_line([*calibrate(dives, "dive_1"), "--set", "span.start_s=20", "-v"]) == 0
     assert "info: dive_1: " in capsys.readouterr().err
 
@@ -220,7 +291,16 @@ def test_all_eight_are_shown_and_found_by_the_dive_that_is_made_for_it(
 ) -> None:
     """With the settings that nobody has touched, whose noise is the largest."""
     log = str(tmp_path / "dive.mcap")
-    put_in = ["--lever-arm", "0.3,-0.1,0.2", "--mounting", "0.5,-0.5,1.5", "--dvl-delay", "0.12", "--dvl-scale", "1.02"]
+    put_in = [
+        "--lever-arm",
+        "0.3,-0.1,0.2",
+        "--mounting",
+        "0.5,-0.5,1.5",
+        "--dvl-delay",
+        "0.12",
+        "--dvl-scale",
+        "1.02",
+    ]
     assert run_command_line(["simulate", "calibration", "--seed", "7301", "-o", log, *put_in]) == 0
     capsys.readouterr()
     assert run_command_line(["calibrate", log, "--format", "json"]) == 0
@@ -237,7 +317,13 @@ def test_all_eight_are_shown_and_found_by_the_dive_that_is_made_for_it(
 
 
 @pytest.mark.parametrize(
-    "option", [["--lever-arm", "1,2"], ["--mounting", "a,b,c"], ["--dvl-scale", "0"], ["--lever-arm", "nan,0,0"]]
+    "option",
+    [
+        ["--lever-arm", "1,2"],
+        ["--mounting", "a,b,c"],
+        ["--dvl-scale", "0"],
+        ["--lever-arm", "nan,0,0"],
+    ],
 )
 def test_a_dvl_that_cannot_be_built_in_is_not_simulated(option: list[str], tmp_path: Path) -> None:
     log = tmp_path / "dive.mcap"

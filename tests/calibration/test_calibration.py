@@ -31,7 +31,14 @@ from insdvl_replay.calibration.certainty import (
     newey_west,
     with_estimated_imu_errors,
 )
-from insdvl_replay.calibration.fit import AXES, Fit, Linearised, fit, likeliest_mounting, possible_axes
+from insdvl_replay.calibration.fit import (
+    AXES,
+    Fit,
+    Linearised,
+    fit,
+    likeliest_mounting,
+    possible_axes,
+)
 from insdvl_replay.calibration.innovations import (
     ALL_GROUPS,
     ARM,
@@ -68,7 +75,12 @@ SNAPIR = Path(__file__).parents[2] / "examples" / "snapir.toml"
 BLUEYE, UFMIL = SNAPIR.with_name("blueye_x3.toml"), SNAPIR.with_name("ufmil.toml")
 ALL = np.ones(len(NAMES), dtype=np.bool_)
 QUIET = load_config(
-    "fog", overrides=["noise.accel_white_mps_rts=1e-4", "noise.gyro_white_rad_rts=3e-7", "dvl.beam_sd_mps=0.0042"]
+    "fog",
+    overrides=[
+        "noise.accel_white_mps_rts=1e-4",
+        "noise.gyro_white_rad_rts=3e-7",
+        "dvl.beam_sd_mps=0.0042",
+    ],
 )
 SEEDS = range(7000, 7020)
 
@@ -83,7 +95,9 @@ def status(found: Calibration) -> dict[str, Estimated]:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("scenario", ["figure-eight", "calibration"])
-@pytest.mark.parametrize("beams", [DvlErrors(), WHITE], ids=["beams as makers say", "perfect beams"])
+@pytest.mark.parametrize(
+    "beams", [DvlErrors(), WHITE], ids=["beams as makers say", "perfect beams"]
+)
 def test_errors_are_as_large_as_is_said(beams: DvlErrors, scenario: str) -> None:
     """Of what is proposed. The IMU has no errors of scale, and some beams have none: the standard deviations are those
     without them, which would hide whether the noise is weighed rightly.
@@ -118,10 +132,14 @@ def test_noise_of_healthy_sensors_is_found(grade: str) -> None:
     """
     config, sensors = load_config(grade), GRADES[grade]
     for seed in range(6100, 6103):
-        noise = calibrated(built_in_otherwise("calibration", seed, DvlErrors(), config=config, grade=grade)).noise.after
+        noise = calibrated(
+            built_in_otherwise("calibration", seed, DvlErrors(), config=config, grade=grade)
+        ).noise.after
         assert noise["beam_sd_mps"] == pytest.approx(DvlErrors().beam_sd_mps, rel=0.1)
         unseen = sensors.accel_white_mps_rts < 0.05 * DvlErrors().beam_sd_mps
-        assert abs(np.log(noise["accel_white_mps_rts"] / sensors.accel_white_mps_rts)) < np.log(3.0 if unseen else 2.0)
+        assert abs(np.log(noise["accel_white_mps_rts"] / sensors.accel_white_mps_rts)) < np.log(
+            3.0 if unseen else 2.0
+        )
         assert abs(np.log(noise["gyro_white_rad_rts"] / sensors.gyro_white_rad_rts)) < np.log(4.0)
 
 
@@ -140,7 +158,9 @@ def test_a_straight_line_reports_no_noise_to_be_applied() -> None:
 def test_noise_that_the_baseline_has_of_its_own_is_not_proposed() -> None:
     own = msgspec.structs.replace(CONFIG.filters["baseline"], gyro_white_rad_rts=1e-6)
     config = msgspec.structs.replace(CONFIG, filters={"baseline": own})
-    found = calibrated(built_in_otherwise("calibration", 1, duration_s=150.0, config=config), only=("arm", "noise"))
+    found = calibrated(
+        built_in_otherwise("calibration", 1, duration_s=150.0, config=config), only=("arm", "noise")
+    )
     told = {row.parameter: row.status for row in found.noise_rows}
     assert told["gyro_white_rad_rts"] == Estimated.HELD
     assert told["accel_white_mps_rts"] != Estimated.HELD
@@ -149,7 +169,9 @@ def test_noise_that_the_baseline_has_of_its_own_is_not_proposed() -> None:
 
 def test_noise_of_a_dvl_alone_is_as_sure_as_so_many_normal_numbers_make_it() -> None:
     """Beside an IMU that is far less noisy: the logarithm of a standard deviation has 1 / (2 n) as variance."""
-    dive = as_read(add_errors(exact_dive("static", duration_s=150.0), GRADES["fog"], WHITE, 1), QUIET).innovations()
+    dive = as_read(
+        add_errors(exact_dive("static", duration_s=150.0), GRADES["fog"], WHITE, 1), QUIET
+    ).innovations()
     before = noise_of(dive.filter)
     sds = relative_sds(FittedNoise(before, before), [dive], [np.zeros(len(NAMES))])
     assert sds[2] == pytest.approx((2.0 * 3.0 * dive.count) ** -0.5, rel=0.25)
@@ -158,7 +180,9 @@ def test_noise_of_a_dvl_alone_is_as_sure_as_so_many_normal_numbers_make_it() -> 
 
 
 def test_slow_errors_that_explain_innovations_leave_noise_undetermined() -> None:
-    dive = as_read(add_errors(exact_dive("static", duration_s=60.0), GRADES["fog"], WHITE, 1), QUIET).innovations()
+    dive = as_read(
+        add_errors(exact_dive("static", duration_s=60.0), GRADES["fog"], WHITE, 1), QUIET
+    ).innovations()
     before = noise_of(dive.filter)
     noise, none = FittedNoise(before, before), np.zeros(len(NAMES))
     sure, unsure = (relative_sds(noise, [dive], [none], nis) for nis in (0.0, 30.0))
@@ -170,11 +194,19 @@ def test_slow_errors_that_explain_innovations_leave_noise_undetermined() -> None
     assert status["beam_sd_mps"] == Estimated.ESTIMATED
 
 
-def test_next_to_a_noise_that_no_gyro_has_the_others_are_of_the_class_of_the_imu_and_a_limit() -> None:
-    dive = as_read(add_errors(exact_dive("static", duration_s=60.0), GRADES["fog"], WHITE, 1), QUIET).innovations()
+def test_next_to_a_noise_that_no_gyro_has_the_others_are_of_the_class_of_the_imu_and_a_limit() -> (
+    None
+):
+    dive = as_read(
+        add_errors(exact_dive("static", duration_s=60.0), GRADES["fog"], WHITE, 1), QUIET
+    ).innovations()
     before, none = noise_of(dive.filter), np.zeros(len(NAMES))
-    fitted = {key: 0.01 if key == "gyro_white_rad_rts" else 3.0 * value for key, value in before.items()}
-    kept, rows = determined_noise(FittedNoise(before, fitted), [dive], [none], 0.0, QUIET.filters["baseline"])
+    fitted = {
+        key: 0.01 if key == "gyro_white_rad_rts" else 3.0 * value for key, value in before.items()
+    }
+    kept, rows = determined_noise(
+        FittedNoise(before, fitted), [dive], [none], 0.0, QUIET.filters["baseline"]
+    )
     told = {row.parameter: (row.status, row.why) for row in rows}
     assert told["gyro_white_rad_rts"][0] == Estimated.IMPLAUSIBLE
     assert told["accel_white_mps_rts"] == (Estimated.OF_CLASS, OF_CLASS.format(preset="fog"))
@@ -209,9 +241,13 @@ def test_a_derivative_that_looks_like_an_error_of_the_imu_keeps_what_its_prior_l
 def test_errors_of_the_imu_count_in_the_standard_deviations() -> None:
     """Scales of 1500 ppm and axes 1 mrad off."""
     exact = exact_dive("calibration", duration_s=150.0, lever_arm_m=ARM_M)
-    off = np.eye(3) + np.array([[1.5e-3, 1e-3, -1e-3], [1e-3, -1.5e-3, 1e-3], [-1e-3, 1e-3, 1.5e-3]])
+    off = np.eye(3) + np.array(
+        [[1.5e-3, 1e-3, -1e-3], [1e-3, -1.5e-3, 1e-3], [-1e-3, 1e-3, 1.5e-3]]
+    )
     imu = replace(
-        exact.imu, specific_force_b=exact.imu.specific_force_b @ off.T, angular_rate_b=exact.imu.angular_rate_b @ off
+        exact.imu,
+        specific_force_b=exact.imu.specific_force_b @ off.T,
+        angular_rate_b=exact.imu.angular_rate_b @ off,
     )
     dive = add_errors(replace(exact, imu=imu), GRADES["tactical"], DvlErrors(), 1)
     found = calibrated(as_read(dive, load_config("tactical")), only=("arm", "delay", "noise"))
@@ -229,8 +265,13 @@ def test_wild_pings_do_not_make_the_noise_larger(eight: ReadDive) -> None:
     assert beams is not None
     wild = np.random.default_rng(5).random(len(beams)) < 0.02
     beams = np.where(wild[:, None], beams + 0.1, beams)
-    shaken = replace(eight, dive=replace(eight.dive, dvl=replace(eight.dive.dvl, beam_velocity_mps=beams)))
-    assert calibrated(shaken).noise.after["beam_sd_mps"] < 1.5 * calibrated(eight).noise.after["beam_sd_mps"]
+    shaken = replace(
+        eight, dive=replace(eight.dive, dvl=replace(eight.dive.dvl, beam_velocity_mps=beams))
+    )
+    assert (
+        calibrated(shaken).noise.after["beam_sd_mps"]
+        < 1.5 * calibrated(eight).noise.after["beam_sd_mps"]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +287,14 @@ def found(eight: ReadDive) -> Calibration:
 def test_what_was_put_in_is_found(found: Calibration) -> None:
     for row, truth in zip(found.rows, shown(TRUTH), strict=True):
         assert abs(finite(row.change) - truth) < 3.0 * finite(row.sd), row.parameter
-    assert {row.parameter for row in found.estimated} >= {"delay", "mounting_z", "arm_x", "arm_y", "arm_z", "scale"}
+    assert {row.parameter for row in found.estimated} >= {
+        "delay",
+        "mounting_z",
+        "arm_x",
+        "arm_y",
+        "arm_z",
+        "scale",
+    }
     after = found.after
     assert after.lever_arm_m[:2] == pytest.approx(ARM_M[:2], abs=0.02)
     assert after.mounting_rpy_deg[2] == pytest.approx(YAW_DEG, abs=0.4)
@@ -282,7 +330,9 @@ def test_turns_alone_next_to_errors_of_single_beams_err_as_much_as_is_said() -> 
         found = calibrated(built_in_otherwise("lawnmower", seed, DvlErrors()))
         for row, truth in zip(found.rows, shown(TRUTH), strict=True):
             if row.status == Estimated.ESTIMATED:
-                errors.setdefault(row.parameter, []).append((finite(row.change) - truth) / finite(row.sd))
+                errors.setdefault(row.parameter, []).append(
+                    (finite(row.change) - truth) / finite(row.sd)
+                )
     of_sd = {name: float(np.sqrt(np.mean(np.square(of_one)))) for name, of_one in errors.items()}
     assert {"delay", "arm_x", "arm_y"} <= of_sd.keys()
     assert "mounting_z" not in of_sd
@@ -294,7 +344,9 @@ def test_a_few_wild_pings_hardly_move_it(eight: ReadDive) -> None:
     assert beams is not None
     wild = np.random.default_rng(5).random(len(beams)) < 0.05
     beams = np.where(wild[:, None], 10.0 * beams, beams)
-    shaken = replace(eight, dive=replace(eight.dive, dvl=replace(eight.dive.dvl, beam_velocity_mps=beams)))
+    shaken = replace(
+        eight, dive=replace(eight.dive, dvl=replace(eight.dive.dvl, beam_velocity_mps=beams))
+    )
     before, after = fit([eight.innovations()], ALL), fit([shaken.innovations()], ALL)
     assert 10 < shaken.innovations().left_out < 0.08 * len(beams)
     moved = np.abs(mean_change(after) - mean_change(before)) / certainty_of(before).sd
@@ -307,12 +359,16 @@ def test_several_dives_share_a_vehicle_and_each_has_its_delay(eight: ReadDive) -
     later = replace(
         other,
         dive=replace(
-            other.dive, name="later", dvl=replace(other.dive.dvl, time_ns=other.dive.dvl.time_ns + 100_000_000)
+            other.dive,
+            name="later",
+            dvl=replace(other.dive.dvl, time_ns=other.dive.dvl.time_ns + 100_000_000),
         ),
     )
     found = calibrated(eight, later)
     first, second = found.dives
-    assert finite(second.delay_s) - finite(first.delay_s) == pytest.approx(0.1, abs=4.0 * finite(first.delay_sd_s))
+    assert finite(second.delay_s) - finite(first.delay_s) == pytest.approx(
+        0.1, abs=4.0 * finite(first.delay_sd_s)
+    )
     rows = {row.parameter: row for row in found.rows}
     assert finite(rows["arm_x"].formal_sd) < finite(calibrated(eight).rows[ARM.start].formal_sd)
     assert rows["arm_x"].between_dives_sd is not None
@@ -324,12 +380,14 @@ def test_several_dives_share_a_vehicle_and_each_has_its_delay(eight: ReadDive) -
 def test_a_dvl_turned_by_a_right_angle_is_found_or_refused_and_never_predicted() -> None:
     turned = built_in_otherwise("figure-eight", 6, yaw_deg=90.0)
     astray = calibrated(turned)
-    assert status(astray)["mounting_z"] != Estimated.ESTIMATED or astray.after.mounting_rpy_deg[2] == pytest.approx(
-        90.0, abs=1.0
-    )
+    assert status(astray)["mounting_z"] != Estimated.ESTIMATED or astray.after.mounting_rpy_deg[
+        2
+    ] == pytest.approx(90.0, abs=1.0)
     mounting = likeliest_mounting([turned])
     assert mounting == pytest.approx((0.0, 0.0, 90.0))
-    config = msgspec.structs.replace(CONFIG, dvl=msgspec.structs.replace(CONFIG.dvl, mounting_rpy_deg=mounting))
+    config = msgspec.structs.replace(
+        CONFIG, dvl=msgspec.structs.replace(CONFIG.dvl, mounting_rpy_deg=mounting)
+    )
     found = calibrated(turned.with_config(config))
     assert found.after.mounting_rpy_deg[2] == pytest.approx(90.0, abs=0.5)
     assert found.after.lever_arm_m[:2] == pytest.approx(ARM_M[:2], abs=0.03)
@@ -353,7 +411,9 @@ def test_axes_are_the_24_right_handed_ones() -> None:
 
 
 def test_ways_with_which_the_beams_of_a_dvl_look_up_or_aside_are_not_tried() -> None:
-    ways = possible_axes(DvlColumns(np.arange(3), velocity_d=np.zeros((3, 3)), look_d=np.array([0.0, -0.9, 0.1])))
+    ways = possible_axes(
+        DvlColumns(np.arange(3), velocity_d=np.zeros((3, 3)), look_d=np.array([0.0, -0.9, 0.1]))
+    )
     assert len(ways) == 4
     assert all((turn @ [0.0, -1.0, 0.0])[2] == 1.0 for turn in ways)
 
@@ -367,13 +427,17 @@ def test_sum_of_correlated_scores_scatters_as_newey_and_west_say() -> None:
     assert newey_west(series)[0, 0] / n == pytest.approx(1.0 / (1.0 - rho) ** 2, rel=0.15)
 
 
-def test_a_fragment_is_read_back_and_replays_the_proposal(found: Calibration, tmp_path: Path) -> None:
+def test_a_fragment_is_read_back_and_replays_the_proposal(
+    found: Calibration, tmp_path: Path
+) -> None:
     path = tmp_path / "calibrated.toml"
     path.write_text(calibration_toml(found, [1_700_000_000_000_000_000]), "utf-8")
     dvl = load_config("fog", [path]).dvl
     assert dvl.lever_arm_m == pytest.approx(found.after.lever_arm_m, abs=1e-6)
     assert dvl.mounting_rpy_deg == pytest.approx(found.after.mounting_rpy_deg, abs=1e-6)
-    assert (dvl.latency_s, dvl.scale) == pytest.approx((found.after.latency_s, found.after.scale), abs=1e-6)
+    assert (dvl.latency_s, dvl.scale) == pytest.approx(
+        (found.after.latency_s, found.after.scale), abs=1e-6
+    )
     text = path.read_text("utf-8")
     assert re.search(r"\b1 dive\b.* 2023-11-14.* figure-eight", text)
     assert all(f"# {row.parameter}: " in text for row in found.rows)
@@ -407,9 +471,12 @@ def test_dives_of_snapir_tell_the_arm_that_others_confirm(snapir: Path) -> None:
 
     The mounting is that of the example, within some of the sds that are said.
     """
-    config = load_config("fog", SNAPIR, ["dvl.lever_arm_m=[-1.834,0,0.3]", "dvl.mounting_rpy_deg=[0,0,0]"])
+    config = load_config(
+        "fog", SNAPIR, ["dvl.lever_arm_m=[-1.834,0,0.3]", "dvl.mounting_rpy_deg=[0,0,0]"]
+    )
     dives = {
-        name: read_dive(snapir / f"snapir_{name}.mcap", config) for name in ("01", "02", "05", "08", "07", "09", "11")
+        name: read_dive(snapir / f"snapir_{name}.mcap", config)
+        for name in ("01", "02", "05", "08", "07", "09", "11")
     }
     found = calibrated(*(dives[name] for name in ("01", "02", "05", "08")))
     assert found.after.lever_arm_m == pytest.approx((-0.076, -0.011, 0.199), abs=0.02)
@@ -424,7 +491,9 @@ def test_dives_of_snapir_tell_the_arm_that_others_confirm(snapir: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("dive", ["auto_square", "gnss_challenging"])
-def test_dives_of_blueye_tell_the_documented_arm_and_how_late_it_is(blueye: Path, dive: str) -> None:
+def test_dives_of_blueye_tell_the_documented_arm_and_how_late_it_is(
+    blueye: Path, dive: str
+) -> None:
     """The arm of the vehicle's description, from an arm of zero and no delay."""
     config = load_config(file=BLUEYE, overrides=["dvl.lever_arm_m=[0,0,0]", "dvl.latency_s=0.0"])
     found = calibrated(read_dive(blueye / f"{dive}.mcap", config))
@@ -434,7 +503,9 @@ def test_dives_of_blueye_tell_the_documented_arm_and_how_late_it_is(blueye: Path
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("dive", ["run_1", "run_2"])
-def test_dives_of_ufmil_tell_that_the_dvl_is_turned_by_a_right_angle(ufmil: Path, dive: str) -> None:
+def test_dives_of_ufmil_tell_that_the_dvl_is_turned_by_a_right_angle(
+    ufmil: Path, dive: str
+) -> None:
     config = load_config(file=UFMIL, overrides=["dvl.mounting_rpy_deg=[0,0,0]"])
     read = read_dive(ufmil / f"{dive}.mcap", config)
     mounting = likeliest_mounting([read])
@@ -446,26 +517,41 @@ def test_dives_of_ufmil_tell_that_the_dvl_is_turned_by_a_right_angle(ufmil: Path
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("example", "dives"), [("snapir", "snapir"), ("blueye_x3", "blueye_x3"), ("ufmil", "ufmil")])
+@pytest.mark.parametrize(
+    ("example", "dives"), [("snapir", "snapir"), ("blueye_x3", "blueye_x3"), ("ufmil", "ufmil")]
+)
 def test_examples_are_what_their_target_makes(example: str, dives: str, tmp_path: Path) -> None:
     """As `make calibrated` does it, and near the numbers with which the examples are replayed."""
     if not (SHARED / dives).is_dir():
         pytest.skip(f"needs ../shared/data/{dives} (real dives)")
-    recipes = re.findall(r"^\t\$\(BIN\)/insdvl-replay (calibrate .*)$", MAKEFILE.read_text("utf-8"), re.MULTILINE)
+    recipes = re.findall(
+        r"^\t\$\(BIN\)/insdvl-replay (calibrate .*)$", MAKEFILE.read_text("utf-8"), re.MULTILINE
+    )
     unknown = re.search(r"^UNKNOWN := (.*)$", MAKEFILE.read_text("utf-8"), re.MULTILINE)
     assert unknown is not None
     (recipe,) = (recipe for recipe in recipes if f"-c examples/{example}.toml" in recipe)
     made = tmp_path / "made.toml"
-    quiet = " ".join(f"$(DATA)/snapir/snapir_{run}.mcap" for run in ("01", "02", "05", "07", "08", "12"))
-    recipe = recipe.replace("$(UNKNOWN)", unknown[1]).replace("$(QUIET)", quiet).replace("$(DATA)", str(SHARED))
+    quiet = " ".join(
+        f"$(DATA)/snapir/snapir_{run}.mcap" for run in ("01", "02", "05", "07", "08", "12")
+    )
+    recipe = (
+        recipe.replace("$(UNKNOWN)", unknown[1])
+        .replace("$(QUIET)", quiet)
+        .replace("$(DATA)", str(SHARED))
+    )
     recipe = recipe.replace(f"examples/calibrated/{example}.toml", str(made))
     recipe = recipe.replace("-c examples/", f"-c {SNAPIR.parent}/")
     assert run_command_line(shlex.split(recipe)) == 0
     kept = SNAPIR.parent / "calibrated" / f"{example}.toml"
     assert made.read_text("utf-8") == kept.read_text("utf-8")
-    found, used = load_config(file=kept).dvl, load_config(file=SNAPIR.with_name(f"{example}.toml")).dvl
+    found, used = (
+        load_config(file=kept).dvl,
+        load_config(file=SNAPIR.with_name(f"{example}.toml")).dvl,
+    )
     assert used.lever_arm_m == pytest.approx(found.lever_arm_m, abs=1e-3)
-    assert used.mounting_rpy_deg == pytest.approx(found.mounting_rpy_deg, abs=5e-3), "an eighth of the smallest sd"
+    assert used.mounting_rpy_deg == pytest.approx(found.mounting_rpy_deg, abs=5e-3), (
+        "an eighth of the smallest sd"
+    )
     assert used.latency_s == pytest.approx(found.latency_s, abs=1e-3)
     if example != "blueye_x3":  # its scale is the track's, its noise the stamps'
         assert used.scale == pytest.approx(found.scale, abs=1e-4)

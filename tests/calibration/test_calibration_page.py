@@ -17,7 +17,12 @@ from insdvl_replay.calibration.certainty import correlation_matrix
 from insdvl_replay.calibration.dives import answer_of
 from insdvl_replay.calibration.fit import scatter_of
 from insdvl_replay.calibration.innovations import LABELS
-from insdvl_replay.calibration.output import DRAWN, calibration_figures, calibration_result, calibration_toml
+from insdvl_replay.calibration.output import (
+    DRAWN,
+    calibration_figures,
+    calibration_result,
+    calibration_toml,
+)
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.result import DisplayTable, Figure
@@ -43,7 +48,9 @@ def drawn(found: Calibration, dives: list[ReadDive]) -> dict[str, Figure]:
 def test_pictures_show_what_the_tables_say(found: Calibration, dives: list[ReadDive]) -> None:
     first, second, delays, between = drawn(found, dives).values()
     for figure, row in zip((first, second), found.dives, strict=True):
-        before, after = (np.column_stack([panel.curves[i].y for panel in figure.panels]) for i in (0, 1))
+        before, after = (
+            np.column_stack([panel.curves[i].y for panel in figure.panels]) for i in (0, 1)
+        )
         assert scatter_of(before) == pytest.approx(row.axes("before"))
         assert scatter_of(after) == pytest.approx(row.axes("after"))
     for panel, row in zip(delays.panels, found.dives, strict=True):
@@ -57,7 +64,9 @@ def test_pictures_show_what_the_tables_say(found: Calibration, dives: list[ReadD
         panel = by_title[f"{LABELS[row.parameter]} [{row.unit}]"]
         assert panel.levels == pytest.approx((row.change,))
         bars, values = panel.curves
-        assert values.y.std(ddof=1) / np.sqrt(2.0) == pytest.approx(finite(row.between_dives_sd), rel=0.05)
+        assert values.y.std(ddof=1) / np.sqrt(2.0) == pytest.approx(
+            finite(row.between_dives_sd), rel=0.05
+        )
         np.testing.assert_allclose((bars.y[::3] + bars.y[1::3]) / 2.0, values.y)
 
 
@@ -69,14 +78,33 @@ def held_out(drift_m: float, nis: float) -> tuple[HeldOutRow, ...]:
 @pytest.mark.parametrize(
     ("drift_m", "nis", "lines", "written"),
     [
-        (0.40, 0.9, ("Use the new settings: .* 0.76 -> 0.4 m", "Change the noise: .* 0.5 -> 0.9"), (True, True)),
-        (0.77, 0.9, ("Keep your settings: .* 0.76 -> 0.77 m", "Change the noise: .* 0.5 -> 0.9"), (False, True)),
-        (0.40, 4.0, ("Use the new settings: .* 0.76 -> 0.4 m", "Keep your noise: .* 0.5 -> 4"), (True, False)),
+        (
+            0.40,
+            0.9,
+            ("Use the new settings: .* 0.76 -> 0.4 m", "Change the noise: .* 0.5 -> 0.9"),
+            (True, True),
+        ),
+        (
+            0.77,
+            0.9,
+            ("Keep your settings: .* 0.76 -> 0.77 m", "Change the noise: .* 0.5 -> 0.9"),
+            (False, True),
+        ),
+        (
+            0.40,
+            4.0,
+            ("Use the new settings: .* 0.76 -> 0.4 m", "Keep your noise: .* 0.5 -> 4"),
+            (True, False),
+        ),
         (0.763, 0.9, ("Use the new settings: .*", "Change the noise: .*"), (True, True)),
     ],
 )
 def test_what_is_worse_on_held_out_dives_is_not_written(
-    drift_m: float, nis: float, lines: tuple[str, str], written: tuple[bool, bool], found: Calibration
+    drift_m: float,
+    nis: float,
+    lines: tuple[str, str],
+    written: tuple[bool, bool],
+    found: Calibration,
 ) -> None:
     assert found.proposes_noise
     tested = replace(found, held_out=held_out(drift_m, nis))
@@ -85,7 +113,9 @@ def test_what_is_worse_on_held_out_dives_is_not_written(
         assert re.match(pattern, line.text)
     settings = tomllib.loads(calibration_toml(answer.applied(tested), [0]))
     assert ("lever_arm_m" in settings["dvl"], "beam_sd_mps" in settings["dvl"]) == written
-    assert {"lever_arm_m", "beam_sd_mps"} <= tomllib.loads(calibration_toml(tested, [0]))["dvl"].keys()
+    assert {"lever_arm_m", "beam_sd_mps"} <= tomllib.loads(calibration_toml(tested, [0]))[
+        "dvl"
+    ].keys()
 
 
 def test_the_answer_is_first_and_without_held_out_dives_it_says_how_to_test(
@@ -95,7 +125,9 @@ def test_the_answer_is_first_and_without_held_out_dives_it_says_how_to_test(
     first, second = answer_of(found).lines
     assert "--hold-out" in first.text
     assert list(document(result))[1:3] == [first, second]
-    kept = calibration_result(replace(found, held_out=held_out(0.9, 0.9)), dives[0].config, "found.toml")
+    kept = calibration_result(
+        replace(found, held_out=held_out(0.9, 0.9)), dives[0].config, "found.toml"
+    )
     assert "--even-if-worse" in render(kept, "md")
 
 
@@ -118,7 +150,9 @@ def test_a_noise_that_no_sensor_has_is_never_proposed(value: float, found: Calib
 
 
 @pytest.mark.nightly
-def test_one_dive_differs_from_none_and_many_are_not_all_drawn(found: Calibration, dives: list[ReadDive]) -> None:
+def test_one_dive_differs_from_none_and_many_are_not_all_drawn(
+    found: Calibration, dives: list[ReadDive]
+) -> None:
     alone = calibrate([dives[0].innovations()], dives[0].config)
     innovations, _ = drawn(alone, dives[:1]).values()
     assert "figure-eight" in innovations.title
@@ -137,7 +171,9 @@ def test_outage_is_drawn_where_dives_coasted(found: Calibration, dives: list[Rea
     assert other.title != last.title
 
 
-def test_a_page_is_written_and_never_over_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_is_written_and_never_over_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log, html = str(tmp_path / "dive.mcap"), tmp_path / "found.html"
     assert run_command_line(["simulate", "straight", "-o", log, "--duration", "60"]) == 0
     asked = ["calibrate", log, "--page", str(html)]
@@ -156,10 +192,14 @@ def test_a_page_is_written_and_never_over_another(tmp_path: Path, capsys: pytest
 
 @pytest.mark.nightly
 @pytest.mark.skipif(PROGRAM is None, reason="needs Chromium (make extras)")
-def test_a_browser_shows_it_whole(found: Calibration, dives: list[ReadDive], tmp_path: Path) -> None:
+def test_a_browser_shows_it_whole(
+    found: Calibration, dives: list[ReadDive], tmp_path: Path
+) -> None:
     html = tmp_path / "page.html"
     held = replace(found, held_out=(HeldOutRow("a", 2.0, 1.0, 3, 4.0, 1.5),))
-    result = calibration_result(held, dives[0].config, "found.toml", list(drawn(held, dives).values()))
+    result = calibration_result(
+        held, dives[0].config, "found.toml", list(drawn(held, dives).values())
+    )
     html.write_text(render(result, "html"), "utf-8")
     with opened_browser(tmp_path / "profile") as browser:
         for width in (1200, 390):

@@ -37,14 +37,22 @@ def test_moved_pings_are_those_of_a_log_that_is_read_with_the_new_settings(exact
     read = as_read(exact)
     proposed = CONFIGURED.changed(CHANGE)
     before, expected = (
-        prepare_with_heading(read.dive, with_dvl(CONFIG, geometry)) for geometry in (CONFIGURED, proposed)
+        prepare_with_heading(read.dive, with_dvl(CONFIG, geometry))
+        for geometry in (CONFIGURED, proposed)
     )
     moved = moved_pings(before.velocities, CHANGE)
     inside = slice(1, -1)
-    np.testing.assert_allclose(moved.velocity_b[inside], expected.velocities.velocity_b[inside], atol=1e-13)
-    np.testing.assert_allclose(moved.unit_cov_b[inside], expected.velocities.unit_cov_b[inside], atol=1e-13)
+    np.testing.assert_allclose(
+        moved.velocity_b[inside], expected.velocities.velocity_b[inside], atol=1e-13
+    )
+    np.testing.assert_allclose(
+        moved.unit_cov_b[inside], expected.velocities.unit_cov_b[inside], atol=1e-13
+    )
     np.testing.assert_array_equal(moved.time_ns, before.velocities.time_ns - 30_000_000)
-    mounting, wanted = moved_mounting(before.mounting, CHANGE), dvl_mounting(with_dvl(CONFIG, proposed))
+    mounting, wanted = (
+        moved_mounting(before.mounting, CHANGE),
+        dvl_mounting(with_dvl(CONFIG, proposed)),
+    )
     np.testing.assert_allclose(mounting.mat_bd, wanted.mat_bd, atol=1e-13)
     np.testing.assert_allclose(mounting.lever_arm_b, wanted.lever_arm_b, atol=1e-15)
     assert mounting.scale == pytest.approx(wanted.scale, rel=1e-15)
@@ -67,16 +75,24 @@ def test_what_does_not_change_stays_to_the_bit() -> None:
 def test_derivatives_of_innovations_have_their_closed_forms(exact: Dive) -> None:
     """Of a filter that never listens, so that the innovations are those of the INS alone, and the sensors are exact."""
     deaf_mps = 1e6
-    config = msgspec.structs.replace(CONFIG, dvl=msgspec.structs.replace(CONFIG.dvl, velocity_sd_mps=deaf_mps))
+    config = msgspec.structs.replace(
+        CONFIG, dvl=msgspec.structs.replace(CONFIG.dvl, velocity_sd_mps=deaf_mps)
+    )
     asked = as_read(exact).with_config(config).innovations()
     jacobian = deaf_mps * asked.jacobian(np.zeros(len(NAMES)), np.ones(len(NAMES), dtype=np.bool_))
     assert np.abs(deaf_mps * asked.residuals(np.zeros(len(NAMES)))).max() < 2e-3
     pings = asked.prepared.velocities
     velocity_b = pings.velocity_b[SKIPPED:-SKIPPED]
     imu_s, ping_s = (
-        times * 1e-9 for times in (exact.imu.time_ns - exact.imu.time_ns[0], pings.time_ns - exact.imu.time_ns[0])
+        times * 1e-9
+        for times in (
+            exact.imu.time_ns - exact.imu.time_ns[0],
+            pings.time_ns - exact.imu.time_ns[0],
+        )
     )
-    rate_b = np.column_stack([np.interp(ping_s, imu_s, column) for column in exact.imu.angular_rate_b.T])
+    rate_b = np.column_stack(
+        [np.interp(ping_s, imu_s, column) for column in exact.imu.angular_rate_b.T]
+    )
     np.testing.assert_allclose(jacobian[:, :, ARM], skews(rate_b[SKIPPED:-SKIPPED]), atol=2e-3)
     np.testing.assert_allclose(jacobian[:, :, MOUNTING], skews(velocity_b), atol=5e-3)
     np.testing.assert_allclose(jacobian[:, :, SCALE], velocity_b, atol=5e-3)
@@ -94,6 +110,6 @@ def skews(vectors: Floats) -> Floats:
 def test_scale_of_a_turn_is_about_its_axis() -> None:
     yawed = np.zeros(len(NAMES))
     yawed[MOUNTING.stop - 1] = 2.0 * DEG
-    assert Geometry(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 10.0), 1.0).changed(yawed).mounting_rpy_deg == pytest.approx(
-        (0.0, 0.0, 12.0)
-    )
+    assert Geometry(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 10.0), 1.0).changed(
+        yawed
+    ).mounting_rpy_deg == pytest.approx((0.0, 0.0, 12.0))

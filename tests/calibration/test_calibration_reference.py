@@ -75,7 +75,11 @@ def beside(
     dvl = replace(dive.dvl, beam_velocity_mps=SCALE * dive.dvl.beam_velocity_mps)
     late = replace(dive, reference=reference, dvl=dvl)
     # Where it has no attitude, the start is the configuration's.
-    initial = config.initial if attitude else msgspec.structs.replace(config.initial, heading_deg=heading_deg(truth))
+    initial = (
+        config.initial
+        if attitude
+        else msgspec.structs.replace(config.initial, heading_deg=heading_deg(truth))
+    )
     config = msgspec.structs.replace(config, initial=initial)
     return ReadDive(with_reference_at_imu(late, config), config, reference)
 
@@ -116,7 +120,12 @@ def test_errors_are_as_large_as_is_said(velocity: bool) -> None:
     for seed in SEEDS:
         read = beside("figure-eight", seed, velocity=velocity)
         rows = {row.parameter: row for row in calibrated(read).all_rows}
-        errors.append([(finite(rows[name].change) - truth) / finite(rows[name].sd) for name, truth in PUT_IN.items()])
+        errors.append(
+            [
+                (finite(rows[name].change) - truth) / finite(rows[name].sd)
+                for name, truth in PUT_IN.items()
+            ]
+        )
         assert {rows[name].status for name in PUT_IN} == {Estimated.ESTIMATED}
     of_sd = dict(zip(PUT_IN, np.sqrt(np.mean(np.square(errors), axis=0)), strict=True))
     assert min(of_sd.values()) > 0.45, of_sd
@@ -130,7 +139,10 @@ def test_perfect_sensors_show_what_was_put_in_although_the_start_is_the_referenc
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of a filter that stayed at the start that a turned and late reference gives, the scale was off by 0.05 %."""
-    perfect = {grade: replace(errors, **dict.fromkeys(vars(errors), 0.0)) for grade, errors in GRADES.items()}
+    perfect = {
+        grade: replace(errors, **dict.fromkeys(vars(errors), 0.0))
+        for grade, errors in GRADES.items()
+    }
     monkeypatch.setattr(f"{__name__}.GRADES", perfect)
     monkeypatch.setattr(f"{__name__}.WHITE", replace(WHITE, beam_sd_mps=0.0, beam_quantum_mps=0.0))
     rows = {row.parameter: row for row in calibrated(beside("figure-eight", 1)).all_rows}
@@ -194,7 +206,9 @@ def test_what_reference_and_baseline_differ_by_has_its_closed_form() -> None:
     assert truth.reference is not None
     read = ReadDive(with_reference_at_imu(truth, CONFIG), CONFIG, truth.reference)
     geometry = Geometry.of(CONFIG.reference)
-    dive = reference_dive(read.innovations(), truth.reference, geometry, np.zeros(8), gives_start=True)
+    dive = reference_dive(
+        read.innovations(), truth.reference, geometry, np.zeros(8), gives_start=True
+    )
     assert dive is not None
     none = np.zeros(len(SHARED))
     compared = dive.compared(none)
@@ -205,13 +219,20 @@ def test_what_reference_and_baseline_differ_by_has_its_closed_form() -> None:
     time_s = seconds(truth.reference.time_ns, truth.imu.time_ns[0])
     velocity_b = np.einsum("kji,kj->ki", truth.reference.mat_nb, truth.reference.velocity_n)
     rate_b = np.column_stack(
-        [np.interp(time_s, seconds(truth.imu.time_ns, truth.imu.time_ns[0]), of) for of in truth.imu.angular_rate_b.T]
+        [
+            np.interp(time_s, seconds(truth.imu.time_ns, truth.imu.time_ns[0]), of)
+            for of in truth.imu.angular_rate_b.T
+        ]
     )
     for column in range(3):
         axis = np.eye(3)[column]
-        np.testing.assert_allclose(jacobian[:, :, REFERENCE_ARM.start + column], np.cross(rate_b, axis)[at], atol=2e-3)
         np.testing.assert_allclose(
-            jacobian[:, :, REFERENCE_MOUNTING.start + column], np.cross(velocity_b, axis)[at], atol=2e-3
+            jacobian[:, :, REFERENCE_ARM.start + column], np.cross(rate_b, axis)[at], atol=2e-3
+        )
+        np.testing.assert_allclose(
+            jacobian[:, :, REFERENCE_MOUNTING.start + column],
+            np.cross(velocity_b, axis)[at],
+            atol=2e-3,
         )
     slope = np.gradient(velocity_b, time_s, axis=0)
     smooth = at & (np.abs(np.gradient(slope, axis=0)).max(axis=1) < 2e-3)
@@ -230,7 +251,9 @@ def test_dives_together_are_surer_and_their_scatter_is_reported(found: Calibrati
     for together, alone in zip(both.reference.rows, found.reference.rows, strict=True):
         assert (alone.between_dives_sd, alone.birge) == (None, None)
         assert finite(together.sd) >= finite(together.between_dives_sd) > 0.0
-    clock, *alone = (of_one.reference.rows[0] for of_one in (both, found, other) if of_one.reference is not None)
+    clock, *alone = (
+        of_one.reference.rows[0] for of_one in (both, found, other) if of_one.reference is not None
+    )
     information = sum(finite(row.formal_sd) ** -2.0 for row in alone)
     assert finite(clock.formal_sd) == pytest.approx(information**-0.5, rel=0.15)
     assert finite(clock.birge) < 3.0
@@ -275,7 +298,9 @@ def test_files_and_screen_say_the_same(found: Calibration, tmp_path: Path) -> No
     assert for_terminal(document(result)) is not None
 
 
-def test_the_command_asks_for_it_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_asks_for_it_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = str(tmp_path / "dive.mcap")
     assert run_command_line(["simulate", "lawnmower", "-o", log, "--duration", "150"]) == 0
     capsys.readouterr()

@@ -36,12 +36,18 @@ def fitted(dive: Dive) -> FreeMounting:
     return found
 
 
-@pytest.mark.parametrize("rpy_deg", [(0.0, 0.0, 135.0), (3.0, -4.0, 22.5), (178.0, 2.0, -70.0), (90.0, 0.0, 10.0)])
-def test_any_rotation_is_found_with_unknown_arm_delay_and_scale(rpy_deg: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "rpy_deg", [(0.0, 0.0, 135.0), (3.0, -4.0, 22.5), (178.0, 2.0, -70.0), (90.0, 0.0, 10.0)]
+)
+def test_any_rotation_is_found_with_unknown_arm_delay_and_scale(
+    rpy_deg: tuple[float, float, float],
+) -> None:
     found, true = fitted(turned_dive(rpy_deg)), mat_from_rpy(np.array(rpy_deg) * DEG)
     assert angle_between(found.mat, true) < ONE_DEG
     assert found.delay_s == pytest.approx(0.13, abs=0.03)
-    assert found.held_out_misfit(true, true @ mat_from_rpy(np.array([0.0, 0.0, 22.5]) * DEG)) > CLEARLY
+    assert (
+        found.held_out_misfit(true, true @ mat_from_rpy(np.array([0.0, 0.0, 22.5]) * DEG)) > CLEARLY
+    )
 
 
 def test_straight_line_excludes_no_turn_about_down() -> None:
@@ -54,7 +60,9 @@ def test_dvl_looks_down_where_motion_does_not_tell_it_from_one_upside_down() -> 
     """A vehicle that never slips measures the same with both; level it is, since its roll is open too."""
     dive = turned_dive((0.0, 0.0, 60.0), "figure-eight")
     level = LevelDvl(fitted(dive), down_of(dive.imu))
-    assert angle_between(level.likeliest, mat_from_rpy(np.array([0.0, 0.0, 60.0]) * DEG)) < 4.0 * DEG
+    assert (
+        angle_between(level.likeliest, mat_from_rpy(np.array([0.0, 0.0, 60.0]) * DEG)) < 4.0 * DEG
+    )
     assert {round(level.tilt(mat)) for mat in level.minima} == {-1, 1}
 
 

@@ -4,10 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from built_in import ARM_M, DELAY_S, SCALE, TRUTH, YAW_DEG, ReadDive, as_read, built_in_otherwise, shown
+from built_in import (
+    ARM_M,
+    DELAY_S,
+    SCALE,
+    TRUTH,
+    YAW_DEG,
+    ReadDive,
+    as_read,
+    built_in_otherwise,
+    shown,
+)
 
 from insdvl_replay.calibration.calibration import MANY_TIMES, Calibration, calibrate
-from insdvl_replay.calibration.certainty import MOTION_S, averaged, certainty_of, delay_weights, differing, noise_share
+from insdvl_replay.calibration.certainty import (
+    MOTION_S,
+    averaged,
+    certainty_of,
+    delay_weights,
+    differing,
+    noise_share,
+)
 from insdvl_replay.calibration.fit import Fit, Linearised, fit
 from insdvl_replay.calibration.innovations import DELAY, NAMES, PRIOR_SD
 from insdvl_replay.calibration.noise import INERTIAL
@@ -22,7 +39,9 @@ NONE = np.zeros(len(NAMES))
 BUILT_IN = shown(TRUTH)
 
 
-def as_configured(scenario: str, grade: str, seed: int, duration_s: float | None = None) -> ReadDive:
+def as_configured(
+    scenario: str, grade: str, seed: int, duration_s: float | None = None
+) -> ReadDive:
     exact = exact_dive(scenario, duration_s=duration_s)
     return as_read(add_errors(exact, GRADES[grade], DvlErrors(), seed), load_config(grade))
 
@@ -51,7 +70,9 @@ def errors_over_sds(found: Calibration, truth: np.ndarray) -> np.ndarray:
     """Of what is proposed, in the units that are shown, NaN of the rest."""
     return np.array(
         [
-            (finite(row.change) - of_one) / finite(row.sd) if row.status == Estimated.ESTIMATED else np.nan
+            (finite(row.change) - of_one) / finite(row.sd)
+            if row.status == Estimated.ESTIMATED
+            else np.nan
             for row, of_one in zip(found.rows, truth, strict=True)
         ]
     )
@@ -69,7 +90,9 @@ def errors_over_sds(found: Calibration, truth: np.ndarray) -> np.ndarray:
         ),
     ],
 )
-def test_a_vehicle_that_does_not_turn_reports_neither_delay_nor_arm(scenario: str, grade: str) -> None:
+def test_a_vehicle_that_does_not_turn_reports_neither_delay_nor_arm(
+    scenario: str, grade: str
+) -> None:
     found = calibrated(as_configured(scenario, grade, 1, 200.0))
     assert not proposed(found)
     assert found.after == found.before
@@ -89,7 +112,9 @@ def test_an_imu_that_smooths_its_readings_reports_no_more() -> None:
     assert not proposed(calibrated(as_read(replace(noisy, imu=imu), config)))
 
 
-@pytest.mark.parametrize(("scenario", "grade", "share"), [("static", "mems", 1.0), ("calibration", "fog", 0.0)])
+@pytest.mark.parametrize(
+    ("scenario", "grade", "share"), [("static", "mems", 1.0), ("calibration", "fog", 0.0)]
+)
 def test_the_share_of_noise_is_known_of_a_vehicle_that_is_still_and_of_quiet_sensors(
     scenario: str, grade: str, share: float
 ) -> None:
@@ -97,7 +122,9 @@ def test_the_share_of_noise_is_known_of_a_vehicle_that_is_still_and_of_quiet_sen
 
     noise = {key: getattr(sensors, key) for key in INERTIAL}
     config = load_config(grade, overrides=[f"noise.{key}={value}" for key, value in noise.items()])
-    dive = as_read(add_errors(exact_dive(scenario, duration_s=200.0), sensors, DvlErrors(), 1), config).innovations()
+    dive = as_read(
+        add_errors(exact_dive(scenario, duration_s=200.0), sensors, DvlErrors(), 1), config
+    ).innovations()
     seen = np.array([name in ("delay", "arm_x", "arm_y") for name in NAMES])
     (shares,) = noise_share(fit([dive], seen), [dive])
     assert shares[seen] == pytest.approx(share, abs=0.15 * share + 1e-3)
@@ -114,14 +141,20 @@ def test_no_such_dive_of_ten_does(scenario: str, grade: str) -> None:
 
 
 @pytest.mark.parametrize("times", [1.0, pytest.param(10.0, marks=pytest.mark.nightly)])
-def test_dives_that_are_still_take_nothing_from_one_that_shows_how_the_dvl_is_built_in(times: float) -> None:
+def test_dives_that_are_still_take_nothing_from_one_that_shows_how_the_dvl_is_built_in(
+    times: float,
+) -> None:
     """Nor do they say anything of their own, with an IMU as noisy or with one that is far noisier there."""
     config, sensors = load_config("mems"), GRADES["mems"]
     noisier = replace(sensors, **{key: times * getattr(sensors, key) for key in INERTIAL})
-    exact = exact_dive("static", duration_s=100.0, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, YAW_DEG))
+    exact = exact_dive(
+        "static", duration_s=100.0, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, YAW_DEG)
+    )
     moving = otherwise("calibration", "mems", 100, 300.0)
     still = [
-        as_read(late_and_long(add_errors(exact, noisier, DvlErrors(), seed), DELAY_S, SCALE), config)
+        as_read(
+            late_and_long(add_errors(exact, noisier, DvlErrors(), seed), DELAY_S, SCALE), config
+        )
         for seed in (101, 102)
     ]
     dives = [read.innovations() for read in (moving, *still)]
@@ -154,7 +187,9 @@ def test_strong_manoeuvres_show_the_delay_next_to_a_noisy_imu(grade: str) -> Non
 
 
 @pytest.mark.parametrize("duration_s", [600.0, pytest.param(None, marks=pytest.mark.nightly)])
-def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm(duration_s: float | None) -> None:
+def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm(
+    duration_s: float | None,
+) -> None:
     found = calibrated(otherwise("lawnmower", "mems", 62, duration_s))
     assert shown(found.fit.change(0))[-1] == 0.0
     assert found.after.lever_arm_m[:2] == pytest.approx((0.3, -0.1), abs=0.05)
@@ -163,7 +198,8 @@ def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm(duration_s: f
 @pytest.mark.nightly
 @pytest.mark.parametrize("grade", ["tactical", "mems"])
 @pytest.mark.parametrize(
-    ("scenario", "duration_s"), [("figure-eight", None), ("calibration", None), ("lawnmower", 600.0)]
+    ("scenario", "duration_s"),
+    [("figure-eight", None), ("calibration", None), ("lawnmower", 600.0)],
 )
 def test_errors_next_to_a_noisy_imu_are_as_large_as_is_said(
     scenario: str, duration_s: float | None, grade: str
@@ -182,7 +218,9 @@ def test_readings_are_averaged_around_each() -> None:
     line = np.outer(np.arange(200.0), [1.0, 2.0, 3.0])
     np.testing.assert_allclose(averaged(line, 0.01)[30:-30], line[30:-30])
     noise = np.random.default_rng(3).standard_normal((20_000, 3))
-    assert averaged(noise, 0.01).std() == pytest.approx(1.0 / np.sqrt(MOTION_S / 0.01 + 1.0), rel=0.1)
+    assert averaged(noise, 0.01).std() == pytest.approx(
+        1.0 / np.sqrt(MOTION_S / 0.01 + 1.0), rel=0.1
+    )
     np.testing.assert_array_equal(averaged(line, 0.6), line)
 
 
@@ -190,9 +228,13 @@ def test_both_standard_deviations_are_alike_where_residuals_are_white() -> None:
     """By the information and by the scores, with other derivatives of the motion than of the residuals."""
     rng, free = np.random.default_rng(5), np.ones(len(NAMES), dtype=bool)
     by_motion = rng.standard_normal((4000, 3, len(NAMES)))
-    jacobian = by_motion @ (np.eye(len(NAMES)) + 0.3 * rng.standard_normal((len(NAMES), len(NAMES))))
+    jacobian = by_motion @ (
+        np.eye(len(NAMES)) + 0.3 * rng.standard_normal((len(NAMES), len(NAMES)))
+    )
     near = Linearised(rng.standard_normal((4000, 3)), np.ones(3), jacobian, by_motion)
-    certainty = certainty_of(Fit((np.arange(len(NAMES)),), PRIOR_SD, free, np.zeros(len(NAMES)), (near,)))
+    certainty = certainty_of(
+        Fit((np.arange(len(NAMES)),), PRIOR_SD, free, np.zeros(len(NAMES)), (near,))
+    )
     assert certainty.correlated == pytest.approx(certainty.formal, rel=0.2)
 
 

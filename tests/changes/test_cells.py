@@ -41,19 +41,34 @@ numbers = st.none() | st.floats(-1e6, 1e6).filter(lambda value: value == 0.0 or 
     ],
 )
 def test_numbers_move_as_computed_by_hand(
-    old: float | None, new: float | None, column: str, better: Better, change_pct: float | None, word: str
+    old: float | None,
+    new: float | None,
+    column: str,
+    better: Better,
+    change_pct: float | None,
+    word: str,
 ) -> None:
     moved = judge_number(old, new, column, better, dofs=(3.0, 3.0))
     assert moved.verdict == word
     assert moved.change_pct == (None if change_pct is None else pytest.approx(change_pct, abs=1e-9))
-    assert moved.change == (None if old is None or new is None else pytest.approx(new - old, abs=1e-12))
+    assert moved.change == (
+        None if old is None or new is None else pytest.approx(new - old, abs=1e-12)
+    )
 
 
 @pytest.mark.parametrize(
     ("new", "tolerance_pct", "word"),
-    [(1.0009, 0.1, "same"), (1.001, 0.1, "same"), (1.0011, 0.1, "worse"), (0.9989, 0.1, "better"), (1.1, 0.0, "worse")],
+    [
+        (1.0009, 0.1, "same"),
+        (1.001, 0.1, "same"),
+        (1.0011, 0.1, "worse"),
+        (0.9989, 0.1, "better"),
+        (1.1, 0.0, "worse"),
+    ],
 )
-def test_tolerance_is_the_largest_change_that_is_none(new: float, tolerance_pct: float, word: str) -> None:
+def test_tolerance_is_the_largest_change_that_is_none(
+    new: float, tolerance_pct: float, word: str
+) -> None:
     assert judge_number(1.0, new, "sd", "lower", tolerance_pct=tolerance_pct).verdict == word
 
 

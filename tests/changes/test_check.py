@@ -19,7 +19,12 @@ import pytest
 import xmlschema
 from small_results import content, write
 
-from insdvl_replay.changes.formats import MOST_ANNOTATIONS, CheckReport, github_annotations, junit_xml
+from insdvl_replay.changes.formats import (
+    MOST_ANNOTATIONS,
+    CheckReport,
+    github_annotations,
+    junit_xml,
+)
 from insdvl_replay.changes.gates import CheckResult, GateOutcome
 from insdvl_replay.cli import run_command_line
 
@@ -103,7 +108,9 @@ def started(folder: Path, gates: str, *arguments: str, dives: str = '["dives/*.m
     """Check in a process of its own, whose exit code is what a job sees."""
     write_gates(folder, gates, dives)
     command = [*TOOL, "check", "gates.toml", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=120, check=False
+    )
 
 
 def check(folder: Path, gates: str, *arguments: str, dives: str = '["dives/*.mcap"]') -> Done:
@@ -165,7 +172,10 @@ def test_a_typo_in_a_state_is_2_before_any_replay(team: Path) -> None:
     shutil.rmtree(team / "checked")
     done = check(team, PASSING.replace('"ba_z"', '"ba_zz"'))
     assert done.returncode == 2
-    assert re.fullmatch(r"error: gates\.toml:4: gate 'ba_z converges': .*'ba_zz'.*; hint: .*\bba_z\b.*\n", done.stderr)
+    assert re.fullmatch(
+        r"error: gates\.toml:4: gate 'ba_z converges': .*'ba_zz'.*; hint: .*\bba_z\b.*\n",
+        done.stderr,
+    )
     assert not (team / "checked").exists()
 
 
@@ -194,7 +204,9 @@ def test_interrupted_is_130(jobs: str, team: Path) -> None:
     shutil.rmtree(team / "checked")
     (team / "gates.toml").write_text(f'dives = ["dives/*.mcap"]\n{PASSING}')
     command = [*TOOL, "check", "gates.toml", "--jobs", jobs]
-    with subprocess.Popen(command, cwd=team, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=team, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         while not (team / "checked").exists():
             assert process.poll() is None
             time.sleep(0.005)
@@ -222,7 +234,12 @@ def test_settings_of_the_gate_file_and_the_command_line(team: Path) -> None:
     (team / "other.toml").write_text(VEHICLE.replace("[dvl]", "[dvl]\nscale = 1.03"))
 
     def scale(*arguments: str) -> float:
-        check(team, 'config = "vehicle.toml"\npreset = "fog"\n' + PASSING, "dives/transit.mcap", *arguments)
+        check(
+            team,
+            'config = "vehicle.toml"\npreset = "fog"\n' + PASSING,
+            "dives/transit.mcap",
+            *arguments,
+        )
         report = json.loads((team / "checked" / "transit" / "report.json").read_bytes())
         return float(report["config"]["dvl"]["scale"])
 
@@ -261,7 +278,9 @@ def test_a_result_that_cannot_be_read_is_3(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("column", ["filter", "state"])
-def test_a_result_with_a_row_without_a_name_does_not_stop_the_others(column: str, tmp_path: Path) -> None:
+def test_a_result_with_a_row_without_a_name_does_not_stop_the_others(
+    column: str, tmp_path: Path
+) -> None:
     report = content("broken")
     del report["tables"]["improvement"][1][column]
     write(tmp_path / "broken", report)
@@ -307,7 +326,9 @@ def test_a_failure_names_the_settings_that_differ_from_the_stored_ones(team: Pat
         for format_ in ("text", "junit", "json", "md", "github"):
             done = check(team, gates + FAILING, "--set", "dvl.scale=1.02", "--format", format_)
             assert done.returncode == 1
-            assert re.search(r"settings differ: dvl\.scale 1\.0002 -(>|&gt;|&lt;) 1\.02\b", done.stdout), format_
+            assert re.search(
+                r"settings differ: dvl\.scale 1\.0002 -(>|&gt;|&lt;) 1\.02\b", done.stdout
+            ), format_
         unchanged = check(team, gates + FAILING, "--set", "dvl.scale=1.0002")
         assert unchanged.returncode == 1
         assert "differ" not in unchanged.stdout
@@ -358,7 +379,9 @@ def test_dives_do_not_share_expected_values(team: Path) -> None:
     assert not (team / "expected").exists()
 
 
-@pytest.mark.parametrize("name", ["../../pwned", "/etc/pwned", "a/b", "..", ".", "", "a\0b", "a" * 300])
+@pytest.mark.parametrize(
+    "name", ["../../pwned", "/etc/pwned", "a/b", "..", ".", "", "a\0b", "a" * 300]
+)
 def test_update_never_leaves_the_folder_of_the_expected_values(name: str, tmp_path: Path) -> None:
     write(tmp_path / "team" / "result", content(name))
     (tmp_path / "team" / "expected").mkdir()
@@ -366,7 +389,9 @@ def test_update_never_leaves_the_folder_of_the_expected_values(name: str, tmp_pa
     done = check(tmp_path / "team", EXPECTED, "--update", dives='["result"]')
     assert done.returncode == 3
     assert f"error: result/report.json: log.name = {name[:255]!r} " in done.stderr
-    assert sorted(path for path in tmp_path.rglob("*")) == sorted([*before, tmp_path / "team" / "gates.toml"])
+    assert sorted(path for path in tmp_path.rglob("*")) == sorted(
+        [*before, tmp_path / "team" / "gates.toml"]
+    )
 
 
 def test_update_without_expected_values_is_an_error(team: Path) -> None:
@@ -381,7 +406,13 @@ def test_expected_values_are_the_gated_ones_and_the_settings(team: Path) -> None
     stored = json.loads(text)
     assert set(stored) == {"tool", "log", "tables", "baseline", "filters", "config"}
     assert set(stored["tables"]) == {"improvement"}
-    assert {key for row in stored["tables"]["improvement"] for key in row} == {"log", "filter", "state", "unit", "sd"}
+    assert {key for row in stored["tables"]["improvement"] for key in row} == {
+        "log",
+        "filter",
+        "state",
+        "unit",
+        "sd",
+    }
     assert len(text.split("\n")) < 120, "its changes can be read in a review"
 
 
@@ -417,7 +448,9 @@ def test_a_gate_may_hold_for_a_share_of_the_dives(team: Path) -> None:
     values = {
         row["log"]: row["improvement_pct"]
         for name in ("transit", "outage")
-        for row in json.loads((team / "checked" / name / "report.json").read_text())["tables"]["improvement"]
+        for row in json.loads((team / "checked" / name / "report.json").read_text())["tables"][
+            "improvement"
+        ]
         if row["state"] == "ba_z"
     }
     between = sum(values.values()) / 2.0
@@ -447,19 +480,25 @@ def test_a_gate_may_mean_all_dives_together(team: Path) -> None:
     assert counts(done.stdout) == [1, 1]
     failed = check(team, POOLED.replace("5.0", "0.001"))
     assert failed.returncode == 1
-    assert re.search(r"FAILED  \*: together\n    aided position ratio .*[\d.]+.* 0\.001", failed.stdout)
+    assert re.search(
+        r"FAILED  \*: together\n    aided position ratio .*[\d.]+.* 0\.001", failed.stdout
+    )
     assert check(team, POOLED + 'dives = ["tr*"]\n').returncode == 2
     assert check(team, POOLED.replace("position", "positio")).returncode == 2
 
 
 def test_the_summary_has_expected_and_found_values(team: Path) -> None:
     assert check(team, EXPECTED, "--update").returncode == 0
-    done = check(team, EXPECTED, "--set", "noise.accel_white_mps_rts=0.006", "--summary-file", "summary.md")
+    done = check(
+        team, EXPECTED, "--set", "noise.accel_white_mps_rts=0.006", "--summary-file", "summary.md"
+    )
     assert done.returncode == 1
     text = (team / "summary.md").read_text("utf-8")
     assert re.search(r"^aided against the baseline: \d+ \w+", text, re.MULTILINE)
     sentence = r"aided accelerometer bias z sd [\d.]+ -> [\d.]+ mg \(\+[\d.]+ %, limit \+"
-    assert re.search(rf"\| FAILED \| transit \| no state becomes less certain \| .*{sentence}1 %\)", text)
+    assert re.search(
+        rf"\| FAILED \| transit \| no state becomes less certain \| .*{sentence}1 %\)", text
+    )
     wide = EXPECTED.replace("max_worse_pct = 1", "max_worse_pct = 1000")
     done = check(team, wide, "--set", "noise.accel_white_mps_rts=0.006", "--format", "md")
     assert done.returncode == 0
@@ -499,7 +538,14 @@ def judged(*statuses: str, reasons: Sequence[str] = ("because",)) -> CheckResult
         "gates.toml",
         tuple(
             msgspec.convert(
-                {"dive": "d", "gate": f"gate {number}", "status": status, "reasons": reasons, "line": 7}, GateOutcome
+                {
+                    "dive": "d",
+                    "gate": f"gate {number}",
+                    "status": status,
+                    "reasons": reasons,
+                    "line": 7,
+                },
+                GateOutcome,
             )
             for number, status in enumerate(statuses)
         ),
@@ -509,13 +555,23 @@ def judged(*statuses: str, reasons: Sequence[str] = ("because",)) -> CheckResult
 
 def test_junit_is_valid_and_counts_each_kind() -> None:
     text = junit_xml(
-        judged("unusable", "failed", "failed", "warning", "off", "passed", reasons=["a < b & \x1b[0m", "c"])
+        judged(
+            "unusable",
+            "failed",
+            "failed",
+            "warning",
+            "off",
+            "passed",
+            reasons=["a < b & \x1b[0m", "c"],
+        )
     )
     SCHEMA.validate(text)
     (suite,) = ElementTree.fromstring(text.encode())
     counts = {"tests": "6", "failures": "2", "errors": "1", "skipped": "2", "time": "3.000"}
     assert suite.attrib == {"name": "d"} | counts
-    assert {(case.get("time"), case.get("file"), case.get("line")) for case in suite} == {("0.500", "gates.toml", "7")}
+    assert {(case.get("time"), case.get("file"), case.get("line")) for case in suite} == {
+        ("0.500", "gates.toml", "7")
+    }
     assert [[child.tag for child in case] for case in suite] == [
         ["error"], ["failure"], ["failure"], ["skipped"], ["skipped"], [],
     ]  # fmt: skip
@@ -533,7 +589,10 @@ def test_junit_has_a_case_for_each_dive_and_gate(team: Path) -> None:
         report = json.loads((team / "checked" / suite.attrib["name"] / "report.json").read_bytes())
         assert float(suite.attrib["time"]) == pytest.approx(report["tool"]["elapsed_s"], abs=1e-3)
     lines = (team / "gates.toml").read_text("utf-8").split("\n")
-    assert {lines[int(case.attrib["line"])] for case in cases} == {f'name = "{NAME}"', f'name = "{NAME} fully"'}
+    assert {lines[int(case.attrib["line"])] for case in cases} == {
+        f'name = "{NAME}"',
+        f'name = "{NAME} fully"',
+    }
     names = [(case.attrib["classname"], case.attrib["name"], len(case)) for case in cases]
     assert sorted(names) == [
         ("outage", NAME, 0), ("outage", f"{NAME} fully", 1),
@@ -548,7 +607,13 @@ def as_a_runner_reads(line: str) -> tuple[str, dict[str, str], str]:
     level, properties, message = match.groups()
 
     def plain(text: str) -> str:
-        for code, character in (("%2C", ","), ("%3A", ":"), ("%0A", "\n"), ("%0D", "\r"), ("%25", "%")):
+        for code, character in (
+            ("%2C", ","),
+            ("%3A", ":"),
+            ("%0A", "\n"),
+            ("%0D", "\r"),
+            ("%25", "%"),
+        ):
             text = text.replace(code, character)
         return text
 
@@ -557,7 +622,9 @@ def as_a_runner_reads(line: str) -> tuple[str, dict[str, str], str]:
 
 
 def test_github_reads_back_what_was_said() -> None:
-    first, last = github_annotations(judged("failed", reasons=["50 %: a, b", "::error::c"])).splitlines()
+    first, last = github_annotations(
+        judged("failed", reasons=["50 %: a, b", "::error::c"])
+    ).splitlines()
     assert as_a_runner_reads(first) == (
         "error", {"file": "gates.toml", "line": "7", "title": "d: gate 0"}, "50 %: a, b\n::error::c"
     )  # fmt: skip
@@ -565,9 +632,13 @@ def test_github_reads_back_what_was_said() -> None:
 
 
 def test_github_annotations_are_capped_by_level() -> None:
-    lines = github_annotations(judged(*["failed"] * 14, "unusable", *["warning"] * MOST_ANNOTATIONS)).splitlines()
+    lines = github_annotations(
+        judged(*["failed"] * 14, "unusable", *["warning"] * MOST_ANNOTATIONS)
+    ).splitlines()
     commands = [as_a_runner_reads(line) for line in lines if line.startswith("::")]
-    assert [level for level, _, _ in commands] == ["error"] * MOST_ANNOTATIONS + ["warning"] * MOST_ANNOTATIONS
+    assert [level for level, _, _ in commands] == ["error"] * MOST_ANNOTATIONS + [
+        "warning"
+    ] * MOST_ANNOTATIONS
     assert commands[MOST_ANNOTATIONS - 1][2].startswith("6 ")
 
 
@@ -586,5 +657,8 @@ def test_the_same_check_gives_the_same_bytes(team: Path) -> None:
     outputs: dict[str, Any] = {}
     for format_ in ("text", "md", "json", "junit", "github"):
         outputs[format_] = check(team, PASSING + FAILING, "--format", format_).stdout
-        assert check(team, PASSING + FAILING, "--format", format_, "--jobs", "2").stdout == outputs[format_]
+        assert (
+            check(team, PASSING + FAILING, "--format", format_, "--jobs", "2").stdout
+            == outputs[format_]
+        )
     assert len(set(outputs.values())) == 5

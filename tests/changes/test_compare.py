@@ -18,7 +18,13 @@ from small_results import content, nudged, write
 from taken_apart import Document
 
 from insdvl_replay.changes.cells import Change
-from insdvl_replay.changes.comparison import Comparison, aggregates, compare_results, find_violation, only_changed
+from insdvl_replay.changes.comparison import (
+    Comparison,
+    aggregates,
+    compare_results,
+    find_violation,
+    only_changed,
+)
 from insdvl_replay.changes.comparison_document import comparison_document, comparison_result
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError, ResultError
@@ -30,7 +36,9 @@ from insdvl_replay.show.render import render
 from insdvl_replay.show.text import as_markdown, for_terminal
 
 
-def compared(folder: Path, old: dict[str, Any], new: dict[str, Any], **selection: Any) -> Comparison:
+def compared(
+    folder: Path, old: dict[str, Any], new: dict[str, Any], **selection: Any
+) -> Comparison:
     """Compare two reports by way of the disk."""
     return compare_results(write(folder / "old", old), write(folder / "new", new), **selection)
 
@@ -45,7 +53,8 @@ def words(comparison: Comparison, **where: str) -> dict[tuple[str, str, str], st
     return {
         (change.table, change.row, change.column): change.verdict
         for change in comparison.changes
-        if change.verdict != "same" and all(getattr(change, key) == value for key, value in where.items())
+        if change.verdict != "same"
+        and all(getattr(change, key) == value for key, value in where.items())
     }
 
 
@@ -79,12 +88,16 @@ def test_every_column_that_can_be_better_is_compared(tmp_path: Path) -> None:
         if column in rows.get(layout.name, [{}])[0]
     }
     assert {table for table, _ in expected} == rows.keys()
-    listed = {(change.table, change.column) for change in compared(tmp_path, report, report).changes}
+    listed = {
+        (change.table, change.column) for change in compared(tmp_path, report, report).changes
+    }
     assert listed == expected
 
 
 def test_each_column_is_evaluated_in_its_own_direction(tmp_path: Path) -> None:
-    new = content(ba_x_sd=0.5, reached_s=50.0, final=0.1, mean_nis=1.0, verdict="conservative", rejected=4)
+    new = content(
+        ba_x_sd=0.5, reached_s=50.0, final=0.1, mean_nis=1.0, verdict="conservative", rejected=4
+    )
     assert words(compared(tmp_path, content(), new)) == {
         ("improvement", "ba_x", "sd"): "better",
         ("convergence", "ba_x", "reached_s"): "worse",
@@ -124,20 +137,28 @@ def test_counts_limits_and_words_without_rank_only_change(tmp_path: Path) -> Non
 def test_digits_that_differ_between_processors_are_no_change(
     tolerance_pct: float | None, share: float, tmp_path: Path
 ) -> None:
-    comparison = compared(tmp_path, content(), nudged(content(), share), tolerance_pct=tolerance_pct)
+    comparison = compared(
+        tmp_path, content(), nudged(content(), share), tolerance_pct=tolerance_pct
+    )
     assert words(comparison) == {}
     assert find_violation(comparison, 0.0) == ""
 
 
 @pytest.mark.parametrize("share", [1e-8, -1e-8])
-def test_eight_digits_are_a_change_where_no_tolerance_covers_them(share: float, tmp_path: Path) -> None:
+def test_eight_digits_are_a_change_where_no_tolerance_covers_them(
+    share: float, tmp_path: Path
+) -> None:
     comparison = compared(tmp_path, content(), nudged(content(), share), tolerance_pct=0.0)
     assert {"better", "worse", "changed"} <= set(words(comparison).values())
     assert find_violation(comparison, 0.0)
 
 
-def test_a_limit_may_be_reached_but_for_digits_that_differ_between_processors(tmp_path: Path) -> None:
-    comparison = compared(tmp_path, content(), content(ba_x_sd=1.05 * (1.0 + 1e-10)), columns=("sd",))
+def test_a_limit_may_be_reached_but_for_digits_that_differ_between_processors(
+    tmp_path: Path,
+) -> None:
+    comparison = compared(
+        tmp_path, content(), content(ba_x_sd=1.05 * (1.0 + 1e-10)), columns=("sd",)
+    )
     assert find_violation(comparison, 5.0) == ""
     assert find_violation(comparison, 4.99999)
 
@@ -146,7 +167,10 @@ def test_a_row_on_one_side_is_new_or_gone(tmp_path: Path) -> None:
     less = content()
     del less["tables"]["improvement"][1]
     columns = ("baseline_sd", "sd", "improvement_pct", "status")
-    for name, old, new, word in (("lost", content(), less, "gone"), ("found", less, content(), "new")):
+    for name, old, new, word in (
+        ("lost", content(), less, "gone"),
+        ("found", less, content(), "new"),
+    ):
         found = words(compared(tmp_path / name, old, new))
         assert found == {("improvement", "bg_z", column): word for column in columns}
 
@@ -154,26 +178,41 @@ def test_a_row_on_one_side_is_new_or_gone(tmp_path: Path) -> None:
 def test_a_row_in_another_unit_is_another_row(tmp_path: Path) -> None:
     new = content()
     new["tables"]["reference_error"][0] |= {"unit": "mrad", "rmse": 7.0}
-    found = {(c.unit, c.verdict) for c in compared(tmp_path, content(), new).changes if c.column == "rmse"}
+    found = {
+        (c.unit, c.verdict)
+        for c in compared(tmp_path, content(), new).changes
+        if c.column == "rmse"
+    }
     assert found == {("deg", "gone"), ("mrad", "new")}
 
 
 def test_a_lost_number_is_worse_and_a_found_one_better(tmp_path: Path) -> None:
     lost = content(rmse=None)
-    assert words(compared(tmp_path / "a", content(), lost)) == {("reference_error", "roll", "rmse"): "worse"}
-    assert words(compared(tmp_path / "b", lost, content())) == {("reference_error", "roll", "rmse"): "better"}
+    assert words(compared(tmp_path / "a", content(), lost)) == {
+        ("reference_error", "roll", "rmse"): "worse"
+    }
+    assert words(compared(tmp_path / "b", lost, content())) == {
+        ("reference_error", "roll", "rmse"): "better"
+    }
     assert words(compared(tmp_path / "c", lost, lost)) == {}
 
 
-def test_tables_and_columns_that_only_a_newer_version_has_are_new_and_counted(tmp_path: Path) -> None:
+def test_tables_and_columns_that_only_a_newer_version_has_are_new_and_counted(
+    tmp_path: Path,
+) -> None:
     old, new = content(), content()
     del old["tables"]["consistency"]
     del old["tables"]["reference_error"][0]["final"]
     new["tables"]["weather"] = [{"log": "dive", "filter": "aided", "wind": 3.0}]
     comparison = compared(tmp_path, old, new)
-    assert words(comparison, table="reference_error") == {("reference_error", "roll", "final"): "new"}
+    assert words(comparison, table="reference_error") == {
+        ("reference_error", "roll", "final"): "new"
+    }
     assert set(words(comparison, table="consistency").values()) == {"new"}
-    assert [(note.code, note.count) for note in comparison.notes] == [("table_on_one_side", 1), ("table_unknown", 1)]
+    assert [(note.code, note.count) for note in comparison.notes] == [
+        ("table_on_one_side", 1),
+        ("table_unknown", 1),
+    ]
     assert find_violation(comparison, 0.0) == ""
 
 
@@ -187,7 +226,9 @@ def test_a_table_that_is_lost_counts_as_worse(tmp_path: Path) -> None:
 def test_a_row_that_is_there_twice_is_refused(tmp_path: Path) -> None:
     new = content()
     new["tables"]["improvement"] *= 2
-    with pytest.raises(ResultError, match=r"new/report.json: table improvement, row 3: .*aided, ba_x"):
+    with pytest.raises(
+        ResultError, match=r"new/report.json: table improvement, row 3: .*aided, ba_x"
+    ):
         compared(tmp_path, content(), new)
 
 
@@ -213,7 +254,10 @@ def test_a_filter_on_one_side_is_noted_and_its_rows_are_new(tmp_path: Path) -> N
     comparison = compared(tmp_path, content(), new)
     assert [(note.code, note.count) for note in comparison.notes] == [("filter_on_one_side", 1)]
     assert "--pair" not in comparison.notes[0].hint, "there is no filter to pair it with"
-    assert {(change.filter, change.verdict) for change in comparison.changes} == {("aided", "same"), ("tuned", "new")}
+    assert {(change.filter, change.verdict) for change in comparison.changes} == {
+        ("aided", "same"),
+        ("tuned", "new"),
+    }
 
 
 # --- What differs beside the tables.
@@ -226,8 +270,18 @@ def test_causes_are_named_key_by_key_with_both_values(tmp_path: Path) -> None:
     new["log"] |= {"duration_s": 2.0}
     new["log"]["channels"][0]["messages"] = 90
     new["config"]["dvl"]["lever_arm_m"] = [0.0, 0.1, 0.0]
-    new["notes"] = [{"code": "imu_gaps", "text": "the IMU pauses", "count": 3, "severity": "warning", "hint": ""}]
-    found = {(d.block, d.key): (d.old, d.new) for d in compared(tmp_path, content(), new).differences}
+    new["notes"] = [
+        {
+            "code": "imu_gaps",
+            "text": "the IMU pauses",
+            "count": 3,
+            "severity": "warning",
+            "hint": "",
+        }
+    ]
+    found = {
+        (d.block, d.key): (d.old, d.new) for d in compared(tmp_path, content(), new).differences
+    }
     assert found == {
         ("tool", "version"): ("0.1.0", "0.2.0"),
         ("versions", "numpy"): ("2.4.0", "2.5.0"),
@@ -253,14 +307,19 @@ def test_another_log_is_reported_before_all_settings(tmp_path: Path) -> None:
 def test_what_differs_in_many_dives_is_named_once(tmp_path: Path) -> None:
     old, new = two_sets(tmp_path)
     (difference,) = compare_results(old, new).differences
-    assert (difference.key, sorted(difference.logs)) == ("filters.aided.window", ["one", "three", "two"])
+    assert (difference.key, sorted(difference.logs)) == (
+        "filters.aided.window",
+        ["one", "three", "two"],
+    )
 
 
 # --- Many dives.
 
 
 def change(log: str, change_pct: float | None, word: Any) -> Change:
-    return Change(log, "reference_error", "aided", "roll", "deg", "rmse", 1.0, None, None, change_pct, word)
+    return Change(
+        log, "reference_error", "aided", "roll", "deg", "rmse", 1.0, None, None, change_pct, word
+    )
 
 
 def test_aggregates_are_those_computed_by_hand(tmp_path: Path) -> None:
@@ -277,7 +336,10 @@ def test_aggregates_are_those_computed_by_hand(tmp_path: Path) -> None:
 def test_aggregates_are_those_of_pandas() -> None:
     percents = [3.0, -7.5, 0.0, 12.25, -1.0, 4.5]
     sides = ["worse" if value > 0 else "better" if value < 0 else "same" for value in percents]
-    cells = [change(f"dive {i}", value, word) for i, (value, word) in enumerate(zip(percents, sides, strict=True))]
+    cells = [
+        change(f"dive {i}", value, word)
+        for i, (value, word) in enumerate(zip(percents, sides, strict=True))
+    ]
     (found,) = aggregates(cells)
     series = pd.Series(percents, index=[cell.log for cell in cells])
     assert found.median_change_pct == pytest.approx(float(series.median()), abs=1e-12)
@@ -286,13 +348,30 @@ def test_aggregates_are_those_of_pandas() -> None:
 
 
 def test_a_lost_number_is_the_worst_and_has_no_part_in_the_median() -> None:
-    cells = [change("far", 900.0, "worse"), change("lost", None, "worse"), change("near", 2.0, "worse")]
+    cells = [
+        change("far", 900.0, "worse"),
+        change("lost", None, "worse"),
+        change("near", 2.0, "worse"),
+    ]
     (found,) = aggregates(cells)
-    assert (found.worst_log, found.worst_change_pct, found.median_change_pct) == ("lost", None, 451.0)
+    assert (found.worst_log, found.worst_change_pct, found.median_change_pct) == (
+        "lost",
+        None,
+        451.0,
+    )
 
 
 def test_rows_on_one_side_have_no_part_in_aggregates() -> None:
-    assert aggregates([change("one", None, "new"), change("two", None, "gone"), change("three", None, "changed")]) == ()
+    assert (
+        aggregates(
+            [
+                change("one", None, "new"),
+                change("two", None, "gone"),
+                change("three", None, "changed"),
+            ]
+        )
+        == ()
+    )
 
 
 def test_only_changed_leaves_the_counts_alone(tmp_path: Path) -> None:
@@ -310,10 +389,15 @@ def test_a_page_has_the_answers_first_and_every_cell(tmp_path: Path) -> None:
     parts = comparison_document(comparison, values=True)
     document = Document(page(parts).decode())
     assert [text for text in document.texts["p"] if text.isupper()] == ["NO EFFECT"] * 2
-    assert "1 better, 2 worse; 90 of 93 values are the same up to the last printed digit" in document.texts["p"]
+    assert (
+        "1 better, 2 worse; 90 of 93 values are the same up to the last printed digit"
+        in document.texts["p"]
+    )
     tables = [part for part in parts if isinstance(part, DisplayTable)]
     assert document.texts["h3"][-len(tables) :] == [table.title for table in tables]
-    assert {cell for table in tables for row in table.rows for cell in row} <= set(document.texts["td"])
+    assert {cell for table in tables for row in table.rows for cell in row} <= set(
+        document.texts["td"]
+    )
 
 
 def test_dives_in_which_nothing_moved_are_not_named(tmp_path: Path) -> None:
@@ -356,7 +440,11 @@ def place(tmp_path: Path) -> Path:
     [
         (["old", "old", "--fail-on", "0%"], 0, ""),
         (["old", "worse"], 0, ""),
-        (["old", "worse", "--fail-on", "0%"], 1, r"1 .*dive, reference_error aided roll: rmse \[deg\] "),
+        (
+            ["old", "worse", "--fail-on", "0%"],
+            1,
+            r"1 .*dive, reference_error aided roll: rmse \[deg\] ",
+        ),
         (["old", "worse", "--fail-on", "5%"], 1, r"0\.4000 .*0\.4400 \(\+10\.0 %\)"),
         (["old", "worse", "--fail-on", "10%"], 0, ""),
         (["old", "worse", "--fail-on", "0%", "--tolerance", "10%"], 0, ""),
@@ -416,8 +504,16 @@ def test_exit_codes_and_reasons(
     ],
 )
 def test_exit_codes_reach_the_shell(arguments: Sequence[str], code: int, place: Path) -> None:
-    command = [sys.executable, "-c", "from insdvl_replay.cli import main; main()", "compare", *arguments]
-    done = subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=120, check=False)
+    command = [
+        sys.executable,
+        "-c",
+        "from insdvl_replay.cli import main; main()",
+        "compare",
+        *arguments,
+    ]
+    done = subprocess.run(
+        command, cwd=place, capture_output=True, text=True, timeout=120, check=False
+    )
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
     assert done.stderr.startswith("error: ") is (code > 0)
@@ -430,7 +526,9 @@ from insdvl_replay.cli import run_command_line
 run_command_line(["compare", "old", "worse"])
 sys.exit(",".join({"pandas", "numba", "scipy.optimize", "scipy.stats", "mcap", "matplotlib"} & set(sys.modules)) or 0)
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=place, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=place, check=False
+    )
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -440,7 +538,14 @@ def test_json_is_read_back_as_the_comparison(tmp_path: Path) -> None:
     document = json.loads(as_json(comparison))
     # Of each dive 6 cells of the candidate, 2 x 3 of improvement, 2 x 4 of convergence, 5 of errors, 3 of
     # consistency, 3 of evidence.
-    assert document["counts"] == {"better": 1, "worse": 2, "same": 90, "changed": 0, "new": 0, "gone": 0}
+    assert document["counts"] == {
+        "better": 1,
+        "worse": 2,
+        "same": 90,
+        "changed": 0,
+        "new": 0,
+        "gone": 0,
+    }
 
 
 def test_csv_has_five_parts_and_numbers_in_full(tmp_path: Path) -> None:
@@ -459,9 +564,13 @@ def test_csv_has_five_parts_and_numbers_in_full(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("dives", [1, 3])
-def test_terminal_tables_fit_80_columns_and_are_whole_when_piped(dives: int, tmp_path: Path) -> None:
+def test_terminal_tables_fit_80_columns_and_are_whole_when_piped(
+    dives: int, tmp_path: Path
+) -> None:
     old, new = two_sets(tmp_path)
-    comparison = compare_results(old / "two", new / "two") if dives == 1 else compare_results(old, new)
+    comparison = (
+        compare_results(old / "two", new / "two") if dives == 1 else compare_results(old, new)
+    )
     for width in (80, 1000):
         console = Console(width=width, record=True, file=io.StringIO())
         console.print(for_terminal(comparison_document(comparison, values=True)))
@@ -482,7 +591,10 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped(dives: int, tmp
 def test_pages_for_documents_hold_the_rows(
     format_: str, expected: str, place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run_command_line(["compare", str(place / "old"), str(place / "worse"), "--format", format_]) == 0
+    assert (
+        run_command_line(["compare", str(place / "old"), str(place / "worse"), "--format", format_])
+        == 0
+    )
     assert expected in capsys.readouterr().out
 
 
@@ -531,7 +643,11 @@ def test_changed_verdicts_of_several_dives_are_said_once_with_their_dives(tmp_pa
         write(tmp_path / "new" / name, content(name, filter_verdict=word, prediction="undecided"))
     write(tmp_path / "old" / "four", content("four", prediction="undecided"))
     write(tmp_path / "new" / "four", content("four", prediction="undecided"))
-    lines = [line for line in told(compare_results(tmp_path / "old", tmp_path / "new")).split("\n\n") if "now" in line]
+    lines = [
+        line
+        for line in told(compare_results(tmp_path / "old", tmp_path / "new")).split("\n\n")
+        if "now" in line
+    ]
     assert lines == [
         "aided against the baseline is now worse, was better (2 of 4 dives: one, two)",
         "the predicted improvement of aided is now undecided, was confirmed (3 of 4 dives: one, three and 1 more)",
@@ -555,7 +671,9 @@ def in_brief(folder: Path) -> str:
     return console.export_text()
 
 
-def test_in_brief_settings_come_first_then_answers_and_then_verdicts_that_changed(tmp_path: Path) -> None:
+def test_in_brief_settings_come_first_then_answers_and_then_verdicts_that_changed(
+    tmp_path: Path,
+) -> None:
     old, new = content(), content(window=5)
     old["filters"]["aided"]["verdict"], new["filters"]["aided"]["verdict"] = "undecided", "worse"
     comparison = only_changed(compared(tmp_path, old, new))
@@ -567,7 +685,11 @@ def test_in_brief_settings_come_first_then_answers_and_then_verdicts_that_change
 
 def test_the_settings_of_a_filter_on_one_side_are_its_name(tmp_path: Path) -> None:
     new = content(window=5)
-    new["config"]["filters"]["tuned"] = {"aiding": ["velocity"], "gate_probability": 0.9, "window": 3}
+    new["config"]["filters"]["tuned"] = {
+        "aiding": ["velocity"],
+        "gate_probability": 0.9,
+        "window": 3,
+    }
     comparison = only_changed(compared(tmp_path, content(), new))
     assert told(comparison).startswith("## filters.aided.window 3 -> 5 and 1 more setting: dive, ")
     assert "filter tuned only in the new results" in told(comparison)
@@ -583,7 +705,13 @@ def test_in_brief_the_same_is_left_out_and_the_rest_counted(tmp_path: Path) -> N
 
 def evidence_row(value: float) -> dict[str, Any]:
     [row] = content()["tables"]["evidence"]
-    return row | {"evidence": "accuracy", "quantity": "drift_30s", "value": value, "ratio": value, "role": "shown"}
+    return row | {
+        "evidence": "accuracy",
+        "quantity": "drift_30s",
+        "value": value,
+        "ratio": value,
+        "role": "shown",
+    }
 
 
 def test_in_brief_evidence_that_moved_has_old_and_new(tmp_path: Path) -> None:
@@ -595,7 +723,9 @@ def test_in_brief_evidence_that_moved_has_old_and_new(tmp_path: Path) -> None:
 
 def test_in_brief_two_runs_of_eight_dives_fit_40_lines(tmp_path: Path) -> None:
     """One setting of one filter changed: position is better, and every quantity that can warn is worse."""
-    names = [quantity for layout in LAYOUTS if layout.name == "evidence" for quantity in layout.rows]
+    names = [
+        quantity for layout in LAYOUTS if layout.name == "evidence" for quantity in layout.rows
+    ]
     warning = [quantity for kind in SECONDARIES.values() for quantity in kind]
     roles = dict.fromkeys(warning, "secondary") | dict.fromkeys(PRIMARIES, "primary")
     for number in range(8):
@@ -614,27 +744,43 @@ def test_in_brief_two_runs_of_eight_dives_fit_40_lines(tmp_path: Path) -> None:
     lines = console.export_text().strip().split("\n")
     assert len(names) > 20
     assert len(lines) <= 40
-    rows = 1 + len(SECONDARIES) + 1  # the one that decides, one of each kind that can warn, and the prediction
+    rows = (
+        1 + len(SECONDARIES) + 1
+    )  # the one that decides, one of each kind that can warn, and the prediction
     assert sum(line.startswith("aided ") for line in lines) == 1 + rows
 
 
 def test_in_brief_the_distance_of_a_nis_from_1_is_shown(tmp_path: Path) -> None:
     """A smaller NIS of a conservative filter is the worse one."""
     old, new = content(), content()
-    row = evidence_row(0.002) | {"evidence": "consistency", "quantity": "nis", "unit": "", "ratio": 1.0}
-    old["tables"]["evidence"], new["tables"]["evidence"] = [row], [row | {"value": 0.001, "ratio": 1.1}]
+    row = evidence_row(0.002) | {
+        "evidence": "consistency",
+        "quantity": "nis",
+        "unit": "",
+        "ratio": 1.0,
+    }
+    old["tables"]["evidence"], new["tables"]["evidence"] = (
+        [row],
+        [row | {"value": 0.001, "ratio": 1.1}],
+    )
     comparison = only_changed(compared(tmp_path, old, new))
     [line] = [line for line in told(comparison).split("\n") if "NIS distance from 1" in line]
     assert line.endswith("| +10.0 % |")
 
 
-@pytest.mark.parametrize(("old", "new", "word"), [(0.002, 0.001, "worse"), (0.5, 0.8, "better"), (2.0, 1.5, "better")])
+@pytest.mark.parametrize(
+    ("old", "new", "word"), [(0.002, 0.001, "worse"), (0.5, 0.8, "better"), (2.0, 1.5, "better")]
+)
 def test_means_of_consistency_are_better_the_nearer_they_are_to_one(
     old: float, new: float, word: str, tmp_path: Path
 ) -> None:
     before, after = content(), content()
     for made, value in ((before, old), (after, new)):
         made["tables"]["evidence"] = [
-            evidence_row(value) | {"evidence": "consistency", "quantity": "nis", "unit": "", "ratio": 1.0}
+            evidence_row(value)
+            | {"evidence": "consistency", "quantity": "nis", "unit": "", "ratio": 1.0}
         ]
-    assert words(compared(tmp_path, before, after), table="evidence")["evidence", "nis", "value"] == word
+    assert (
+        words(compared(tmp_path, before, after), table="evidence")["evidence", "nis", "value"]
+        == word
+    )

@@ -83,7 +83,9 @@ def test_several_results_that_could_belong_together_are_refused(tmp_path: Path) 
 def test_two_single_results_are_compared_whatever_they_are(tmp_path: Path) -> None:
     old, new = write(tmp_path / "a", content("a")), write(tmp_path / "b", content("b"))
     assert matched(old, new) == [("b", ".", ".", "choice")]
-    differing = {difference.key for difference in compare_results(old, new / "report.json").differences}
+    differing = {
+        difference.key for difference in compare_results(old, new / "report.json").differences
+    }
     assert {"name", "sha256"} <= differing
 
 
@@ -95,7 +97,9 @@ def test_no_dive_on_both_sides_is_refused(tmp_path: Path) -> None:
         compare_results(tmp_path / "old", tmp_path / "new")
 
 
-def test_a_folder_that_cannot_be_read_is_not_ignored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_read_is_not_ignored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for root in ("old", "new"):
         write(tmp_path / root / "dive", content())
     (tmp_path / "new" / "locked").mkdir()
@@ -114,7 +118,10 @@ def test_a_folder_that_cannot_be_read_is_not_ignored(tmp_path: Path, monkeypatch
 def test_studies_and_results_that_are_still_written_are_left_out(tmp_path: Path) -> None:
     for root in ("old", "new"):
         write(tmp_path / root / "dive", content())
-        write(tmp_path / root / "window-dive", {"tool": {"version": "0.1.0"}, "kind": "window", "tables": {}})
+        write(
+            tmp_path / root / "window-dive",
+            {"tool": {"version": "0.1.0"}, "kind": "window", "tables": {}},
+        )
         write(tmp_path / root / ".dive-k2j3" / "new", content())
     comparison = compare_results(tmp_path / "old", tmp_path / "new")
     assert [dive.log for dive in comparison.dives] == ["dive"]

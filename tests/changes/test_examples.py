@@ -35,7 +35,8 @@ def test_the_dives_are_made_again_byte_for_byte(command: list[str], tmp_path: Pa
     log = tmp_path / Path(place.strip('"')).name
     assert run_command_line([*arguments, str(log)]) == 0
     digests = dict(
-        reversed(line.split()) for line in (ARCHIVE / "dives" / "SHA256SUMS").read_text("utf-8").splitlines()
+        reversed(line.split())
+        for line in (ARCHIVE / "dives" / "SHA256SUMS").read_text("utf-8").splitlines()
     )
     assert hashlib.sha256(log.read_bytes()).hexdigest() == digests[log.name]
 
@@ -44,15 +45,24 @@ def test_the_dives_are_small_and_all_have_expected_values() -> None:
     dives = sorted((ARCHIVE / "dives").glob("*.mcap"))
     assert len(dives) == len(COMMANDS) == 4
     assert sum(dive.stat().st_size for dive in dives) < 1_000_000
-    assert [dive.stem for dive in dives] == sorted(path.stem for path in (ARCHIVE / "expected").glob("*.json"))
+    assert [dive.stem for dive in dives] == sorted(
+        path.stem for path in (ARCHIVE / "expected").glob("*.json")
+    )
 
 
 def test_the_archive_holds_its_gates(archive: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command_line(["check", str(archive / "gates.toml"), "--results", str(archive / "checked")]) == 0
+    assert (
+        run_command_line(
+            ["check", str(archive / "gates.toml"), "--results", str(archive / "checked")]
+        )
+        == 0
+    )
     assert re.findall(r"\d+", capsys.readouterr().out.splitlines()[0]) == ["8", "4", "29"]
 
 
-def test_a_worse_setting_fails_and_says_what_moved(archive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_worse_setting_fails_and_says_what_moved(
+    archive: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = ["check", str(archive / "gates.toml"), "--results", str(archive / "checked")]
     assert run_command_line([*arguments, "--set", "dvl.scale=1.02"]) == 1
     said = capsys.readouterr().out
@@ -77,7 +87,11 @@ def shell_steps(name: str) -> list[str]:
     if name == "action.yml":
         return [step["run"] for step in ACTION["runs"]["steps"] if "run" in step]
     job = job_of(name)
-    return [step["run"] for step in job["steps"] if "run" in step] if "steps" in job else list(job["script"])
+    return (
+        [step["run"] for step in job["steps"] if "run" in step]
+        if "steps" in job
+        else list(job["script"])
+    )
 
 
 def run_steps(name: str, folder: Path, **more: str) -> list[subprocess.CompletedProcess[str]]:
@@ -99,7 +113,12 @@ def run_steps(name: str, folder: Path, **more: str) -> list[subprocess.Completed
     } | more  # fmt: skip
     return [
         subprocess.run(
-            ["bash", "-e", "-c", step], cwd=folder, env=environment, capture_output=True, text=True, check=False
+            ["bash", "-e", "-c", step],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         for step in shell_steps(name)
     ]
@@ -132,7 +151,9 @@ def test_options_of_the_action_are_split_like_a_shells_and_run_nothing(archive: 
     options = "--only 'position*' --shard 1/2 '$(touch pwned)'"
     done = run_steps("action.yml", archive, OPTIONS=options)
     assert not (archive / "pwned").exists()
-    assert "$(touch pwned): " in done[-1].stderr + done[-1].stdout, "it is a dive that does not exist"
+    assert "$(touch pwned): " in done[-1].stderr + done[-1].stdout, (
+        "it is a dive that does not exist"
+    )
     done = run_steps("action.yml", archive, OPTIONS="--only 'position*' --shard 1/2")
     assert "2 gates on 2 dives: 4 " in done[-1].stdout
 
@@ -159,7 +180,9 @@ def test_everything_that_is_used_is_pinned() -> None:
         assert len(used) == path.read_text("utf-8").count("uses:")
         assert all(re.fullmatch(r"[0-9a-f]{40}", digest) for _, digest, _ in used)
     for name in ("github.yml", "gitlab.yml"):
-        assert re.search(r"INSDVL_REPLAY: \"\S+@v\d+\.\d+\.\d+\"", (EXAMPLES / "ci" / name).read_text("utf-8"))
+        assert re.search(
+            r"INSDVL_REPLAY: \"\S+@v\d+\.\d+\.\d+\"", (EXAMPLES / "ci" / name).read_text("utf-8")
+        )
 
 
 def dockerfile() -> list[tuple[str, str]]:
@@ -171,7 +194,21 @@ def dockerfile() -> list[tuple[str, str]]:
 
 def test_the_container_file_is_in_order() -> None:
     found = dockerfile()
-    words = ["ARG", "FROM", "ENV", "COPY", "RUN", "COPY", "COPY", "RUN", "RUN", "USER", "WORKDIR", "ENTRYPOINT", "CMD"]
+    words = [
+        "ARG",
+        "FROM",
+        "ENV",
+        "COPY",
+        "RUN",
+        "COPY",
+        "COPY",
+        "RUN",
+        "RUN",
+        "USER",
+        "WORKDIR",
+        "ENTRYPOINT",
+        "CMD",
+    ]
     assert [word for word, _ in found] == words
     assert re.fullmatch(r"BASE=python:3\.\d+-slim", found[0][1])
     assert json.loads(dict(found)["ENTRYPOINT"]) == ["python", "-P", "-m", "insdvl_replay"]
@@ -182,13 +219,23 @@ def test_steps_of_the_image_run_where_there_is_nothing_but_the_package(tmp_path:
     """As the image does it: compile ahead, and run the command. What it installs is here already."""
     for _, what in [line for line in dockerfile() if line[0] == "COPY"][1:]:
         source, target = what.split()
-        shutil.copytree(EXAMPLES.parent / source, tmp_path / Path(target).relative_to("/opt/insdvl-replay"))
-    inside = os.environ | {"PYTHONPATH": str(tmp_path), "INSDVL_REPLAY_CACHE": str(tmp_path / "opt")}
+        shutil.copytree(
+            EXAMPLES.parent / source, tmp_path / Path(target).relative_to("/opt/insdvl-replay")
+        )
+    inside = os.environ | {
+        "PYTHONPATH": str(tmp_path),
+        "INSDVL_REPLAY_CACHE": str(tmp_path / "opt"),
+    }
     installs, compiles, adds_user = (text for word, text in dockerfile() if word == "RUN")
     assert installs.startswith("pip install --require-hashes ")
     assert adds_user.startswith("useradd ")
     compiles = compiles.partition(" && chmod ")[0]
-    for words, said in ((compiles.split(), "compiled in"), (["python", "-m", "insdvl_replay", "--help"], "Usage: ")):
+    for words, said in (
+        (compiles.split(), "compiled in"),
+        (["python", "-m", "insdvl_replay", "--help"], "Usage: "),
+    ):
         command = [sys.executable, *words[1:]]
-        done = subprocess.run(command, cwd=tmp_path, env=inside, capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            command, cwd=tmp_path, env=inside, capture_output=True, text=True, check=True
+        )
         assert said in done.stdout

@@ -32,7 +32,9 @@ def passes(gate_: CellGate, report: StoredReport, expected: StoredReport | None 
 
 
 def why(gate_: CellGate, report: StoredReport, expected: StoredReport | None = None) -> str:
-    return "; ".join(finding.sentence for finding in gate_findings(gate_, report, expected) if not finding.passed)
+    return "; ".join(
+        finding.sentence for finding in gate_findings(gate_, report, expected) if not finding.passed
+    )
 
 
 # --- The file.
@@ -78,7 +80,9 @@ def test_a_name_that_no_result_has_is_reported_with_the_nearest(
     keys: dict[str, str], meant: str, tmp_path: Path
 ) -> None:
     lines = {"name": "b", "table": "improvement", "column": "sd"} | keys
-    text = "[[gate]]\n" + "".join(f'{key} = "{value}"\n' for key, value in lines.items()) + "max = 1\n"
+    text = (
+        "[[gate]]\n" + "".join(f'{key} = "{value}"\n' for key, value in lines.items()) + "max = 1\n"
+    )
     path = tmp_path / "gates.toml"
     path.write_text(GATE + "max = 1\n" + text)
     with pytest.raises(ConfigError) as raised:
@@ -92,9 +96,13 @@ def test_a_name_that_no_result_has_is_reported_with_the_nearest(
     ("table", "column", "wanted", "kind"),
     [("improvement", "sd", '"improved"', "numbers"), ("consistency", "verdict", "3", "words")],
 )
-def test_a_value_of_the_wrong_kind_is_refused(table: str, column: str, wanted: str, kind: str, tmp_path: Path) -> None:
+def test_a_value_of_the_wrong_kind_is_refused(
+    table: str, column: str, wanted: str, kind: str, tmp_path: Path
+) -> None:
     path = tmp_path / "gates.toml"
-    path.write_text(f'[[gate]]\nname = "a"\ntable = "{table}"\ncolumn = "{column}"\nequals = {wanted}\n')
+    path.write_text(
+        f'[[gate]]\nname = "a"\ntable = "{table}"\ncolumn = "{column}"\nequals = {wanted}\n'
+    )
     with pytest.raises(ConfigError, match=f"equals: .*'{column}' .*{table} .*{kind}"):
         load_gates(path)
 
@@ -126,7 +134,9 @@ def test_lines_are_found_behind_comments_that_end_in_a_comma(tmp_path: Path) -> 
     assert load_gates(path).lines["a"] == 4
 
 
-@pytest.mark.parametrize(("table", "column"), [("filters", "reason"), ("filters", "sentence"), ("consistency", "why")])
+@pytest.mark.parametrize(
+    ("table", "column"), [("filters", "reason"), ("filters", "sentence"), ("consistency", "why")]
+)
 def test_a_gate_on_prose_is_refused_with_the_columns_that_can_have_gates(
     table: str, column: str, tmp_path: Path
 ) -> None:
@@ -185,7 +195,9 @@ def test_limits_hold_for_every_cell_that_is_meant(keys: dict[str, Any], passed: 
         ({"table": "consistency", "column": "mean_nis", "max": 1e9}, True),
     ],
 )
-def test_no_number_of_a_filter_that_is_not_evaluated_passes(keys: dict[str, Any], passed: bool) -> None:
+def test_no_number_of_a_filter_that_is_not_evaluated_passes(
+    keys: dict[str, Any], passed: bool
+) -> None:
     report = stored(filter_verdict="not evaluated")
     assert passes(gate(**keys), report) is passed
 
@@ -200,13 +212,20 @@ def test_no_error_against_a_part_of_the_reference_passes() -> None:
 
 def test_a_star_means_every_row() -> None:
     findings = gate_findings(gate(max=1.0), stored(bg_z_sd=1.5), None)
-    assert [(finding.row, finding.passed) for finding in findings] == [("ba_x", True), ("bg_z", False)]
+    assert [(finding.row, finding.passed) for finding in findings] == [
+        ("ba_x", True),
+        ("bg_z", False),
+    ]
     assert re.fullmatch(r"aided gyro bias z sd .*1\.5 deg/h.* 1", findings[1].sentence)
 
 
 @pytest.mark.parametrize("value", [None, math.nan, math.inf])
-@pytest.mark.parametrize("keys", [{"max": 1e9}, {"equals": "x"}, {"expected": "b", "max_worse_pct": 1e9}])
-def test_what_is_empty_or_not_finite_never_passes(value: float | None, keys: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "keys", [{"max": 1e9}, {"equals": "x"}, {"expected": "b", "max_worse_pct": 1e9}]
+)
+def test_what_is_empty_or_not_finite_never_passes(
+    value: float | None, keys: dict[str, Any]
+) -> None:
     report = stored()
     report.tables["improvement"][0]["sd"] = value
     assert not passes(gate(row="ba_x", **keys), report, stored())
@@ -231,14 +250,38 @@ def test_a_missing_row_is_reported_with_its_names() -> None:
         ({"row": "ba_x", "max_worse_pct": 10, "max_worse_abs": 0.3}, {"ba_x_sd": 1.25}, True),
         ({"row": "ba_x", "max_worse_pct": 10, "max_worse_abs": 0.3}, {"ba_x_sd": 1.35}, False),
         # A signed error: -0.2 is expected, so 0.21 is 5 % worse and 0.19 is better.
-        ({"table": "reference_error", "column": "final", "max_worse_pct": 6}, {"final": 0.21}, True),
-        ({"table": "reference_error", "column": "final", "max_worse_pct": 4}, {"final": 0.21}, False),
-        ({"table": "reference_error", "column": "final", "max_worse_pct": 0}, {"final": 0.19}, True),
+        (
+            {"table": "reference_error", "column": "final", "max_worse_pct": 6},
+            {"final": 0.21},
+            True,
+        ),
+        (
+            {"table": "reference_error", "column": "final", "max_worse_pct": 4},
+            {"final": 0.21},
+            False,
+        ),
+        (
+            {"table": "reference_error", "column": "final", "max_worse_pct": 0},
+            {"final": 0.19},
+            True,
+        ),
         # A mean NIS of 3.1 for three degrees of freedom is off by 1.033, one of 2.4 by 1.25.
-        ({"table": "consistency", "column": "mean_nis", "max_worse_pct": 22}, {"mean_nis": 2.4}, True),
-        ({"table": "consistency", "column": "mean_nis", "max_worse_pct": 20}, {"mean_nis": 2.4}, False),
+        (
+            {"table": "consistency", "column": "mean_nis", "max_worse_pct": 22},
+            {"mean_nis": 2.4},
+            True,
+        ),
+        (
+            {"table": "consistency", "column": "mean_nis", "max_worse_pct": 20},
+            {"mean_nis": 2.4},
+            False,
+        ),
         # From zero there is no percentage.
-        ({"table": "consistency", "column": "rejected", "max_worse_pct": 1e9}, {"rejected": 1}, False),
+        (
+            {"table": "consistency", "column": "rejected", "max_worse_pct": 1e9},
+            {"rejected": 1},
+            False,
+        ),
         ({"table": "consistency", "column": "rejected", "max_worse_abs": 1}, {"rejected": 1}, True),
     ],
 )
@@ -261,7 +304,11 @@ def test_percentages_may_fall_by_percentage_points() -> None:
 @pytest.mark.parametrize(
     ("keys", "cell", "sentence"),
     [
-        ({"column": "rmse"}, {"rmse": 0.9}, "aided roll rms 0.4 -> 0.9 deg (+125 %, limit +5 % or +0.1 deg)"),
+        (
+            {"column": "rmse"},
+            {"rmse": 0.9},
+            "aided roll rms 0.4 -> 0.9 deg (+125 %, limit +5 % or +0.1 deg)",
+        ),
         (
             {"column": "final"},
             {"final": 0.4},
@@ -282,7 +329,9 @@ def test_percentages_may_fall_by_percentage_points() -> None:
 def test_a_failure_has_both_values_their_change_and_the_limit(
     keys: dict[str, Any], cell: dict[str, float], sentence: str
 ) -> None:
-    meant = gate(**({"table": "reference_error"} | keys), expected="b", max_worse_pct=5, max_worse_abs=0.1)
+    meant = gate(
+        **({"table": "reference_error"} | keys), expected="b", max_worse_pct=5, max_worse_abs=0.1
+    )
     assert why(meant, stored(**cell), stored()) == sentence
 
 
@@ -305,7 +354,9 @@ def test_a_mean_nis_without_its_degrees_of_freedom_does_not_pass(lacking: str) -
 def test_a_row_without_expected_values_does_not_pass() -> None:
     baseline = stored()
     baseline.tables["improvement"].clear()
-    assert "aided accelerometer bias x sd " in why(gate(expected="b", max_worse_pct=1e9), stored(), baseline)
+    assert "aided accelerometer bias x sd " in why(
+        gate(expected="b", max_worse_pct=1e9), stored(), baseline
+    )
 
 
 @pytest.mark.parametrize("keys", [{}, {"filter": "aided"}, {"row": "ba_x"}])
@@ -320,14 +371,21 @@ def test_an_expected_row_that_is_missing_does_not_pass(keys: dict[str, Any]) -> 
 
 
 def test_an_expected_filter_that_is_missing_does_not_pass_where_it_is_meant() -> None:
-    keys = {"table": "filters", "column": "mean_improvement_pct", "expected": "b", "max_worse_pct": 1e9}
+    keys = {
+        "table": "filters",
+        "column": "mean_improvement_pct",
+        "expected": "b",
+        "max_worse_pct": 1e9,
+    }
     both = stored()
     both.filters["other"] = both.filters["aided"]
     assert why(gate(**keys), stored(), both).startswith("other mean improvement ")
     assert passes(gate(**keys, filter="aided"), stored(), both)
 
 
-@pytest.mark.parametrize("keys", [{"min": 0}, {"max": 2}, {"equals": 1}, {"expected": "b", "max_worse_pct": 1e9}])
+@pytest.mark.parametrize(
+    "keys", [{"min": 0}, {"max": 2}, {"equals": 1}, {"expected": "b", "max_worse_pct": 1e9}]
+)
 @pytest.mark.parametrize("value", [True, False])
 def test_true_and_false_are_no_numbers(value: bool, keys: dict[str, Any]) -> None:
     report = stored()
@@ -354,7 +412,9 @@ def test_true_and_false_are_no_numbers(value: bool, keys: dict[str, Any]) -> Non
         {"table": "filters", "column": "mean_improvement_pct", "min": 50.0, "max": 50.0},
     ],
 )
-def test_digits_that_differ_between_processors_pass_every_gate(keys: dict[str, Any], share: float) -> None:
+def test_digits_that_differ_between_processors_pass_every_gate(
+    keys: dict[str, Any], share: float
+) -> None:
     there = msgspec.convert(nudged(content(), share), StoredReport)
     more = {"expected": "b"} if any(key.startswith("max_worse") for key in keys) else {}
     assert passes(gate(**more, **keys), there, stored())
@@ -363,12 +423,18 @@ def test_digits_that_differ_between_processors_pass_every_gate(keys: dict[str, A
     assert not all(passes(gate(**more, **keys), report, stored()) for report in (further, back))
 
 
-@pytest.mark.parametrize(("keys", "sd"), [({"max_worse_pct": 5.0}, 1.05), ({"max_worse_abs": 0.05}, 1.05)])
+@pytest.mark.parametrize(
+    ("keys", "sd"), [({"max_worse_pct": 5.0}, 1.05), ({"max_worse_abs": 0.05}, 1.05)]
+)
 def test_an_allowance_may_be_used_up_but_for_digits_that_differ_between_processors(
     keys: dict[str, Any], sd: float
 ) -> None:
-    assert passes(gate(row="ba_x", expected="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-10)), stored())
-    assert not passes(gate(row="ba_x", expected="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-8)), stored())
+    assert passes(
+        gate(row="ba_x", expected="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-10)), stored()
+    )
+    assert not passes(
+        gate(row="ba_x", expected="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-8)), stored()
+    )
 
 
 # --- Words of the outcome.
@@ -397,7 +463,11 @@ def test_a_gate_on_a_verdict_wants_a_word(word: str, wanted: str | list[str], pa
         {"table": "evidence", "column": "ratio", "max": 1e9},
         {"table": "evidence", "column": "acts", "max": 1e9},
         {"table": "evidence", "column": "moves", "max": 1e9},
-        {"table": "filters", "column": "prediction", "equals": ["confirmed", "undecided", "not confirmed"]},
+        {
+            "table": "filters",
+            "column": "prediction",
+            "equals": ["confirmed", "undecided", "not confirmed"],
+        },
         {
             "table": "filters",
             "column": "verdict",
@@ -409,10 +479,14 @@ def test_a_gate_on_a_verdict_wants_a_word(word: str, wanted: str | list[str], pa
     ],
     ids=lambda keys: f"{keys['table']}-{keys['column']}",
 )
-def test_nothing_that_speaks_of_gain_passes_for_a_filter_that_is_not_evaluated(keys: dict[str, Any]) -> None:
+def test_nothing_that_speaks_of_gain_passes_for_a_filter_that_is_not_evaluated(
+    keys: dict[str, Any],
+) -> None:
     report = stored(filter_verdict="not evaluated", prediction="undecided")
     row = {"log": "dive", "filter": "aided"}
-    report.tables["outage"] = [row | {"window_s": "30", "ratio_to_baseline": 0.8, "windows_won_pct": 90.0}]
+    report.tables["outage"] = [
+        row | {"window_s": "30", "ratio_to_baseline": 0.8, "windows_won_pct": 90.0}
+    ]
     report.tables["drift"] = [row | {"quantity": "drift_60s", "unit": "m", "p95": 0.5}]
     assert not passes(gate(**keys), report)
     report.filters["aided"]["verdict"] = "undecided"
@@ -423,7 +497,10 @@ def test_nothing_that_speaks_of_gain_passes_for_a_filter_that_is_not_evaluated(k
 
 
 def pooled(
-    ratios: Sequence[float], *others: str, verdicts: Sequence[str] = ("undecided",) * 9, **settings: str
+    ratios: Sequence[float],
+    *others: str,
+    verdicts: Sequence[str] = ("undecided",) * 9,
+    **settings: str,
 ) -> StoredReport:
     """Several dives together, with these ratios of position and drift; all other candidates have the same."""
     dives = []
@@ -431,8 +508,13 @@ def pooled(
         made = content(f"d{number}", filter_verdict=word)
         [position] = made["tables"]["evidence"]
         drift = {"evidence": "accuracy", "quantity": "drift_60s", "role": "secondary"}
-        rows = [position | {"value": ratio, "ratio": ratio}, position | drift | {"value": ratio, "ratio": ratio}]
-        made["tables"]["evidence"] = [row | {"filter": name} for name in ("aided", *others) for row in rows]
+        rows = [
+            position | {"value": ratio, "ratio": ratio},
+            position | drift | {"value": ratio, "ratio": ratio},
+        ]
+        made["tables"]["evidence"] = [
+            row | {"filter": name} for name in ("aided", *others) for row in rows
+        ]
         made["filters"] |= dict.fromkeys(others, made["filters"]["aided"])
         made["config"]["evaluation"] = settings
         dives.append(Checked(msgspec.convert(made, StoredReport), Path(f"d{number}")))
@@ -446,9 +528,16 @@ SURELY_SMALLER = (0.70, 0.72, 0.71, 0.69)
 
 @pytest.mark.parametrize(
     ("ratios", "passed"),
-    [(SURELY_SMALLER, True), (SURELY_SMALLER[:2], False), (SURELY_SMALLER[:1], False), ((0.7, 1.2, 0.8, 1.1), False)],
+    [
+        (SURELY_SMALLER, True),
+        (SURELY_SMALLER[:2], False),
+        (SURELY_SMALLER[:1], False),
+        ((0.7, 1.2, 0.8, 1.1), False),
+    ],
 )
-@pytest.mark.parametrize("keys", [{"column": "verdict", "equals": "better"}, {"column": "p", "max": 0.01}])
+@pytest.mark.parametrize(
+    "keys", [{"column": "verdict", "equals": "better"}, {"column": "p", "max": 0.01}]
+)
 def test_all_dives_together_pass_only_with_an_interval(
     keys: dict[str, Any], ratios: Sequence[float], passed: bool
 ) -> None:
@@ -470,9 +559,18 @@ def test_pooled_evidence_is_that_of_the_settings() -> None:
     usual, named = pooled(SURELY_SMALLER), pooled(SURELY_SMALLER, primary="drift_60s")
     for row, roles in (("position", ("primary", "shown")), ("drift_60s", ("secondary", "primary"))):
         for found, role in zip((usual, named), roles, strict=True):
-            assert passes(gate(table="pooled", row=row, column="role", equals=role), found), (row, role)
-    shared, chosen = (pooled(SURELY_SMALLER, "second", **one) for one in ({}, {"candidate": "second"}))
-    for found, aided_pct, second_pct in ((usual, 95.0, None), (shared, 97.5, 97.5), (chosen, 95.0, 95.0)):
+            assert passes(gate(table="pooled", row=row, column="role", equals=role), found), (
+                row,
+                role,
+            )
+    shared, chosen = (
+        pooled(SURELY_SMALLER, "second", **one) for one in ({}, {"candidate": "second"})
+    )
+    for found, aided_pct, second_pct in (
+        (usual, 95.0, None),
+        (shared, 97.5, 97.5),
+        (chosen, 95.0, 95.0),
+    ):
         rows = [row for row in found.tables["pooled"] if row["role"] == "primary"]
         levels = {row["filter"]: row["level_pct"] for row in rows}
         expected = {"aided": aided_pct} | ({"second": second_pct} if second_pct else {})
@@ -481,10 +579,21 @@ def test_pooled_evidence_is_that_of_the_settings() -> None:
 
 def test_the_baseline_has_a_drift_of_its_own_whatever_becomes_of_a_candidate() -> None:
     report = stored(filter_verdict="not evaluated")
-    report.tables["drift"] = [{"log": "dive", "filter": "baseline", "quantity": "drift_60s", "unit": "m", "p95": 0.5}]
-    assert passes(gate(table="drift", filter="baseline", row="drift_60s", column="p95", max=1.0), report)
+    report.tables["drift"] = [
+        {"log": "dive", "filter": "baseline", "quantity": "drift_60s", "unit": "m", "p95": 0.5}
+    ]
+    assert passes(
+        gate(table="drift", filter="baseline", row="drift_60s", column="p95", max=1.0), report
+    )
     report.tables["track_fit"] = [
-        {"log": "dive", "filter": "baseline", "quantity": "scale", "unit": "%", "fitted": 0.3, "fitted_sd": 0.02}
+        {
+            "log": "dive",
+            "filter": "baseline",
+            "quantity": "scale",
+            "unit": "%",
+            "fitted": 0.3,
+            "fitted_sd": 0.02,
+        }
     ]
     limit = gate(table="track_fit", row="scale", column="fitted", min=-0.2, max=0.2)
     assert re.fullmatch(r"baseline scale .*0\.3 %.*0\.2.*", why(limit, report))

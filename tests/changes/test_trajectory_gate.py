@@ -31,7 +31,10 @@ def made(samples: int = 400) -> Trajectory:
     """A baseline and a candidate that go straight ahead at 2 m/s, with slow sines in all else."""
     time_s = np.arange(float(samples))
     values = np.stack(
-        [np.stack([np.sin(0.01 * time_s + place) + filter_ for place in range(len(COLUMNS))], 1) for filter_ in (1, 2)]
+        [
+            np.stack([np.sin(0.01 * time_s + place) + filter_ for place in range(len(COLUMNS))], 1)
+            for filter_ in (1, 2)
+        ]
     )
     values[:, :, COLUMNS.index("position_n_m")] = 2.0 * time_s
     return Trajectory("ab" * 32, ("baseline", "aided"), time_s, values)
@@ -45,7 +48,11 @@ def changed(filter_: int, column: str, samples: slice, by: float) -> Trajectory:
 
 
 def sentences(gate: TrajectoryGate, new: Trajectory, old: Trajectory | None = None) -> list[str]:
-    return [finding.sentence for finding in trajectory_findings(gate, new, old or made()) if not finding.passed]
+    return [
+        finding.sentence
+        for finding in trajectory_findings(gate, new, old or made())
+        if not finding.passed
+    ]
 
 
 def trajectories(told: str) -> list[int]:
@@ -71,10 +78,18 @@ def test_rounding_is_no_change_and_a_little_more_is() -> None:
 
 def test_a_column_may_have_an_allowance_of_its_own() -> None:
     new = changed(1, "position_e_m", slice(10, 20), 1e-3)
-    gate = TrajectoryGate(name="g", table="trajectory", expected="b", max_abs={"position_e_m": 2e-3})
+    gate = TrajectoryGate(
+        name="g", table="trajectory", expected="b", max_abs={"position_e_m": 2e-3}
+    )
     assert sentences(gate, new) == []
-    assert sentences(TrajectoryGate(name="g", table="trajectory", expected="b", max_rel=1e-5), new) == []
-    assert sentences(TrajectoryGate(name="g", table="trajectory", expected="b", row="velocity"), new) == []
+    assert (
+        sentences(TrajectoryGate(name="g", table="trajectory", expected="b", max_rel=1e-5), new)
+        == []
+    )
+    assert (
+        sentences(TrajectoryGate(name="g", table="trajectory", expected="b", row="velocity"), new)
+        == []
+    )
 
 
 def test_headings_on_both_sides_of_the_seam_are_near() -> None:
@@ -130,7 +145,9 @@ def test_a_value_at_one_time() -> None:
     assert "at 100 s" in told
     [told] = sentences(over_time(at_s=1000.0), new)
     assert told.endswith(" 1000 s")
-    assert sentences(over_time(at_s=400.0), new) == [], "one second after the last sample is near enough"
+    assert sentences(over_time(at_s=400.0), new) == [], (
+        "one second after the last sample is near enough"
+    )
     assert len(sentences(over_time(at_s=400.1), new)) == 1
 
 
@@ -160,7 +177,9 @@ def test_a_trajectory_is_read_back_to_the_bit_and_is_the_same_bytes(tmp_path: Pa
         ('expected = "b.npz"\nmax_abs = { heading = 1 }', "max_abs 'heading'"),
     ],
 )
-def test_keys_that_do_not_go_together_are_reported_before_any_replay(keys: str, named: str, tmp_path: Path) -> None:
+def test_keys_that_do_not_go_together_are_reported_before_any_replay(
+    keys: str, named: str, tmp_path: Path
+) -> None:
     path = tmp_path / "gates.toml"
     path.write_text(f'[[gate]]\nname = "g"\ntable = "trajectory"\n{keys}\n')
     with pytest.raises(ConfigError) as found:
@@ -211,12 +230,16 @@ def test_a_millionth_of_one_constant_is_caught_with_quantity_and_time(
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_another_processor_passes(name: str, team: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+def test_another_processor_passes(
+    name: str, team: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
     """Its libraries round the last bits differently."""
     capsys.readouterr()
     PROCESSORS[name].run(["check", "gates.toml", "--results", name])
     assert team("--results", "here") == 0
-    there, here = (read_trajectory(Path(folder) / "transit" / "trajectory.npz") for folder in (name, "here"))
+    there, here = (
+        read_trajectory(Path(folder) / "transit" / "trajectory.npz") for folder in (name, "here")
+    )
     assert there is not None
     assert here is not None
     assert there.values.shape == here.values.shape

@@ -35,7 +35,9 @@ def replayed(dive: Dive, path: Path) -> Replay:
 
 
 def position_rms_m(replay: Replay) -> float:
-    return float(frame(replay.tables.reference_error).set_index("quantity").loc["position_h", "rmse"])
+    return float(
+        frame(replay.tables.reference_error).set_index("quantity").loc["position_h", "rmse"]
+    )
 
 
 def with_force_spike(dive: Dive) -> Dive:
@@ -104,23 +106,30 @@ def test_fault_is_counted_with_a_warning_and_does_not_reach_the_filters(
     (note,) = [note for note in faulty.notes if note.code == code]
     assert (note.severity, note.count) == ("warning", count)
     assert re.search(r"\b\d+\.\d{3} s\b", note.text)
-    assert re.search(r"\b(imu|dvl|reference)\.[a-z_]+\b", note.hint), "a hint names the key that helps"
+    assert re.search(r"\b(imu|dvl|reference)\.[a-z_]+\b", note.hint), (
+        "a hint names the key that helps"
+    )
     assert position_rms_m(faulty) == pytest.approx(position_rms_m(sound), abs=0.25)
 
 
 def test_single_lost_sample_is_no_warning(dive: Dive, tmp_path: Path) -> None:
     force = dive.imu.specific_force_b.copy()
     force[2000, 0] = np.nan
-    found = replayed(replace(dive, imu=replace(dive.imu, specific_force_b=force)), tmp_path / "dive.mcap").notes
+    found = replayed(
+        replace(dive, imu=replace(dive.imu, specific_force_b=force)), tmp_path / "dive.mcap"
+    ).notes
     # What the innovations say of the settings' noise has nothing to do with it.
     of_noise = ("noise_far_off", "not_evaluated")
-    assert [(note.code, note.severity) for note in found if note.code not in of_noise] == [("imu_not_finite", "info")]
+    assert [(note.code, note.severity) for note in found if note.code not in of_noise] == [
+        ("imu_not_finite", "info")
+    ]
 
 
 @pytest.mark.parametrize("value", [0.0, 0.7])
 def test_dvl_that_never_changes_is_refused(value: float, dive: Dive, tmp_path: Path) -> None:
     write_dive(
-        tmp_path / "dive.mcap", replace(dive, dvl=DvlColumns(dive.dvl.time_ns, velocity_d=np.full((60, 3), value)))
+        tmp_path / "dive.mcap",
+        replace(dive, dvl=DvlColumns(dive.dvl.time_ns, velocity_d=np.full((60, 3), value))),
     )
     with pytest.raises(LogError, match=r"/dvl: .* 60 .* 59\.0 s") as refused:
         read_checked_dive(tmp_path / "dive.mcap", CONFIG)
@@ -129,21 +138,37 @@ def test_dvl_that_never_changes_is_refused(value: float, dive: Dive, tmp_path: P
 
 def warnings_in(source: str) -> list[ast.Call]:
     """Find the calls in which a note becomes a warning; severity stands behind three other arguments, the hint next."""
-    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call) and len(node.args) > 3]
+    calls = [
+        node
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Call) and len(node.args) > 3
+    ]
     return [call for call in calls if "Severity.WARNING" in ast.unparse(call.args[3])]
 
 
 def test_every_warning_about_a_log_has_a_hint() -> None:
     rooms = sorted(path for room in (logs, checks) for path in Path(room.__path__[0]).rglob("*.py"))
-    calls = {f"{path.name}:{call.lineno}": call for path in rooms for call in warnings_in(path.read_text("utf-8"))}
+    calls = {
+        f"{path.name}:{call.lineno}": call
+        for path in rooms
+        for call in warnings_in(path.read_text("utf-8"))
+    }
     assert len(calls) > 20
-    assert [place for place, call in calls.items() if len(call.args) < 5 and not call.keywords] == []
-    assert all("severity=" not in path.read_text("utf-8") for path in rooms), "by position, so that it is found here"
+    assert [
+        place for place, call in calls.items() if len(call.args) < 5 and not call.keywords
+    ] == []
+    assert all("severity=" not in path.read_text("utf-8") for path in rooms), (
+        "by position, so that it is found here"
+    )
 
 
-def test_dvl_in_another_unit_is_refused_with_and_without_a_reference(dive: Dive, tmp_path: Path) -> None:
+def test_dvl_in_another_unit_is_refused_with_and_without_a_reference(
+    dive: Dive, tmp_path: Path
+) -> None:
     assert dive.dvl.beam_velocity_mps is not None
-    milli = replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=1000.0 * dive.dvl.beam_velocity_mps))
+    milli = replace(
+        dive, dvl=replace(dive.dvl, beam_velocity_mps=1000.0 * dive.dvl.beam_velocity_mps)
+    )
     for name, wrong in (("with", milli), ("without", replace(milli, reference=None))):
         write_dive(tmp_path / f"{name}.mcap", wrong)
         with pytest.raises(LogError) as refused:
@@ -152,7 +177,9 @@ def test_dvl_in_another_unit_is_refused_with_and_without_a_reference(dive: Dive,
 
 
 def clock(role: str, median_s: float, spread_s: float) -> Clock:
-    return replace(CLOCK, role=role, topic=f"/{role}", log_minus_stamp_s=median_s, spread_s=spread_s)
+    return replace(
+        CLOCK, role=role, topic=f"/{role}", log_minus_stamp_s=median_s, spread_s=spread_s
+    )
 
 
 CLOCK = Clock(
@@ -162,11 +189,20 @@ CLOCK = Clock(
 
 
 def test_clock_that_drifts_is_no_excuse_for_itself() -> None:
-    notes = clock_notes("dive", [clock("imu", 0.0, 0.01), clock("dvl", -1.5, 5.4)], max_disagreement_s=1.0)
+    notes = clock_notes(
+        "dive", [clock("imu", 0.0, 0.01), clock("dvl", -1.5, 5.4)], max_disagreement_s=1.0
+    )
     assert "dvl_clock_unsteady" in {note.code for note in notes if note.severity == "warning"}
     with pytest.raises(LogError, match="clocks"):
-        clock_notes("dive", [clock("imu", 0.0, 0.01), clock("dvl", -3.0, 5.4)], max_disagreement_s=1.0)
+        clock_notes(
+            "dive", [clock("imu", 0.0, 0.01), clock("dvl", -3.0, 5.4)], max_disagreement_s=1.0
+        )
 
 
 def test_jitter_of_a_recorder_is_no_drift() -> None:
-    assert clock_notes("dive", [clock("imu", 0.02, 0.3), clock("dvl", 0.1, 0.4)], max_disagreement_s=1.0) == ()
+    assert (
+        clock_notes(
+            "dive", [clock("imu", 0.02, 0.3), clock("dvl", 0.1, 0.4)], max_disagreement_s=1.0
+        )
+        == ()
+    )

@@ -33,4 +33,6 @@ def test_clocks_of_their_own_hardly_ever_agree() -> None:
 
 def test_nothing_pairs_with_nothing() -> None:
     none = np.empty(0, dtype=np.int64)
-    assert [len(rows) for rows in (*same_instants(none, none), *same_instants(np.arange(3), none))] == [0, 0, 0, 0]
+    assert [
+        len(rows) for rows in (*same_instants(none, none), *same_instants(np.arange(3), none))
+    ] == [0, 0, 0, 0]

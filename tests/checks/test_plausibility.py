@@ -54,7 +54,9 @@ def notes_of(dive: Dive, config: Config | None = None) -> dict[str, Note]:
 
 def changed(dive: Dive, force: float = 1.0, rate: float = 1.0) -> Dive:
     imu = dive.imu
-    return replace(dive, imu=ImuColumns(imu.time_ns, force * imu.specific_force_b, rate * imu.angular_rate_b))
+    return replace(
+        dive, imu=ImuColumns(imu.time_ns, force * imu.specific_force_b, rate * imu.angular_rate_b)
+    )
 
 
 def hinted_scale(hint: str) -> float:
@@ -103,7 +105,9 @@ def test_real_dives_are_in_order(run: str) -> None:
     ],
     ids=["g taken for m/s2", "mg taken for m/s2", "m/s2 taken for g", "half scale", "twice"],
 )
-def test_force_in_another_unit_is_refused_with_the_right_one(factor: float, hint: str, turning: Dive) -> None:
+def test_force_in_another_unit_is_refused_with_the_right_one(
+    factor: float, hint: str, turning: Dive
+) -> None:
     with pytest.raises(LogError, match=r"a\.mcap: .*specific force .*[\d.]+ m/s\^2") as refusal:
         notes_of(changed(turning, force=factor))
     assert refusal.value.hint.startswith(hint)
@@ -153,7 +157,9 @@ def test_fixes_in_a_pause_of_the_dvl_do_not_count_against_the_reference(
     track = track_by_positions(dive.imu, dive.dvl, reference_of(dive), Config())
     assert track is not None
     assert track.coherence > 0.9999
-    assert wrap_angle(np.array(track.heading - heading_at_start(turning))) == pytest.approx(0.0, abs=1.0 * DEG)
+    assert wrap_angle(np.array(track.heading - heading_at_start(turning))) == pytest.approx(
+        0.0, abs=1.0 * DEG
+    )
     assert not notes_of(dive)
 
 
@@ -169,12 +175,15 @@ def test_positions_that_freeze_under_way_count_as_missing(turning: Dive) -> None
     assert (note.code, note.count) == ("reference_frozen", np.count_nonzero(is_frozen))
     assert "reference.ignore" in note.hint
     bare = replace(
-        positions_only(turning), reference=replace(reference_of(positions_only(turning)), position=found.position)
+        positions_only(turning),
+        reference=replace(reference_of(positions_only(turning)), position=found.position),
     )
     assert not notes_of(bare)
 
 
-def test_an_attitude_that_freezes_in_a_turn_counts_as_missing_and_one_at_rest_stays(turning: Dive) -> None:
+def test_an_attitude_that_freezes_in_a_turn_counts_as_missing_and_one_at_rest_stays(
+    turning: Dive,
+) -> None:
     reference = reference_of(turning)
     mat_nb = reference.mat_nb.copy()
     mat_nb[540:640] = mat_nb[540]
@@ -206,7 +215,9 @@ def test_long_gap_does_not_make_an_imu_slow(turning: Dive) -> None:
 def test_dead_axis_is_named_and_dead_gyros_are_refused(turning: Dive) -> None:
     rate_b = turning.imu.angular_rate_b.copy()
     rate_b[:, 1] = 0.25
-    note = notes_of(replace(turning, imu=replace(turning.imu, angular_rate_b=rate_b)))["imu_constant"]
+    note = notes_of(replace(turning, imu=replace(turning.imu, angular_rate_b=rate_b)))[
+        "imu_constant"
+    ]
     assert re.search(r"starboard .*0\.25 rad/s", note.text)
     assert note.count == len(rate_b)
     with pytest.raises(LogError, match=r"a\.mcap: .*angular rate") as refusal:
@@ -259,7 +270,9 @@ def test_gyros_that_turn_the_other_way_are_reported(turning: Dive) -> None:
 
 def test_gyros_that_do_not_follow_the_reference_are_reported(turning: Dive) -> None:
     swapped = turning.imu.angular_rate_b[:, [2, 1, 0]]
-    assert "imu_gyro_contradiction" in notes_of(replace(turning, imu=replace(turning.imu, angular_rate_b=swapped)))
+    assert "imu_gyro_contradiction" in notes_of(
+        replace(turning, imu=replace(turning.imu, angular_rate_b=swapped))
+    )
 
 
 def test_imu_that_is_built_in_obliquely_is_not_blamed(turning: Dive) -> None:
@@ -275,7 +288,9 @@ def test_imu_that_is_built_in_obliquely_is_not_blamed(turning: Dive) -> None:
 
 def test_single_gyro_that_turns_the_other_way_is_reported(turning: Dive) -> None:
     mirrored = ImuColumns(
-        turning.imu.time_ns, turning.imu.specific_force_b * [1, -1, 1], turning.imu.angular_rate_b * [1, -1, 1]
+        turning.imu.time_ns,
+        turning.imu.specific_force_b * [1, -1, 1],
+        turning.imu.angular_rate_b * [1, -1, 1],
     )
     note = notes_of(replace(turning, imu=mirrored))["imu_gyro_axis"]
     assert "angular rate starboard" in note.text
@@ -306,7 +321,9 @@ def test_positions_that_contradict_the_velocity_next_to_them_are_reported(turnin
     rng = np.random.default_rng(9)
     noise_m = rng.normal(0.0, 1.0, (len(reference.time_ns), 2))
     noisy = reference.position + np.pad(noise_m / 6.4e6, ((0, 0), (0, 1)))
-    assert "reference_contradiction" not in notes_of(replace(turning, reference=replace(reference, position=noisy)))
+    assert "reference_contradiction" not in notes_of(
+        replace(turning, reference=replace(reference, position=noisy))
+    )
 
 
 def test_noise_of_a_vehicle_that_is_still_contradicts_nobody() -> None:
@@ -348,7 +365,9 @@ def turned(dvl: DvlColumns, heading_deg: float, scale: float = 1.0) -> DvlColumn
 
 
 @pytest.mark.parametrize("heading_deg", [180.0, 92.0, -45.0])
-def test_dvl_that_looks_another_way_is_reported_how_to_mount_it(heading_deg: float, turning: Dive) -> None:
+def test_dvl_that_looks_another_way_is_reported_how_to_mount_it(
+    heading_deg: float, turning: Dive
+) -> None:
     dive = replace(turning, dvl=turned(turning.dvl, heading_deg))
     note = notes_of(dive)["dvl_direction"]
     hinted_deg = float(note.hint.split("]")[0].rsplit(",", 1)[1])
@@ -360,7 +379,9 @@ def test_dvl_that_looks_another_way_is_reported_how_to_mount_it(heading_deg: flo
 def test_dvl_of_another_scale_is_reported(turning: Dive) -> None:
     note = notes_of(replace(turning, dvl=turned(turning.dvl, 0.0, scale=1.3)))["dvl_scale"]
     assert "dvl.scale = 1.3" in note.hint
-    note = notes_of(positions_only(replace(turning, dvl=turned(turning.dvl, 0.0, scale=1.3))))["dvl_scale"]
+    note = notes_of(positions_only(replace(turning, dvl=turned(turning.dvl, 0.0, scale=1.3))))[
+        "dvl_scale"
+    ]
     assert "dvl.scale = 1.3" in note.hint
 
 
@@ -375,7 +396,9 @@ def swaying(dive: Dive) -> Dive:
     velocity_n = np.einsum("kij,kj->ki", reference.mat_nb, velocity_b)
     dvl = DvlColumns(dive.dvl.time_ns, velocity_d=velocity_d)
     nowhere = np.full_like(reference.position, np.nan)
-    return replace(dive, dvl=dvl, reference=replace(reference, velocity_n=velocity_n, position=nowhere))
+    return replace(
+        dive, dvl=dvl, reference=replace(reference, velocity_n=velocity_n, position=nowhere)
+    )
 
 
 @pytest.mark.parametrize(
@@ -386,7 +409,9 @@ def swaying(dive: Dive) -> Dive:
         ((1, 1, -1), ["down"]),
     ],
 )
-def test_axis_of_the_dvl_that_is_turned_is_named(signs: tuple[int, int, int], named: list[str], turning: Dive) -> None:
+def test_axis_of_the_dvl_that_is_turned_is_named(
+    signs: tuple[int, int, int], named: list[str], turning: Dive
+) -> None:
     dive = swaying(turning)
     assert not notes_of(dive)
     assert dive.dvl.velocity_d is not None
@@ -408,19 +433,25 @@ def test_turned_axes_of_a_real_dvl_are_named(run: str) -> None:
 def test_component_of_the_dvl_that_never_changes_is_named(turning: Dive) -> None:
     dvl = turned(turning.dvl, 0.0)
     assert dvl.velocity_d is not None
-    note = notes_of(replace(turning, dvl=replace(dvl, velocity_d=dvl.velocity_d * np.array([1, 0, 1]))))["dvl_constant"]
+    note = notes_of(
+        replace(turning, dvl=replace(dvl, velocity_d=dvl.velocity_d * np.array([1, 0, 1])))
+    )["dvl_constant"]
     assert re.search(r"starboard .*\b0 m/s .*\b200 ", note.text)
     assert turning.dvl.beam_velocity_mps is not None
     beams = turning.dvl.beam_velocity_mps.copy()
     beams[:, 2], beams[50:, 3] = 0.25, np.nan
-    note = notes_of(replace(turning, dvl=replace(turning.dvl, beam_velocity_mps=beams)))["dvl_constant"]
+    note = notes_of(replace(turning, dvl=replace(turning.dvl, beam_velocity_mps=beams)))[
+        "dvl_constant"
+    ]
     assert re.search(r"beam 3 .*\b0\.25 m/s .*\b200 ", note.text)
 
 
 def test_beams_in_another_order_contradict_the_reference(turning: Dive) -> None:
     assert turning.dvl.beam_velocity_mps is not None
     beams = turning.dvl.beam_velocity_mps[:, [1, 0, 2, 3]]
-    note = notes_of(replace(turning, dvl=replace(turning.dvl, beam_velocity_mps=beams)))["dvl_contradiction"]
+    note = notes_of(replace(turning, dvl=replace(turning.dvl, beam_velocity_mps=beams)))[
+        "dvl_contradiction"
+    ]
     assert "dvl.beam_azimuth_deg" in note.hint
 
 
@@ -442,11 +473,15 @@ def test_reversed_dvl_shows_in_the_track_where_the_heading_is_known(turning: Div
     assert not notes_of(positions_only(turning), config)
     reversed_ = positions_only(replace(turning, dvl=turned(turning.dvl, 180.0)))
     assert "dvl_direction" in notes_of(reversed_, config)
-    assert not notes_of(reversed_), "without a heading, a reversed DVL and a reversed vehicle are the same"
+    assert not notes_of(reversed_), (
+        "without a heading, a reversed DVL and a reversed vehicle are the same"
+    )
 
 
 def test_track_that_cannot_be_is_reported(turning: Dive) -> None:
-    biased = replace(turning.imu, angular_rate_b=turning.imu.angular_rate_b + np.array([0.0, 0.0, 0.2]))
+    biased = replace(
+        turning.imu, angular_rate_b=turning.imu.angular_rate_b + np.array([0.0, 0.0, 0.2])
+    )
     note = notes_of(positions_only(replace(turning, imu=biased)))["track_contradiction"]
     assert "initial.gyro_bias_degph" in note.hint
 

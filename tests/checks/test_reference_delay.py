@@ -5,7 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from insdvl_replay.checks.reference_delay import LATE_S, is_late, reference_delay, with_reference_delay
+from insdvl_replay.checks.reference_delay import (
+    LATE_S,
+    is_late,
+    reference_delay,
+    with_reference_delay,
+)
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, nanoseconds
@@ -22,7 +27,9 @@ VELOCITY_SD_MPS = 0.01
 def turning() -> dict[float, Dive]:
     """Return the same dive, whose pings are late by 0.12 s, with references of several rates."""
     return {
-        rate_hz: simulate_dive("figure-eight", seed=3, grade="mems", reference_rate_hz=rate_hz, dvl_delay_s=0.12)
+        rate_hz: simulate_dive(
+            "figure-eight", seed=3, grade="mems", reference_rate_hz=rate_hz, dvl_delay_s=0.12
+        )
         for rate_hz in RATES_HZ
     }
 
@@ -57,9 +64,12 @@ def test_delay_of_an_exact_reference_is_found_to_a_millisecond(
 
 
 @pytest.mark.parametrize(
-    "rate_hz", [RATES_HZ[0], *(pytest.param(rate_hz, marks=pytest.mark.nightly) for rate_hz in RATES_HZ[1:])]
+    "rate_hz",
+    [RATES_HZ[0], *(pytest.param(rate_hz, marks=pytest.mark.nightly) for rate_hz in RATES_HZ[1:])],
 )
-def test_delay_of_a_noisy_reference_is_within_its_standard_error(turning: dict[float, Dive], rate_hz: float) -> None:
+def test_delay_of_a_noisy_reference_is_within_its_standard_error(
+    turning: dict[float, Dive], rate_hz: float
+) -> None:
     dive = turning[rate_hz]
     false_alarms = 0
     for seed in range(10):
@@ -78,7 +88,9 @@ def test_delay_of_a_noisy_reference_is_within_its_standard_error(turning: dict[f
 
 
 def test_accelerations_tell_the_delay_of_a_velocity_that_is_later_than_the_attitude() -> None:
-    dive = simulate_dive("calibration", seed=3, duration_s=300.0, grade="fog", reference_rate_hz=20.0)
+    dive = simulate_dive(
+        "calibration", seed=3, duration_s=300.0, grade="fog", reference_rate_hz=20.0
+    )
     reference = reference_of(dive)
     rows = 6  # of 0.05 s
     velocity_n = np.roll(reference.velocity_n, rows, axis=0)
@@ -105,7 +117,10 @@ def test_a_vehicle_that_does_not_turn_tells_nothing(scenario: str) -> None:
 def test_without_attitude_or_reference_nothing_is_said(turning: dict[float, Dive]) -> None:
     dive = turning[5.0]
     assert reference_delay(dive.imu, None).status == DelayStatus.NO_REFERENCE
-    assert reference_delay(dive.imu, reference_of(dive).without_attitude()).status == DelayStatus.NO_ATTITUDE
+    assert (
+        reference_delay(dive.imu, reference_of(dive).without_attitude()).status
+        == DelayStatus.NO_ATTITUDE
+    )
 
 
 def test_jumps_turned_axes_and_pauses_of_the_imu_do_not_matter(turning: dict[float, Dive]) -> None:
@@ -125,11 +140,15 @@ def test_jumps_turned_axes_and_pauses_of_the_imu_do_not_matter(turning: dict[flo
         assert reference_delay(imu, other).delay_s == pytest.approx(0.05, abs=2e-3), name
 
 
-@pytest.mark.parametrize(("delay_s", "late"), [(0.2, "0.200 +- 0.003 s late"), (-0.1, "0.100 +- 0.003 s early")])
+@pytest.mark.parametrize(
+    ("delay_s", "late"), [(0.2, "0.200 +- 0.003 s late"), (-0.1, "0.100 +- 0.003 s early")]
+)
 def test_note_names_the_setting(turning: dict[float, Dive], delay_s: float, late: str) -> None:
     dive = turning[5.0]
     config = load_config(None, [], ["reference.latency_s=0.03"])
-    known = with_reference_delay(replace(dive, reference=later(reference_of(dive), delay_s), notes=()), config)
+    known = with_reference_delay(
+        replace(dive, reference=later(reference_of(dive), delay_s), notes=()), config
+    )
     (note,) = known.notes
     assert (note.code, note.severity) == ("reference_late", "warning")
     assert late in note.text

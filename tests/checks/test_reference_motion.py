@@ -82,8 +82,12 @@ def test_consistent_references_pass(turning: Dive, straight: Dive) -> None:
         assert found(turning, noisy(1.0, seed)) == []
 
 
-@pytest.mark.parametrize(("scale", "says"), [(1.006, "0.60 +- 0.00 % "), (0.995, "0.50 +- 0.00 % ")])
-def test_velocity_that_does_not_add_up_to_the_positions_is_reported(turning: Dive, scale: float, says: str) -> None:
+@pytest.mark.parametrize(
+    ("scale", "says"), [(1.006, "0.60 +- 0.00 % "), (0.995, "0.50 +- 0.00 % ")]
+)
+def test_velocity_that_does_not_add_up_to_the_positions_is_reported(
+    turning: Dive, scale: float, says: str
+) -> None:
     (note,) = found(turning, faster(scale))
     assert (note.code, note.severity) == ("reference_scale", "warning")
     assert says in note.text
@@ -92,12 +96,16 @@ def test_velocity_that_does_not_add_up_to_the_positions_is_reported(turning: Div
 def test_standard_error_of_the_scale_is_its_scatter(straight: Dive) -> None:
     """A percent of 20 m is less than 1 m of noise, but not that of 42 legs."""
     told = [
-        found(straight, lambda reference, seed=seed: noisy(1.0, seed)(faster(1.05)(reference))) for seed in range(20)
+        found(straight, lambda reference, seed=seed: noisy(1.0, seed)(faster(1.05)(reference)))
+        for seed in range(20)
     ]
     notes = [note for notes in told for note in notes]
     assert len(notes) >= 15  # of some, noise of the positions may be to blame
     numbers = np.array(
-        [[float(word) for word in re.findall(r"([\d.]+) \+- ([\d.]+) %", note.text)[0]] for note in notes]
+        [
+            [float(word) for word in re.findall(r"([\d.]+) \+- ([\d.]+) %", note.text)[0]]
+            for note in notes
+        ]
     )
     # Positions with 1 m at both ends of 42 legs of 21 m: neighbours share one, so that the error is less than it looks.
     assert numbers[:, 1].mean() == pytest.approx(100.0 * np.sqrt(2.0 / 42.0) / 21.0, rel=0.15)
@@ -106,11 +114,16 @@ def test_standard_error_of_the_scale_is_its_scatter(straight: Dive) -> None:
 
 
 @pytest.mark.parametrize(("off_pct", "reported"), [(2.0, False), (4.2, True)])
-def test_scale_is_reported_from_three_standard_errors_on(straight: Dive, off_pct: float, reported: bool) -> None:
+def test_scale_is_reported_from_three_standard_errors_on(
+    straight: Dive, off_pct: float, reported: bool
+) -> None:
     """With 1 m of noise at both ends of 42 legs of 21 m, the standard error of the scale is 1.04 %."""
     for seed in range(4):
         notes = found(
-            straight, lambda reference, seed=seed: noisy(1.0, seed)(faster(1.0 / (1.0 + off_pct / 100.0))(reference))
+            straight,
+            lambda reference, seed=seed: noisy(1.0, seed)(
+                faster(1.0 / (1.0 + off_pct / 100.0))(reference)
+            ),
         )
         assert [note.code for note in notes] == (["reference_scale"] if reported else [])
 
@@ -167,7 +180,9 @@ def test_jump_in_a_turn_is_reported_and_the_turn_is_not(turning: Dive) -> None:
 
 def test_receiver_that_comes_back_after_a_dive_has_not_jumped(straight: Dive) -> None:
     def change(reference: ReferenceColumns) -> ReferenceColumns:
-        seen = (reference.time_ns < START_NS + 100 * SECOND) | (reference.time_ns > START_NS + 200 * SECOND)
+        seen = (reference.time_ns < START_NS + 100 * SECOND) | (
+            reference.time_ns > START_NS + 200 * SECOND
+        )
         return without_velocity(reference.rows(seen))
 
     assert found(straight, change) == []
@@ -177,7 +192,10 @@ def turned_from(at_s: float, heading_deg: float) -> Change:
     def change(reference: ReferenceColumns) -> ReferenceColumns:
         after = reference.time_ns > START_NS + round(at_s * SECOND)
         turn = Rotation.from_euler("Z", heading_deg, degrees=True).as_matrix()
-        return replace(reference, mat_nb=np.where(after[:, None, None], turn @ reference.mat_nb, reference.mat_nb))
+        return replace(
+            reference,
+            mat_nb=np.where(after[:, None, None], turn @ reference.mat_nb, reference.mat_nb),
+        )
 
     return change
 
@@ -204,14 +222,28 @@ def test_jump_is_a_note_of_the_log(tmp_path: Path, turning: Dive) -> None:
 
 
 @pytest.mark.parametrize(("number", "percent"), [("11", -0.6), ("12", 0.8)])
-def test_two_real_references_contradict_themselves(snapir: Path, number: str, percent: float) -> None:
+def test_two_real_references_contradict_themselves(
+    snapir: Path, number: str, percent: float
+) -> None:
     path, config = snapir / f"snapir_{number}.mcap", load_config()
-    (note,) = (note for note in read_checked_dive(path, config).notes if note.code == "reference_scale")
-    says = float(re.findall(r"([-\d.]+) \+-", note.text)[0]) * (1.0 if "longer" in note.text else -1.0)
+    (note,) = (
+        note for note in read_checked_dive(path, config).notes if note.code == "reference_scale"
+    )
+    says = float(re.findall(r"([-\d.]+) \+-", note.text)[0]) * (
+        1.0 if "longer" in note.text else -1.0
+    )
     assert says == pytest.approx(percent, abs=0.06)
 
 
 @pytest.mark.parametrize("number", ["01", "02", "05", "07", "08", "09"])
 def test_the_other_real_references_do_not(snapir: Path, number: str) -> None:
-    codes = {note.code for note in read_checked_dive(snapir / f"snapir_{number}.mcap", load_config()).notes}
-    assert not codes & {"reference_scale", "reference_jump", "reference_contradiction", "reference_not_finite"}
+    codes = {
+        note.code
+        for note in read_checked_dive(snapir / f"snapir_{number}.mcap", load_config()).notes
+    }
+    assert not codes & {
+        "reference_scale",
+        "reference_jump",
+        "reference_contradiction",
+        "reference_not_finite",
+    }

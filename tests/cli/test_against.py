@@ -18,7 +18,9 @@ def dives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three dives of 60 s."""
     folder = tmp_path_factory.mktemp("dives")
     for seed in range(1, 4):
-        write_dive(folder / f"dive_{seed}.mcap", simulate_dive("figure-eight", seed=seed, duration_s=60.0))
+        write_dive(
+            folder / f"dive_{seed}.mcap", simulate_dive("figure-eight", seed=seed, duration_s=60.0)
+        )
     return folder
 
 
@@ -26,7 +28,12 @@ def dives(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def results(dives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What ``--against dvl.scale=1.1`` wrote."""
     output = tmp_path_factory.mktemp("results")
-    assert run_command_line(["run", str(dives), "-o", str(output), *ONE_START, "--against", "dvl.scale=1.1"]) == 0
+    assert (
+        run_command_line(
+            ["run", str(dives), "-o", str(output), *ONE_START, "--against", "dvl.scale=1.1"]
+        )
+        == 0
+    )
     return output
 
 
@@ -34,7 +41,9 @@ def against(dives: Path, results: Path, *arguments: str) -> int:
     return run_command_line(["run", str(dives), "-o", str(results), *ONE_START, *arguments])
 
 
-def test_it_prints_what_compare_prints(dives: Path, results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_prints_what_compare_prints(
+    dives: Path, results: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     sides = str(results / "before"), str(results / "after")
     assert against(dives, results, "--against", "dvl.scale=1.1") == 0
     first, *lines = capsys.readouterr().out.splitlines()
@@ -48,12 +57,22 @@ def test_it_prints_what_compare_prints(dives: Path, results: Path, capsys: pytes
     assert {path.name for path in results.iterdir()} == {"before", "after"}
 
 
-def test_several_are_one_change_of_any_section(dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    keys = {"filters.aided.acceleration.window": "5", "noise.accel_white_mps_rts": "0.01", "imu.min_rate_hz": "10.0"}
+def test_several_are_one_change_of_any_section(
+    dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keys = {
+        "filters.aided.acceleration.window": "5",
+        "noise.accel_white_mps_rts": "0.01",
+        "imu.min_rate_hz": "10.0",
+    }
     options = [word for key, value in keys.items() for word in ("--against", f"{key}={value}")]
-    assert against(dives / "dive_1.mcap", tmp_path, *options, "--jobs", "2", "--format", "json") == 0
+    assert (
+        against(dives / "dive_1.mcap", tmp_path, *options, "--jobs", "2", "--format", "json") == 0
+    )
     found = json.loads(capsys.readouterr().out)
-    assert {item["key"]: item["new"] for item in found["differences"] if item["block"] == "config"} == keys
+    assert {
+        item["key"]: item["new"] for item in found["differences"] if item["block"] == "config"
+    } == keys
     assert [answer["dives"] for answer in found["answers"]] == [1, 1]
 
 
@@ -76,14 +95,28 @@ def test_where_settings_are_needed_the_hint_says_how_they_are_found(
     option: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     simulated = simulate_dive("figure-eight", seed=1, duration_s=60.0)
-    logs = {"simulated": simulated, "real": replace(simulated, truth=None), "alone": replace(simulated, reference=None)}
+    logs = {
+        "simulated": simulated,
+        "real": replace(simulated, truth=None),
+        "alone": replace(simulated, reference=None),
+    }
     (tmp_path / "vehicle.toml").write_text("[dvl]\n")
     said = dict[str, str]()
     for name, dive in logs.items():
         write_dive(tmp_path / f"{name}.mcap", dive)
         for settings in ([], ["-c", str(tmp_path / "vehicle.toml")]):
             output = tmp_path / f"{name}{len(settings)}"
-            run_command_line(["run", str(tmp_path / f"{name}.mcap"), "-o", str(output), *ONE_START, *settings, *option])
+            run_command_line(
+                [
+                    "run",
+                    str(tmp_path / f"{name}.mcap"),
+                    "-o",
+                    str(output),
+                    *ONE_START,
+                    *settings,
+                    *option,
+                ]
+            )
             said[output.name] = capsys.readouterr().err
     hint = f"run without {option[0]} first; then use its vehicle.toml with -c"
     assert {name for name, text in said.items() if hint in text} == {"real0", "alone0"}
@@ -102,7 +135,10 @@ def test_where_settings_are_needed_the_hint_says_how_they_are_found(
             "has no effect, since dvl.beam_sd_mps = 0.01 decides",
         ),
         (["--against", "dvl.scale=1.2"], "with other settings: dvl.scale 1.1 -> 1.2"),
-        (["--against", "dvl.scale=1.1", "--table", "evidence"], "--against: does not work with --table"),
+        (
+            ["--against", "dvl.scale=1.1", "--table", "evidence"],
+            "--against: does not work with --table",
+        ),
         (["--against", "dvl.scale=1.1", "--fail-on", "five"], "or --fail-on worse"),
         (["--fail-on", "worse"], "--fail-on: works with --against only"),
     ],

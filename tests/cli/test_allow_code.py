@@ -33,7 +33,9 @@ min = -1e9
 @pytest.fixture
 def vehicle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Settings with a module that says so when it is imported, and ends its process."""
-    (tmp_path / "told_code.py").write_text("import os\nopen('imported', 'w').close()\nos._exit(0)\n")
+    (tmp_path / "told_code.py").write_text(
+        "import os\nopen('imported', 'w').close()\nos._exit(0)\n"
+    )
     (tmp_path / "vehicle.toml").write_text(SETTINGS)
     (tmp_path / "gates.toml").write_text(GATES)
     monkeypatch.chdir(tmp_path)
@@ -59,7 +61,11 @@ def test_what_runs_filters_refuses_code_before_it_is_imported(
     assert said.startswith(f"error: {vehicle}: filters.mine.aiding[1] ")
     assert "told_code:Down; hint: " in said
     assert "--allow-code" in said
-    assert sorted(path.name for path in vehicle.parent.iterdir()) == ["gates.toml", "told_code.py", "vehicle.toml"]
+    assert sorted(path.name for path in vehicle.parent.iterdir()) == [
+        "gates.toml",
+        "told_code.py",
+        "vehicle.toml",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -69,7 +75,13 @@ def test_what_runs_filters_refuses_code_before_it_is_imported(
         ["inspect", "--deep", str(DIVE)],
         ["inspect", str(DIVE)],
         ["study", "window", str(DIVE), "--longest", "2"],
-        ["calibrate", str(TURNING), "--set", "span.end_s=200", "--allow-code"],  # the baseline alone is run
+        [
+            "calibrate",
+            str(TURNING),
+            "--set",
+            "span.end_s=200",
+            "--allow-code",
+        ],  # the baseline alone is run
     ],
 )
 def test_what_runs_no_filter_runs_no_code(
@@ -90,7 +102,10 @@ def test_code_on_the_command_line_and_in_python_is_refused_too(vehicle: Path) ->
 
 
 def test_settings_without_their_code_are_settings() -> None:
-    given = ['filters.own.aiding=["told_code:Down"]', 'filters.aided.aiding=["velocity","told_code:Down"]']
+    given = [
+        'filters.own.aiding=["told_code:Down"]',
+        'filters.aided.aiding=["velocity","told_code:Down"]',
+    ]
     config = load_config(overrides=given, allow_code=True).without_code()
     assert config.code == ()
     assert {name: filter_.aiding for name, filter_ in config.filters.items()} == {
@@ -126,20 +141,44 @@ def test_code_that_ends_its_process_fails_one_dive_and_is_named(
     (tmp_path / "leaving.py").write_text(LEAVING)
     monkeypatch.syspath_prepend(str(tmp_path))
     noise = ["--preset", "fog", "--set", "dvl.beam_sd_mps=0.006"]
-    settings = ["--starts", "1", "--allow-code", *noise, "--set", "filters.aided.noise_factors=leaving:Noise"]
+    settings = [
+        "--starts",
+        "1",
+        "--allow-code",
+        *noise,
+        "--set",
+        "filters.aided.noise_factors=leaving:Noise",
+    ]
     dives = [str(DIVE), str(DIVE.with_name("outage.mcap"))]
     assert run_command_line(["run", *dives, "-o", str(tmp_path), "--jobs", "2", *settings]) == 3
     said = capsys.readouterr().err
-    assert f"error: {DIVE}: its process ended twice; it runs the code of filters.aided (leaving:Noise); hint: " in said
+    assert (
+        f"error: {DIVE}: its process ended twice; it runs the code of filters.aided (leaving:Noise); hint: "
+        in said
+    )
     assert "--set filters.aided=false" in said
     assert (tmp_path / "outage" / "report.json").exists()
 
 
 @pytest.mark.nightly
 def test_code_that_ends_its_process_fails_the_check(vehicle: Path) -> None:
-    command = [sys.executable, "-m", "insdvl_replay", "check", "gates.toml", str(DIVE), "-c", str(vehicle)]
-    done = subprocess.run([*command, "--allow-code"], capture_output=True, text=True, check=False, timeout=120)
+    command = [
+        sys.executable,
+        "-m",
+        "insdvl_replay",
+        "check",
+        "gates.toml",
+        str(DIVE),
+        "-c",
+        str(vehicle),
+    ]
+    done = subprocess.run(
+        [*command, "--allow-code"], capture_output=True, text=True, check=False, timeout=120
+    )
     assert done.returncode == 3
     assert "\nNO RESULT  " in done.stdout
-    assert "its process ended twice; it runs the code of filters.mine (told_code:Down); hint: " in done.stderr
+    assert (
+        "its process ended twice; it runs the code of filters.mine (told_code:Down); hint: "
+        in done.stderr
+    )
     assert (vehicle.parent / "imported").exists()

@@ -106,7 +106,9 @@ def result(dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> tu
 
 
 @pytest.mark.parametrize("command", sorted(DOCUMENTED))
-def test_help_shows_the_documented_options_and_an_example(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_shows_the_documented_options_and_an_example(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run_command_line([*command.split(), "-h"]) == 0
     text = capsys.readouterr().out
     shown = re.findall(r"^  ((?:-\w, )?--[\w-]+(?:, --from)?(?: \S+)?)(?:  |$)", text, re.MULTILINE)
@@ -121,7 +123,14 @@ def test_help_names_every_command_and_exit_code(capsys: pytest.CaptureFixture[st
     assert [line.split()[0] for line in text.split("Commands:\n")[1].strip().split("\n")] == list(
         dict.fromkeys(name.split()[0] for name in DOCUMENTED)
     )
-    for code in ("0 done", "1 a limit", "2 usage", "3 a log", "4 internal error", "130 interrupted"):
+    for code in (
+        "0 done",
+        "1 a limit",
+        "2 usage",
+        "3 a log",
+        "4 internal error",
+        "130 interrupted",
+    ):
         assert code in text
 
 
@@ -132,7 +141,9 @@ from insdvl_replay.cli import run_command_line
 run_command_line(["--help"])
 sys.exit(",".join({"numpy", "pandas", "numba", "scipy", "mcap", "rich", "msgspec"} & set(sys.modules)) or 0)
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False
+    )
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -153,7 +164,9 @@ run_command_line({arguments})
 found = {{"numpy", "pandas", "numba", "scipy", "mcap", "matplotlib"}} & set(sys.modules)
 print(*sorted(found), file=sys.stderr)
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert set(done.stderr.split()) == set(heavy.split())
 
 
@@ -163,7 +176,9 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.all_starts
-def test_run_writes_the_folder_and_keeps_results_apart_from_talk(result: tuple[Path, str, str]) -> None:
+def test_run_writes_the_folder_and_keeps_results_apart_from_talk(
+    result: tuple[Path, str, str],
+) -> None:
     folder, out, err = result
     for name in ("improvement.csv", "convergence.csv", "reference_error.csv", "consistency.csv", "report.json",
                  "replay.mcap", "config.toml", "run.log"):  # fmt: skip
@@ -186,7 +201,9 @@ def test_only_the_block_tool_differs_between_two_runs(
     for name in names:
         ours, theirs = ((folder / name).read_bytes() for folder in (first, second))
         if name == "report.json":
-            ours, theirs = (json.dumps({**json.loads(data), "tool": None}).encode() for data in (ours, theirs))
+            ours, theirs = (
+                json.dumps({**json.loads(data), "tool": None}).encode() for data in (ours, theirs)
+            )
         assert ours == theirs, name
 
 
@@ -195,13 +212,23 @@ def test_the_saved_configuration_reproduces_the_result(
 ) -> None:
     first, _, _ = result
     second = tmp_path / "again"
-    assert run_command_line(["run", str(dive), "-o", str(second), "-c", str(first / "config.toml")]) == 0
-    assert (second / "straight" / "improvement.csv").read_bytes() == (first / "improvement.csv").read_bytes()
+    assert (
+        run_command_line(["run", str(dive), "-o", str(second), "-c", str(first / "config.toml")])
+        == 0
+    )
+    assert (second / "straight" / "improvement.csv").read_bytes() == (
+        first / "improvement.csv"
+    ).read_bytes()
 
 
 @pytest.mark.parametrize(
     ("format_", "start"),
-    [("csv", "table,log,filter,state"), ("md", "## straight: "), ("latex", "% needs "), ("html", "<!doctype html>")],
+    [
+        ("csv", "table,log,filter,state"),
+        ("md", "## straight: "),
+        ("latex", "% needs "),
+        ("html", "<!doctype html>"),
+    ],
 )
 def test_other_formats(
     format_: str, start: str, dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -210,17 +237,26 @@ def test_other_formats(
     assert capsys.readouterr().out.startswith(start)
 
 
-def test_json_on_stdout_is_the_saved_report(dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_on_stdout_is_the_saved_report(
+    dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run_command_line(["run", str(dive), "-o", str(tmp_path), "--format", "json"]) == 0
     assert capsys.readouterr().out == (tmp_path / "straight" / "report.json").read_text()
 
 
-def test_a_bad_log_does_not_stop_the_others(dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bad_log_does_not_stop_the_others(
+    dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"not a log")
     output = tmp_path / "out"
     assert run_command_line(["run", str(bad), str(dive), "-o", str(output)]) == 3
-    assert sorted(path.name for path in output.iterdir()) == ["evidence.csv", "index.html", "straight", "summary.csv"]
+    assert sorted(path.name for path in output.iterdir()) == [
+        "evidence.csv",
+        "index.html",
+        "straight",
+        "summary.csv",
+    ]
     lines = (output / "summary.csv").read_text().split("\n")
     assert lines[1].startswith("bad,,")
     assert lines[2].startswith("straight,aided,")
@@ -261,7 +297,11 @@ def test_strict_turns_warnings_into_exit_3_and_keeps_the_result(dive: Path, tmp_
         ("simulate spiral -o new.mcap", 2, "'spiral'.*; hint: .*straight"),
         ("simulate static -o text.mcap", 2, "text.mcap: .*; hint: .*--force"),
         ("simulate static -o new.mcap --outage 60", 2, "--outage 60.*; hint: .*60:90"),
-        ("simulate static -o new.mcap --lost-beam x:1:2", 2, "--lost-beam x:1:2.*; hint: .*2:120:180"),
+        (
+            "simulate static -o new.mcap --lost-beam x:1:2",
+            2,
+            "--lost-beam x:1:2.*; hint: .*2:120:180",
+        ),
         ("simulate static -o new.mcap --imu quantum", 2, "'quantum'.*; hint: .*fog"),
         ("simulate static -o new.mcap --sensor depht=1", 2, "--sensor 'depht'.*; hint: .*depth"),
         ("simulate static -o new.mcap --sensor depth=1 --sensor depth=2", 2, "--sensor depth=2: "),
@@ -280,9 +320,14 @@ def test_wrong_uses_end_with_a_code_a_reason_and_a_hint(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "text.mcap").write_text("this is no log")
     (tmp_path / "taken" / "straight").mkdir(parents=True)
-    (tmp_path / "taken" / "straight" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
+    (tmp_path / "taken" / "straight" / "report.json").write_text(
+        '{"tool": {"name": "insdvl-replay"}}'
+    )
     before = sorted(tmp_path.rglob("*"))
-    assert run_command_line([str(dive) if word == "DIVE" else word for word in arguments.split()]) == code
+    assert (
+        run_command_line([str(dive) if word == "DIVE" else word for word in arguments.split()])
+        == code
+    )
     out, err = capsys.readouterr()
     assert out == ""
     (line,) = err.strip().split("\n")
@@ -308,10 +353,14 @@ main()
 
 
 @pytest.mark.parametrize("signal_", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.nightly)])
-def test_an_interruption_during_an_import_is_an_interruption(signal_: str, dive: Path, tmp_path: Path) -> None:
+def test_an_interruption_during_an_import_is_an_interruption(
+    signal_: str, dive: Path, tmp_path: Path
+) -> None:
     script = INTERRUPTED_AS_IT_IS_IMPORTED.replace("LOG", str(dive)).replace("SIGNAL", signal_)
     command = [sys.executable, "-c", script]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=20.0, check=False, cwd=tmp_path)
+    result = subprocess.run(
+        command, capture_output=True, text=True, timeout=20.0, check=False, cwd=tmp_path
+    )
     assert (result.returncode, result.stderr) == (130, "error: interrupted\n")
 
 
@@ -332,14 +381,32 @@ cli.main()
 def test_an_interruption_within_exec_is_130_under_python_m(tmp_path: Path) -> None:
     """Python would end with the signal: it remembers that an `exec` was interrupted, whoever caught it."""
     (tmp_path / "stopped.py").write_text(STOPPED_IN_EXEC, "utf-8")
-    ended = subprocess.run([sys.executable, "-m", "stopped"], cwd=tmp_path, capture_output=True, text=True)
+    ended = subprocess.run(
+        [sys.executable, "-m", "stopped"], cwd=tmp_path, capture_output=True, text=True
+    )
     assert (ended.returncode, ended.stderr) == (130, "error: interrupted\n")
 
 
-@pytest.mark.parametrize("signal_", [pytest.param(signal.SIGINT, marks=pytest.mark.nightly), signal.SIGTERM])
-def test_an_interruption_leaves_nothing_half_written(signal_: signal.Signals, dive: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-c", WITH_STAND_IN, "run", str(dive), "--preset", "fog", "-o", "out"]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+@pytest.mark.parametrize(
+    "signal_", [pytest.param(signal.SIGINT, marks=pytest.mark.nightly), signal.SIGTERM]
+)
+def test_an_interruption_leaves_nothing_half_written(
+    signal_: signal.Signals, dive: Path, tmp_path: Path
+) -> None:
+    command = [
+        sys.executable,
+        "-c",
+        WITH_STAND_IN,
+        "run",
+        str(dive),
+        "--preset",
+        "fog",
+        "-o",
+        "out",
+    ]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "half-written\n"
         process.send_signal(signal_)
@@ -370,7 +437,9 @@ def test_our_error_is_exit_4_and_shows_its_place_only_when_asked(
 
 def test_a_reader_that_goes_away_ends_the_printing_not_the_work(dive: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from insdvl_replay.cli import main; main()", "run", str(dive)]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         process.stdout.close()
         assert process.stderr is not None
@@ -409,14 +478,21 @@ def test_schema_prints_message_definitions(capsys: pytest.CaptureFixture[str]) -
 )
 @pytest.mark.parametrize(
     "command",
-    ["--help", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("config", "run {log} -o {out}"))],
+    [
+        "--help",
+        *(pytest.param(one, marks=pytest.mark.nightly) for one in ("config", "run {log} -o {out}")),
+    ],
 )
 def test_streams_that_are_full_or_closed_end_the_printing_but_not_the_work(
     command: str, redirection: str, reason: str, tmp_path: Path
 ) -> None:
     log = SAMPLE.parents[1] / "examples" / "archive" / "dives" / "lost_beam.mcap"
-    words = f"{sys.executable} -m insdvl_replay {command.format(log=log, out=tmp_path)} {redirection}"
-    done = subprocess.run(words, shell=True, capture_output=True, text=True, timeout=120, check=False)
+    words = (
+        f"{sys.executable} -m insdvl_replay {command.format(log=log, out=tmp_path)} {redirection}"
+    )
+    done = subprocess.run(
+        words, shell=True, capture_output=True, text=True, timeout=120, check=False
+    )
     is_lost = redirection.startswith(">/dev/full")
     assert done.returncode == (2 if is_lost else 0)
     assert "Traceback" not in done.stderr
@@ -428,13 +504,21 @@ def test_streams_that_are_full_or_closed_end_the_printing_but_not_the_work(
 def test_a_trace_that_nobody_can_read_does_not_change_the_exit_code(tmp_path: Path) -> None:
     (tmp_path / "text.mcap").write_text("this is no log")
     words = f"{sys.executable} -m insdvl_replay run text.mcap -vv 2>/dev/full"
-    done = subprocess.run(words, shell=True, cwd=tmp_path, capture_output=True, timeout=60, check=False)
+    done = subprocess.run(
+        words, shell=True, cwd=tmp_path, capture_output=True, timeout=60, check=False
+    )
     assert done.returncode == 3
 
 
 @pytest.mark.parametrize(
     ("option", "meant"),
-    [("--json", "--format json"), ("--always", "--color always"), ("--ouput", "--output"), ("--jsn", ""), ("--x", "")],
+    [
+        ("--json", "--format json"),
+        ("--always", "--color always"),
+        ("--ouput", "--output"),
+        ("--jsn", ""),
+        ("--x", ""),
+    ],
 )
 def test_an_unknown_option_is_answered_with_what_was_meant_or_not_at_all(
     option: str, meant: str, capsys: pytest.CaptureFixture[str]

@@ -60,7 +60,12 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "dives").mkdir()
     for number in ("1", "2"):
         log = str(folder / "dives" / f"{number}.mcap")
-        assert run_command_line(["simulate", "figure-eight", "-o", log, "--duration", "120", "--seed", number]) == 0
+        assert (
+            run_command_line(
+                ["simulate", "figure-eight", "-o", log, "--duration", "120", "--seed", number]
+            )
+            == 0
+        )
     written = Path(dive).read_bytes()
     write_part(folder / "sensors.mcap", lambda topic, _: topic != "/reference", log=written)
     write_part(folder / "gnss.mcap", lambda topic, _: topic == "/reference", log=written)
@@ -97,7 +102,9 @@ def test_example_runs_as_it_is(
         (folder / "calibrated.toml").unlink()
     if "run" in arguments:
         shutil.rmtree(folder / "replay")
-    arguments += next((options for begin, options in SHORTER.items() if example.startswith(begin)), [])
+    arguments += next(
+        (options for begin, options in SHORTER.items() if example.startswith(begin)), []
+    )
     assert run_command_line(arguments) == 0
 
 
@@ -114,10 +121,19 @@ def test_example_runs_as_it_is(
 )
 def test_the_shell_completes(typed: str, offered: list[str]) -> None:
     words = typed.split()
-    asked = {"COMP_WORDS": typed, "COMP_CWORD": str(len(words) - 1), "_INSDVL_REPLAY_COMPLETE": "complete_bash"}
+    asked = {
+        "COMP_WORDS": typed,
+        "COMP_CWORD": str(len(words) - 1),
+        "_INSDVL_REPLAY_COMPLETE": "complete_bash",
+    }
     command = [sys.executable, "-m", "insdvl_replay"]
     done = subprocess.run(
-        command, env={**os.environ, **asked}, cwd=PROJECT, capture_output=True, text=True, check=False
+        command,
+        env={**os.environ, **asked},
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0
     assert sorted(done.stdout.split()) == sorted(offered)

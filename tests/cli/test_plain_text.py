@@ -25,7 +25,9 @@ from insdvl_replay.show.document import rows_csv
 from insdvl_replay.show.latex import as_latex
 from insdvl_replay.show.text import as_markdown
 
-HOSTILE = "\n::error file=x::pwned\x1b]0;t\x07\r\x85\u2028\u202e\u200b##[error]x<b>&|`%\\input{evil}"
+HOSTILE = (
+    "\n::error file=x::pwned\x1b]0;t\x07\r\x85\u2028\u202e\u200b##[error]x<b>&|`%\\input{evil}"
+)
 DIVE = f"::error::=a{HOSTILE}"
 LOG = Path(__file__).parents[2] / "examples" / "archive" / "dives" / "lost_beam.mcap"
 ACTING = re.compile(
@@ -56,8 +58,12 @@ def rewrite(path: Path, *, second_imu: bool) -> None:
                 is_imu = schema.name.endswith("/Imu")
                 type_name = f"{schema.name}{HOSTILE}" if "truth" in channel.topic else schema.name
                 known = writer.register_schema(type_name, schema.encoding, schema.data)
-                topics = [f"::error::{channel.topic}{HOSTILE}", f"\t:: b{HOSTILE}"][: 2 if is_imu and second_imu else 1]
-                channels[channel.topic] = [writer.register_channel(topic, "cdr", known) for topic in topics]
+                topics = [f"::error::{channel.topic}{HOSTILE}", f"\t:: b{HOSTILE}"][
+                    : 2 if is_imu and second_imu else 1
+                ]
+                channels[channel.topic] = [
+                    writer.register_channel(topic, "cdr", known) for topic in topics
+                ]
             for number in channels[channel.topic]:
                 writer.add_message(number, message.log_time, message.data, message.publish_time)
         writer.finish()
@@ -66,7 +72,10 @@ def rewrite(path: Path, *, second_imu: bool) -> None:
 def spoken(arguments: list[str], cwd: Path, code: int) -> tuple[str, str]:
     """Run the tool as a job does, and give its stdout and stderr."""
     done = subprocess.run(
-        [sys.executable, "-m", "insdvl_replay", *arguments], cwd=cwd, capture_output=True, timeout=300
+        [sys.executable, "-m", "insdvl_replay", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        timeout=300,
     )
     assert done.returncode == code, done.stderr.decode()
     return done.stdout.decode(), done.stderr.decode()
@@ -91,7 +100,10 @@ def test_what_acts_is_shown_and_the_rest_stays() -> None:
     assert visible("\x85\u2028\u202e\u200d\ufeff\udcff\U000e0001") == (
         r"\u0085\u2028\u202e\u200d\ufeff\udcff\U000e0001"
     )
-    assert visible("Tauchgang Größe 潜水 5\u00a0m/s² -> \\x1b") == "Tauchgang Größe 潜水 5\u00a0m/s² -> \\x1b"
+    assert (
+        visible("Tauchgang Größe 潜水 5\u00a0m/s² -> \\x1b")
+        == "Tauchgang Größe 潜水 5\u00a0m/s² -> \\x1b"
+    )
     assert visible("##[error] ##vso[task] # [a]") == r"\u0023#[error] \u0023#vso[task] # [a]"
     assert visible_lines("a\nb\r") == "a\nb\\x0d"
     for text in (HOSTILE, DIVE, "##[##["):
@@ -111,7 +123,19 @@ def test_settings_are_read_back_as_they_were(value: str) -> None:
 
 
 def test_cells_that_a_spreadsheet_would_run_are_words_and_numbers_stay_numbers() -> None:
-    cells = ("=HYPERLINK(1)", "+a", "-a", "@a", "-0.5", "+1e-3", "a=b", "\t=1", -0.5, None, "two\nlines")
+    cells = (
+        "=HYPERLINK(1)",
+        "+a",
+        "-a",
+        "@a",
+        "-0.5",
+        "+1e-3",
+        "a=b",
+        "\t=1",
+        -0.5,
+        None,
+        "two\nlines",
+    )
     (row,) = csv.reader(io.StringIO(rows_csv([], [cells]).split("\n", 1)[1]))
     assert row == [
         "'=HYPERLINK(1)", "'+a", "'-a", "'@a", "-0.5", "+1e-3", "a=b", r"\x09=1", "-0.5", "", r"two\x0alines",
@@ -119,7 +143,9 @@ def test_cells_that_a_spreadsheet_would_run_are_words_and_numbers_stay_numbers()
 
 
 def test_markup_is_not_left() -> None:
-    table = DisplayTable(HOSTILE, ("a", "b"), "ll", ((DIVE, "[x](javascript:1)"), ("[1cm]", "<i>")), HOSTILE)
+    table = DisplayTable(
+        HOSTILE, ("a", "b"), "ll", ((DIVE, "[x](javascript:1)"), ("[1cm]", "<i>")), HOSTILE
+    )
     document = [Title(HOSTILE), HOSTILE, table, Sentences((HOSTILE,))]
     text = as_markdown(document)
     assert_plain(without_commands(text))
@@ -157,7 +183,9 @@ def test_run_and_its_folder(hostile: Path) -> None:
     _, told = said(["run", dive, "--rerun", "-vv"], hostile, 0)
     assert len(told.splitlines()) == len(
         re.findall(
-            r"^(?:info|warning|wrote|assumed|found|to repeat it|processor time|`insdvl-replay)\b", told, re.MULTILINE
+            r"^(?:info|warning|wrote|assumed|found|to repeat it|processor time|`insdvl-replay)\b",
+            told,
+            re.MULTILINE,
         )
     )
     result = hostile / "replay" / DIVE
@@ -172,31 +200,56 @@ def test_compare(hostile: Path) -> None:
     said(["run", f"{DIVE}.mcap", "-o", "other", "--set", "dvl.velocity_sd_mps=0.1"], hostile, 0)
     said(["run", f"{DIVE}.mcap"], hostile, 0)
     for format_, tell in (("table", spoken), ("md", said), ("latex", said), ("csv", said)):
-        arguments = ["compare", f"replay/{DIVE}", f"other/{DIVE}", "--format", format_, "--fail-on", "0%"]
+        arguments = [
+            "compare",
+            f"replay/{DIVE}",
+            f"other/{DIVE}",
+            "--format",
+            format_,
+            "--fail-on",
+            "0%",
+        ]
         for text in tell(arguments, hostile, 1):
             assert_plain(text)
 
 
 @pytest.mark.parametrize(
-    "format_", ["junit", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("text", "md", "json", "github"))]
+    "format_",
+    [
+        "junit",
+        *(pytest.param(one, marks=pytest.mark.nightly) for one in ("text", "md", "json", "github")),
+    ],
 )
-def test_check_of_a_dive_that_fails_and_one_that_cannot_be_used(format_: str, hostile: Path) -> None:
+def test_check_of_a_dive_that_fails_and_one_that_cannot_be_used(
+    format_: str, hostile: Path
+) -> None:
     gate = '[[gate]]\nname = "a"\ntable = "improvement"\ncolumn = "sd"\nmax = 0\n'
     (hostile / "gates.toml").write_text(gate)
-    arguments = ["check", "gates.toml", f"two/{DIVE}.mcap", "--format", format_, "--summary-file", f"{format_}.md"]
+    arguments = [
+        "check",
+        "gates.toml",
+        f"two/{DIVE}.mcap",
+        "--format",
+        format_,
+        "--summary-file",
+        f"{format_}.md",
+    ]
     out, told = spoken(arguments, hostile, 3)
     assert_plain(told)
     assert told.splitlines()[-1].startswith("error: 1 gate on 1 dive: 1 ")
     assert_plain(without_commands((hostile / f"{format_}.md").read_text("utf-8")))
     if format_ == "github":
-        assert [line[:15] for line in out.splitlines() if line.lstrip().startswith("::")] == ["::error file=ga"]
+        assert [line[:15] for line in out.splitlines() if line.lstrip().startswith("::")] == [
+            "::error file=ga"
+        ]
         assert not ACTING.search(out)
     elif format_ != "json":
         assert_plain(out)
 
 
 @pytest.mark.parametrize(
-    "format_", ["table", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("md", "latex", "csv"))]
+    "format_",
+    ["table", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("md", "latex", "csv"))],
 )
 def test_inspect(format_: str, hostile: Path) -> None:
     for dive in (f"{DIVE}.mcap", f"two/{DIVE}.mcap"):

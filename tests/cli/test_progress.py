@@ -26,7 +26,9 @@ STAGES = [
 
 def test_a_replay_reports_each_of_its_stages(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=20.0, seed=1))
-    [task] = plan_jobs([FoundDive(tmp_path / "dive.mcap")], tmp_path / "out", ReplayOptions(load_config("fog")))
+    [task] = plan_jobs(
+        [FoundDive(tmp_path / "dive.mcap")], tmp_path / "out", ReplayOptions(load_config("fog"))
+    )
     told: list[str] = []
     with progress_listener(lambda stage, *_: told.append(stage)):
         replay_into(task)
@@ -58,7 +60,12 @@ class Clock:
 @pytest.mark.parametrize(
     ("plan", "stages", "elapsed_s", "line"),
     [
-        (REPLAY, [("dive", 2, 8), ("running the filters", 0, 0)], 2.9, "replay 3 of 8 dives: running the filters"),
+        (
+            REPLAY,
+            [("dive", 2, 8), ("running the filters", 0, 0)],
+            2.9,
+            "replay 3 of 8 dives: running the filters",
+        ),
         (REPLAY, [("dive", 2, 8)], 30.0, "replay 3 of 8 dives  25 %  1:30 left"),
         (
             REPLAY,
@@ -66,11 +73,21 @@ class Clock:
             65.0,
             "replay 3 of 8 dives: judging the filters  32 %  2:15 left",
         ),
-        (REPLAY, [("dive", 0, 1), ("judging the filters", 0, 0)], 6.0, "replay: judging the filters  60 %  0:04 left"),
+        (
+            REPLAY,
+            [("dive", 0, 1), ("judging the filters", 0, 0)],
+            6.0,
+            "replay: judging the filters  60 %  0:04 left",
+        ),
         (REPLAY, [("dive", 0, 4)], 9.0, "replay 1 of 4 dives"),
         ({}, [("run", 10, 100)], 1200.0, "replay, run 11 of 100  10 %  3:00:00 left"),
         ({}, [("fitting", 3, 4)], 3.0, "replay: fitting 3 of 4  75 %  0:01 left"),
-        ({"a": 0.0, "b": 0.5}, [("b", 1, 2), ("a", 0, 2), ("c", 1, 2)], 9.0, "replay: c 1 of 2  75 %  0:03 left"),
+        (
+            {"a": 0.0, "b": 0.5},
+            [("b", 1, 2), ("a", 0, 2), ("c", 1, 2)],
+            9.0,
+            "replay: c 1 of 2  75 %  0:03 left",
+        ),
     ],
 )
 def test_percent_and_time_left_are_shown_after_three_seconds(
@@ -86,7 +103,9 @@ def test_percent_and_time_left_are_shown_after_three_seconds(
     assert meter.line(30).endswith(line.partition("  ")[2])
 
 
-def test_messages_and_tables_have_room(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_messages_and_tables_have_room(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
     with progress("replay", REPLAY) as paused:

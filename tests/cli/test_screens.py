@@ -39,7 +39,13 @@ ROWS = 24
 # With the paper's settings, for which nothing has to be fitted.
 RUN = (
     *(sys.executable, "-m", "insdvl_replay", "run"),
-    *(str(PROJECT / "sample_logs" / "figure_eight.mcap"), "--preset", "fog", "--set", "dvl.beam_sd_mps=0.006"),
+    *(
+        str(PROJECT / "sample_logs" / "figure_eight.mcap"),
+        "--preset",
+        "fog",
+        "--set",
+        "dvl.beam_sd_mps=0.006",
+    ),
 )
 THIRTEEN = ("best", "wide", "worse", "dead", *(f"dive {number}" for number in range(1, 10)))
 
@@ -49,7 +55,9 @@ def on_terminal(folder: Path, *options: str, columns: int = 80, **variables: str
     ours, theirs = pty.openpty()
     ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, columns, 0, 0))
     command = RUN
-    environment = {name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "COLUMNS")}
+    environment = {
+        name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "COLUMNS")
+    }
     process = subprocess.Popen(
         [*command, *options], cwd=folder, stdout=theirs, stderr=theirs,
         env=environment | {"TERM": "xterm", "PYTHONPATH": str(PROJECT)} | variables,
@@ -117,13 +125,27 @@ def test_narrow_terminal_leaves_out_columns_and_folds_no_digits() -> None:
 
 def test_wider_terminals_show_more_and_all_show_the_verdict_first() -> None:
     narrow, wide, piped = (
-        plain((GOLDEN / f"dive_{name}.txt").read_text("utf-8")).split("\n") for name in ("80", "120", "piped")
+        plain((GOLDEN / f"dive_{name}.txt").read_text("utf-8")).split("\n")
+        for name in ("80", "120", "piped")
     )
-    heads = [next(line for line in lines if line.startswith("this dive")).split() for lines in (narrow, wide, piped)]
+    heads = [
+        next(line for line in lines if line.startswith("this dive")).split()
+        for lines in (narrow, wide, piped)
+    ]
     assert heads == [["this", "dive", "baseline", "aided", "ratio", "acts"]] * 3
     for lines in (narrow, wide, piped):
-        starts = ("aided against baseline", "acts: ", "predicted: ", "this dive", "this run", "all tables")
-        places = [next(place for place, line in enumerate(lines) if line.startswith(start)) for start in starts]
+        starts = (
+            "aided against baseline",
+            "acts: ",
+            "predicted: ",
+            "this dive",
+            "this run",
+            "all tables",
+        )
+        places = [
+            next(place for place, line in enumerate(lines) if line.startswith(start))
+            for start in starts
+        ]
         assert places == sorted(places)
 
 
@@ -143,7 +165,12 @@ def test_notes_end_with_where_to_learn_more(folder: Path) -> None:
 def test_a_pipe_has_no_colours_and_folds_nothing(folder: Path) -> None:
     command = RUN
     done = subprocess.run(
-        command, cwd=folder, check=True, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(PROJECT)}
+        command,
+        cwd=folder,
+        check=True,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(PROJECT)},
     )
     assert done.stdout == plain(done.stdout)
     assert done.stdout == (GOLDEN / "dive_piped.txt").read_text("utf-8")
@@ -169,14 +196,26 @@ def judged(
     for row in made.tables.evidence:
         if row.quantity == "position":
             kind = "outage" if quantity.startswith("outage") else "track"
-            changes = {"evidence": kind, "quantity": quantity, "baseline": 1.0, "value": ratio, "ratio": ratio}
+            changes = {
+                "evidence": kind,
+                "quantity": quantity,
+                "baseline": 1.0,
+                "value": ratio,
+                "ratio": ratio,
+            }
         else:
             changes = {"ratio": level} if row.quantity == "level" else {}
         moved = {} if row.evidence in ("convergence", "consistency") else {"acts": acts}
         evidence.append(replace(row, **changes, **moved))
-    aided = replace(made.filters["aided"], verdict=verdict, reason="a reason" if verdict in WITHOUT_VERDICT else "")
+    aided = replace(
+        made.filters["aided"],
+        verdict=verdict,
+        reason="a reason" if verdict in WITHOUT_VERDICT else "",
+    )
     log = replace(made.log, name=name)
-    return replace(made, log=log, filters={"aided": aided}, tables=replace(made.tables, evidence=evidence))
+    return replace(
+        made, log=log, filters={"aided": aided}, tables=replace(made.tables, evidence=evidence)
+    )
 
 
 def dives_of(verdict: Verdict) -> list[Report]:
@@ -224,7 +263,9 @@ def test_thirteen_dives_have_a_row_each_below_what_they_say_together() -> None:
     text = of_thirteen()
     assert text == (GOLDEN / "thirteen.txt").read_text("utf-8")
     lines = screen_lines(text)
-    assert lines[2].startswith("aided against baseline: BETTER, position 0.84"), "the word comes first"
+    assert lines[2].startswith("aided against baseline: BETTER, position 0.84"), (
+        "the word comes first"
+    )
     rows = [line.split("  ")[0] for line in lines]
     assert rows.index("dive 2") < rows.index("dive 9"), "numbers stand in their order"
     assert "13 dives, 1 failed" in text
@@ -233,7 +274,10 @@ def test_thirteen_dives_have_a_row_each_below_what_they_say_together() -> None:
 @pytest.mark.parametrize(
     ("dives", "said"),
     [
-        (1, "on this dive position 20.0 % smaller; one dive cannot tell whether the next one will be"),
+        (
+            1,
+            "on this dive position 20.0 % smaller; one dive cannot tell whether the next one will be",
+        ),
         (2, "UNDECIDED, position 0.80, smaller on 2 of 2 dives"),
         (3, "BETTER, position 0.80 (0.80 .. 0.80), smaller on 3 of 3 dives"),
     ],
@@ -241,17 +285,29 @@ def test_thirteen_dives_have_a_row_each_below_what_they_say_together() -> None:
 def test_three_dives_that_agree_decide(dives: int, said: str) -> None:
     reports = [judged(f"dive {number}") for number in range(dives)]
     several = list(dives_screen(reports, "index.html"))
-    lines = screen_lines(rendered(several if dives > 1 else list(dive_screen(reports[0], "report.html")), width=120))
+    lines = screen_lines(
+        rendered(several if dives > 1 else list(dive_screen(reports[0], "report.html")), width=120)
+    )
     assert f"aided against baseline: {said}" in lines
     assert quiet_lines(reports) == [f"aided {said}"]
-    confirmed = "Confirmed: position 20.0 % smaller." if dives == 3 else "Not confirmed: it takes 3 dives."
-    assert sum(line.startswith("predicted: 6.7 % smaller sigma") and confirmed in line for line in lines) == 1
+    confirmed = (
+        "Confirmed: position 20.0 % smaller." if dives == 3 else "Not confirmed: it takes 3 dives."
+    )
+    assert (
+        sum(
+            line.startswith("predicted: 6.7 % smaller sigma") and confirmed in line
+            for line in lines
+        )
+        == 1
+    )
     assert not any("nan" in line for line in lines)
 
 
 def test_above_twenty_dives_only_the_failed_and_the_worst_have_rows() -> None:
     many = [judged(f"dive {number}", 0.5 + 0.01 * number) for number in range(1, 26)]
-    text = rendered(list(dives_screen([*many, Failure("gone", "gone.mcap: is empty")], "index.html")))
+    text = rendered(
+        list(dives_screen([*many, Failure("gone", "gone.mcap: is empty")], "index.html"))
+    )
     found = re.findall(r"^(dive \d+|gone) ", text, re.MULTILINE)
     assert found == ["dive 23", "dive 24", "dive 25", "gone"]
     assert re.search(r"\b22 ", text)
@@ -263,7 +319,9 @@ def test_every_word_on_a_filter_is_on_the_screen(verdict: Verdict) -> None:
     text = rendered(list(dives_screen(dives_of(verdict), "index.html")), width=200)
     line = next(line for line in text.split("\n") if line.startswith("aided against baseline: "))
     assert line.partition(": ")[2].partition(",")[0] == verdict.upper()
-    assert ("predicted:" in text) == (verdict not in WITHOUT_VERDICT), "nothing is believed of what is not evaluated"
+    assert ("predicted:" in text) == (verdict not in WITHOUT_VERDICT), (
+        "nothing is believed of what is not evaluated"
+    )
     assert ("A reason. Settle this first." in text) == (verdict in WITHOUT_VERDICT)
     of_outages = "How well it navigates with the DVL was not measured: no position reference."
     assert (of_outages in text) == verdict.endswith("without DVL")
@@ -284,11 +342,21 @@ def test_one_dive_has_no_verdict_but_what_is_proved_or_not_evaluated(verdict: Ve
 def test_colours_are_those_of_the_word() -> None:
     """One dive has none, however small its error is."""
     for verdict in Verdict:
-        together = [part for part in dives_screen(dives_of(verdict), "index.html") if isinstance(part, Sentences)]
-        [tone] = {line.tone for part in together for line in part.lines if isinstance(line, Callout)}
+        together = [
+            part
+            for part in dives_screen(dives_of(verdict), "index.html")
+            if isinstance(part, Sentences)
+        ]
+        [tone] = {
+            line.tone for part in together for line in part.lines if isinstance(line, Callout)
+        }
         bad = verdict in ("mixed", "not evaluated", "not repeatable") or verdict.startswith("worse")
         assert tone == ("good" if verdict.startswith("better") else "bad" if bad else "")
-    alone = [part for part in dive_screen(judged("dive", 0.1), "report.html") if isinstance(part, Sentences)]
+    alone = [
+        part
+        for part in dive_screen(judged("dive", 0.1), "report.html")
+        if isinstance(part, Sentences)
+    ]
     assert {line.tone for part in alone for line in part.lines if isinstance(line, Callout)} == {""}
 
 
@@ -307,7 +375,9 @@ def test_three_candidates_have_a_row_each() -> None:
     text = rendered(list(dive_screen(several, "report.html")))
     assert len(screen_lines(text)) <= ROWS
     lines = text.split("\n")
-    assert [line.split()[0] for line in lines if line.startswith(tuple(filters))][:3] == list(filters)
+    assert [line.split()[0] for line in lines if line.startswith(tuple(filters))][:3] == list(
+        filters
+    )
     assert [line.split()[0] for line in lines if line.startswith(("baseline", *filters))] == [
         *filters,
         "baseline",
@@ -319,14 +389,20 @@ def test_the_reference_keeps_its_rate_next_to_a_solution_that_says_little() -> N
     made = report()
     little = [replace(row, samples=row.samples // 4) for row in made.tables.reference_error]
     text = rendered(
-        list(dive_screen(replace(made, tables=replace(made.tables, reference_error=little)), "report.html"))
+        list(
+            dive_screen(
+                replace(made, tables=replace(made.tables, reference_error=little)), "report.html"
+            )
+        )
     )
     assert "reference 1 Hz" in screen_lines(text)[0]
 
 
 def test_a_prediction_in_larger_errors_is_reported_without_a_sign() -> None:
     made = report()
-    lost = replace(made.filters["aided"], mean_improvement_pct=-66.9, mean_convergence_improvement_pct=-2.04)
+    lost = replace(
+        made.filters["aided"], mean_improvement_pct=-66.9, mean_convergence_improvement_pct=-2.04
+    )
     text = rendered(list(dive_screen(replace(made, filters={"aided": lost}), "report.html")))
     assert "predicted: 66.9 % larger sigma." in text
 
@@ -335,7 +411,9 @@ def test_beams_are_counted_where_no_filter_takes_velocities() -> None:
     made = report()
     velocity = made.tables.consistency[0]
     met = [(name, beam) for name in ("baseline", "aided") for beam in ("beam_1", "beam_2")]
-    rows = [replace(velocity, filter=name, measurement=beam, used=420, rejected=4) for name, beam in met]
+    rows = [
+        replace(velocity, filter=name, measurement=beam, used=420, rejected=4) for name, beam in met
+    ]
     for used, said in (
         (rows, "848 beams, 8 rejected"),
         ([], "no velocities"),
@@ -349,9 +427,12 @@ def test_one_filter_alone_has_a_row_and_a_link_for_each_dive() -> None:
     made = [judged(f"dive {number}") for number in range(2)]
     errors = [replace(row, filter="baseline") for row in made[0].tables.reference_error]
     dives = [
-        replace(dive, filters={}, tables=replace(dive.tables, evidence=[], reference_error=errors)) for dive in made
+        replace(dive, filters={}, tables=replace(dive.tables, evidence=[], reference_error=errors))
+        for dive in made
     ]
-    lines = screen_lines(rendered(list(dives_screen([*dives, Failure("gone", "gone.mcap: is empty")], "index.html"))))
+    lines = screen_lines(
+        rendered(list(dives_screen([*dives, Failure("gone", "gone.mcap: is empty")], "index.html")))
+    )
     assert [line.split() for line in lines if line.startswith(("dive 1", "gone"))] == [
         ["dive", "1", "1.5", "-", "-", "-", "consistent"],
         ["gone", *"----", "failed"],
@@ -362,7 +443,9 @@ def test_one_filter_alone_has_a_row_and_a_link_for_each_dive() -> None:
 
 def test_two_candidates_fit_a_screen_though_their_sentences_fold() -> None:
     made = report()
-    filters = dict.fromkeys(("windowed_acceleration", "published_acceleration"), made.filters["aided"])
+    filters = dict.fromkeys(
+        ("windowed_acceleration", "published_acceleration"), made.filters["aided"]
+    )
     rows = [replace(row, filter=name) for name in filters for row in made.tables.evidence]
     wide = [
         replace(row, filter=name, quantity="velocity", verdict="overconfident")
@@ -371,7 +454,13 @@ def test_two_candidates_fit_a_screen_though_their_sentences_fold() -> None:
     ]
     tables = replace(made.tables, evidence=rows, credibility=[*made.tables.credibility, *wide])
     text = rendered(list(dive_screen(replace(made, filters=filters, tables=tables), "report.html")))
-    assert sum(line.startswith(tuple(f"{name} against" for name in filters)) for line in text.split("\n")) == 2
+    assert (
+        sum(
+            line.startswith(tuple(f"{name} against" for name in filters))
+            for line in text.split("\n")
+        )
+        == 2
+    )
     assert len(screen_lines(text)) <= ROWS + 12
     assert max(map(len, screen_lines(text))) <= 80
 
@@ -380,7 +469,9 @@ def test_a_quiet_run_has_a_line_for_each_candidate() -> None:
     assert quiet_lines(dives_of(Verdict.NOT_EVALUATED)) == ["aided NOT EVALUATED: a reason"]
     assert quiet_lines([Failure("gone", "gone.mcap: is empty")]) == []
     [line] = quiet_lines(thirteen())
-    assert re.fullmatch(r"aided BETTER, position 0\.84 \(0\.7\d \.\. 0\.9\d\), smaller on 10 of 11 dives", line)
+    assert re.fullmatch(
+        r"aided BETTER, position 0\.84 \(0\.7\d \.\. 0\.9\d\), smaller on 10 of 11 dives", line
+    )
 
 
 def test_beside_each_dive_is_its_ratio_and_no_word() -> None:
@@ -395,9 +486,28 @@ def test_tables_of_several_dives_are_one_in_every_format(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for name, seed in (("a", "1"), ("b", "2")):
-        simulate = ["simulate", "straight", "-o", f"{name}.mcap", "--duration", "40", "--seed", seed]
+        simulate = [
+            "simulate",
+            "straight",
+            "-o",
+            f"{name}.mcap",
+            "--duration",
+            "40",
+            "--seed",
+            seed,
+        ]
         assert run_command_line(simulate) == 0
-    run = ["run", "a.mcap", "b.mcap", "--starts", "1", "--preset", "fog", "--set", "dvl.beam_sd_mps=0.006"]
+    run = [
+        "run",
+        "a.mcap",
+        "b.mcap",
+        "--starts",
+        "1",
+        "--preset",
+        "fog",
+        "--set",
+        "dvl.beam_sd_mps=0.006",
+    ]
     capsys.readouterr()
     assert run_command_line([*run, "--table", "track_fit", "--format", "csv"]) == 0
     rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
@@ -407,23 +517,44 @@ def test_tables_of_several_dives_are_one_in_every_format(
     assert run_command_line([*run, "--table", "evidence", "--format", "json"]) == 0
     assert {row["log"] for row in json.loads(capsys.readouterr().out)["evidence"]} == {"a", "b"}
     capsys.readouterr()
-    assert run_command_line([*run, "--table", "pooled", "--table", "summary", "--format", "json"]) == 0
+    assert (
+        run_command_line([*run, "--table", "pooled", "--table", "summary", "--format", "json"]) == 0
+    )
     found = json.loads(capsys.readouterr().out)
     assert list(found) == ["pooled", "summary"]
     assert {row["log"] for row in found["pooled"]} == {"*"}
     assert [row["log"] for row in found["summary"]] == ["a", "b"]
     assert run_command_line([*run, "--table", "summary", "--format", "csv"]) == 0
     assert capsys.readouterr().out == Path("replay", "summary.csv").read_text()
-    for format_, begin in (("table", "Summary: position [m]"), ("md", "| a | "), ("html", "<td class=l>a</td>")):
-        assert run_command_line([*run, "--table", "summary", "--table", "pooled", "--format", format_]) == 0
+    for format_, begin in (
+        ("table", "Summary: position [m]"),
+        ("md", "| a | "),
+        ("html", "<td class=l>a</td>"),
+    ):
+        assert (
+            run_command_line([*run, "--table", "summary", "--table", "pooled", "--format", format_])
+            == 0
+        )
         printed = capsys.readouterr().out
         assert begin in printed
         assert "track" not in printed.partition("<body>")[2]
-    assert run_command_line([*run, "--table", "track_fit", "--table", "pooled", "--format", "latex"]) == 0
-    assert len(re.findall(r"label{tab:(?:a|b|2-dives|322064697665|2.*dives):", capsys.readouterr().out)) >= 3
+    assert (
+        run_command_line([*run, "--table", "track_fit", "--table", "pooled", "--format", "latex"])
+        == 0
+    )
+    assert (
+        len(
+            re.findall(r"label{tab:(?:a|b|2-dives|322064697665|2.*dives):", capsys.readouterr().out)
+        )
+        >= 3
+    )
     assert run_command_line([*run[:2], "--starts", "1", "--table", "pooled"]) == 2
     assert "pooled: a.mcap is one dive" in capsys.readouterr().err
-    for format_, begin in (("md", "## 2 dives"), ("latex", "% 2 dives"), ("html", "<!doctype html>")):
+    for format_, begin in (
+        ("md", "## 2 dives"),
+        ("latex", "% 2 dives"),
+        ("html", "<!doctype html>"),
+    ):
         assert run_command_line([*run, "--format", format_]) == 0
         assert begin in capsys.readouterr().out
     assert run_command_line([*run, "--table", "evidense"]) == 2
@@ -439,7 +570,9 @@ def write_golden() -> Iterator[str]:
         command = RUN
         environment = os.environ | {"PYTHONPATH": str(PROJECT)}
         for _ in range(2):
-            done = subprocess.run(command, cwd=made, check=True, capture_output=True, text=True, env=environment)
+            done = subprocess.run(
+                command, cwd=made, check=True, capture_output=True, text=True, env=environment
+            )
         (GOLDEN / "dive_piped.txt").write_text(done.stdout, "utf-8")
         for screen in SCREENS:
             (GOLDEN / f"{screen}.txt").write_text(shown(screen, made), "utf-8")
@@ -458,7 +591,10 @@ def test_a_table_over_dives_that_one_dive_cannot_fill_says_why() -> None:
 
 
 def test_dives_without_evidence_have_a_sentence_instead_of_an_empty_table() -> None:
-    bare = [replace(found, tables=replace(found.tables, evidence=[])) for found in map(report, ("one", "two"))]
+    bare = [
+        replace(found, tables=replace(found.tables, evidence=[]))
+        for found in map(report, ("one", "two"))
+    ]
     page = index_page(bare).decode()
     assert "<tbody></tbody>" not in page
     assert "aided against baseline: no evidence." in page

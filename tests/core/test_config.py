@@ -45,7 +45,9 @@ def test_the_papers_setting_is_a_preset_and_the_default_fits_the_noise() -> None
         ('[noise]\nfit = ["dvl"]\ngyro_white_rad_rts = 1e-5\n', ("dvl",)),
     ],
 )
-def test_what_nobody_gives_of_the_noise_is_fitted(text: str, fitted: tuple[str, ...], tmp_path: Path) -> None:
+def test_what_nobody_gives_of_the_noise_is_fitted(
+    text: str, fitted: tuple[str, ...], tmp_path: Path
+) -> None:
     """Also a value that is that of the default counts as given."""
     file = written(tmp_path, text)
     config = load_config(file=file)
@@ -95,8 +97,13 @@ def test_false_leaves_a_filter_out(tmp_path: Path) -> None:
     assert list(load_config("fog", file).filters) == ["aided"], (
         "a file that defines no filter keeps those of the preset"
     )
-    for source in ({"file": file, "overrides": ["filters.baseline=false"]}, {"overrides": ["filters.aidd=false"]}):
-        with pytest.raises(ConfigError, match=r"^--set filters\.\w+=false: filter '\w+' is not known"):
+    for source in (
+        {"file": file, "overrides": ["filters.baseline=false"]},
+        {"overrides": ["filters.aidd=false"]},
+    ):
+        with pytest.raises(
+            ConfigError, match=r"^--set filters\.\w+=false: filter '\w+' is not known"
+        ):
             load_config(**source)  # type: ignore[arg-type]
 
 
@@ -117,7 +124,12 @@ def test_presets_by_grade_take_the_acceleration_noise_from_the_dvl(preset: str) 
 
 def test_presets_grow_noisier_from_grade_to_grade() -> None:
     noises = [load_config(preset).noise for preset in ("fog", "tactical", "mems")]
-    for key in ("accel_white_mps_rts", "gyro_white_rad_rts", "accel_bias_walk_mps2_rts", "gyro_bias_walk_radps_rts"):
+    for key in (
+        "accel_white_mps_rts",
+        "gyro_white_rad_rts",
+        "accel_bias_walk_mps2_rts",
+        "gyro_bias_walk_radps_rts",
+    ):
         values = [getattr(noise, key) for noise in noises]
         assert values == sorted(values), key
     assert len({noise.gyro_white_rad_rts for noise in noises}) == len(noises)
@@ -148,7 +160,12 @@ def test_any_value_survives_being_written_as_toml(
         ("[dvl]\nscale = 0", ": dvl.scale: ", "0", ""),
         ("[dvl]\nlever_arm_m = [0, 0, inf]", ": dvl.lever_arm_m[2] ", "inf", ""),
         ('[filters.a-b]\naiding = ["velocity"]', ": filter", "'a-b'", ""),
-        (f"{RUN}solution = {{ tpic = '/o' }}", ": ", "'filters.b.solution.tpic'", "filters.b.solution.topic"),
+        (
+            f"{RUN}solution = {{ tpic = '/o' }}",
+            ": ",
+            "'filters.b.solution.tpic'",
+            "filters.b.solution.topic",
+        ),
     ],
 )
 def test_a_error_in_a_file_is_reported_with_place_and_hint(
@@ -161,7 +178,9 @@ def test_a_error_in_a_file_is_reported_with_place_and_hint(
     assert hint in caught.value.hint
 
 
-@pytest.mark.parametrize("override", ["dvl.scale", "scale=3", "dvl.scle=3", "dvl.kind=boat", "dvl.scale=nan"])
+@pytest.mark.parametrize(
+    "override", ["dvl.scale", "scale=3", "dvl.scle=3", "dvl.kind=boat", "dvl.scale=nan"]
+)
 def test_a_error_on_the_command_line_is_reported_with_its_own_words(override: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(overrides=["dvl.scale=1.5", override])
@@ -213,7 +232,9 @@ def test_a_mistyped_word_is_reported_the_nearest_one(tmp_path: Path) -> None:
         ("gps.topic='/fix'", "position"),
     ],
 )
-def test_a_key_that_is_not_known_is_reported_the_one_that_was_meant(override: str, meant: str) -> None:
+def test_a_key_that_is_not_known_is_reported_the_one_that_was_meant(
+    override: str, meant: str
+) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(overrides=[override])
     assert f" {meant}?" in caught.value.hint
@@ -223,7 +244,10 @@ def test_a_key_that_is_not_known_is_reported_the_one_that_was_meant(override: st
     ("override", "taken"),
     [
         ("evaluation.held_out=position", 'evaluation.held_out=["position"]'),
-        ("evaluation.held_out=[position,depth]", 'evaluation.held_out=["position", "depth"]'),  # what a shell leaves
+        (
+            "evaluation.held_out=[position,depth]",
+            'evaluation.held_out=["position", "depth"]',
+        ),  # what a shell leaves
         ("dvl.lever_arm_m=1,2,0.5", "dvl.lever_arm_m=[1.0, 2.0, 0.5]"),
         ("dvl.lever_arm_m=1", "dvl.lever_arm_m=[0.0, 0.0, 0.0]"),
         ("dvl.lever_arm_m=[1, 2]", "dvl.lever_arm_m=[0.0, 0.0, 0.0]"),
@@ -253,7 +277,9 @@ def test_a_word_that_is_not_known_is_reported_where_it_was_said(tmp_path: Path) 
 
 
 def test_overrides_that_only_fit_together_are_taken_together() -> None:
-    config = load_config(overrides=["filters.aided.acceleration.order=3", "filters.aided.acceleration.window=5"])
+    config = load_config(
+        overrides=["filters.aided.acceleration.order=3", "filters.aided.acceleration.window=5"]
+    )
     acceleration = config.filters["aided"].acceleration
     assert isinstance(acceleration, Acceleration)
     assert (acceleration.order, acceleration.window) == (3, 5)
@@ -293,7 +319,9 @@ def test_unreadable_files_are_reported(tmp_path: Path) -> None:
         ("dvl.topic=\udcff", "UTF-8"),
     ],
 )
-def test_numbers_and_words_beyond_all_measure_are_errors_of_the_user(setting: str, value: str) -> None:
+def test_numbers_and_words_beyond_all_measure_are_errors_of_the_user(
+    setting: str, value: str
+) -> None:
     with pytest.raises(ConfigError, match=value):
         load_config(overrides=[setting])
 
@@ -326,12 +354,16 @@ def test_a_file_next_to_the_settings_is_found_again_and_held_fast(
 
 def test_a_name_is_a_topic_or_by_its_ending_a_file_and_keys_can_be_added(tmp_path: Path) -> None:
     file = written(tmp_path, f'{RUN}solution = "/odometry"\n')
-    (solution,) = load_config(file=file, overrides=["filters.b.solution.align=heading"]).solutions.values()
+    (solution,) = load_config(
+        file=file, overrides=["filters.b.solution.align=heading"]
+    ).solutions.values()
     assert (solution.topic, solution.align) == ("/odometry", "heading")
     config = load_config(file=file)
     assert list(config.computed) == ["a"]
     assert 'solution = "/odometry"' in render_toml(config)
-    assert "gate_probability" not in render_toml(config).partition("[filters.b]")[2]  # what it has not is not shown
+    assert (
+        "gate_probability" not in render_toml(config).partition("[filters.b]")[2]
+    )  # what it has not is not shown
 
 
 @pytest.mark.parametrize(

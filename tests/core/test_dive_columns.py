@@ -15,8 +15,12 @@ def test_distinct_times_are_those_of_numpy(times: list[int]) -> None:
     np.testing.assert_array_equal(distinct(time_ns), np.unique(time_ns))
 
 
-@given(st.lists(st.integers(0, 40), max_size=20), st.lists(st.integers(0, 40), max_size=8, unique=True))
-def test_times_in_spans_are_those_that_lie_in_one_of_them(times: list[int], edges: list[int]) -> None:
+@given(
+    st.lists(st.integers(0, 40), max_size=20), st.lists(st.integers(0, 40), max_size=8, unique=True)
+)
+def test_times_in_spans_are_those_that_lie_in_one_of_them(
+    times: list[int], edges: list[int]
+) -> None:
     """A span ends where the next one may begin; its start does not belong to it."""
     ordered = sorted(edges)
     spans = list(zip(ordered[::2], ordered[1::2], strict=False))

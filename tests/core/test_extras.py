@@ -31,5 +31,11 @@ def test_without_metadata_the_hint_leads_to_a_checkout(monkeypatch: pytest.Monke
 
 
 def test_nothing_sends_to_a_package_index_for_the_project_itself() -> None:
-    texts = [*(PROJECT / "insdvl_replay").rglob("*.py"), *(PROJECT / "docs").glob("*.md"), PROJECT / "README.md"]
-    assert [path.name for path in texts if "install 'insdvl-replay" in path.read_text("utf-8")] == []
+    texts = [
+        *(PROJECT / "insdvl_replay").rglob("*.py"),
+        *(PROJECT / "docs").glob("*.md"),
+        PROJECT / "README.md",
+    ]
+    assert [
+        path.name for path in texts if "install 'insdvl-replay" in path.read_text("utf-8")
+    ] == []

@@ -8,13 +8,25 @@ import pytest
 
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.errors import ConfigError, LogError, counted_clause, error_context, listed, nearest
+from insdvl_replay.core.errors import (
+    ConfigError,
+    LogError,
+    counted_clause,
+    error_context,
+    listed,
+    nearest,
+)
 from insdvl_replay.logs.formats.fields import check_path
 from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.read import find_roles
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
-FIELDS = {"header": "H", "header.frame_id": "string", "angular_velocity": "V", "angular_velocity.x": "float64"}
+FIELDS = {
+    "header": "H",
+    "header.frame_id": "string",
+    "angular_velocity": "V",
+    "angular_velocity.x": "float64",
+}
 LISTED = "header (H), angular_velocity (V), angular_velocity.x (float64)"
 
 
@@ -39,9 +51,15 @@ def test_long_lists_are_cut_and_counted() -> None:
 
 
 def test_topic_that_is_like_none_is_answered_with_those_there_are() -> None:
-    channels = [channel("/depth", "a/Depth", 3), channel("/box/imu", IMU_TYPE, 3), channel("/empty", IMU_TYPE, 0)]
+    channels = [
+        channel("/depth", "a/Depth", 3),
+        channel("/box/imu", IMU_TYPE, 3),
+        channel("/empty", IMU_TYPE, 0),
+    ]
     assert refusal(channels, Config(imu=Imu(topic="/nothing"))).hint.endswith(" /box/imu, /depth")
-    assert refusal(channels, Config(imu=Imu(topic="/bix/imu"))).hint.endswith('imu.topic = "/box/imu"')
+    assert refusal(channels, Config(imu=Imu(topic="/bix/imu"))).hint.endswith(
+        'imu.topic = "/box/imu"'
+    )
 
 
 def test_topic_of_the_right_type_without_messages_is_named() -> None:
@@ -59,7 +77,9 @@ def test_empty_log_is_no_matter_of_types(topic: str | None) -> None:
     ("path", "nearest_"),
     [("angular_velocty", True), ("gyro", False)],
 )
-def test_field_that_is_like_none_is_answered_with_those_there_are(path: str, nearest_: bool) -> None:
+def test_field_that_is_like_none_is_answered_with_those_there_are(
+    path: str, nearest_: bool
+) -> None:
     with pytest.raises(LogError) as refused:
         check_path(path, FIELDS, IMU_TYPE)
     assert LISTED in refused.value.hint
@@ -78,7 +98,11 @@ def test_an_error_knows_its_places_apart_from_its_sentence() -> None:
     with pytest.raises(LogError) as raised, error_context("dive.mcap", "/imu"):
         raise LogError("has no messages", "look again")
     error = pickle.loads(pickle.dumps(raised.value))
-    assert (error.where, error.what, error.hint) == (("dive.mcap", "/imu"), "has no messages", "look again")
+    assert (error.where, error.what, error.hint) == (
+        ("dive.mcap", "/imu"),
+        "has no messages",
+        "look again",
+    )
     assert str(error) == error.message == "dive.mcap: /imu: has no messages"
     assert error.inside("dive.mcap") == "/imu: has no messages"
 
@@ -86,9 +110,18 @@ def test_an_error_knows_its_places_apart_from_its_sentence() -> None:
 @pytest.mark.parametrize(
     ("clause", "of_one"),
     [
-        ("gaps are longer than 1 s: longest 2 s; 3 are longer", "1 gap is longer than 1 s: longest 2 s; 3 are longer"),
-        ("messages repeat the values of the one before", "1 message repeats the values of the one before"),
-        ("velocities of 9 are not finite and count as missing", "1 velocity of 9 is not finite and counts as missing"),
+        (
+            "gaps are longer than 1 s: longest 2 s; 3 are longer",
+            "1 gap is longer than 1 s: longest 2 s; 3 are longer",
+        ),
+        (
+            "messages repeat the values of the one before",
+            "1 message repeats the values of the one before",
+        ),
+        (
+            "velocities of 9 are not finite and count as missing",
+            "1 velocity of 9 is not finite and counts as missing",
+        ),
     ],
 )
 def test_one_is_counted_in_the_singular(clause: str, of_one: str) -> None:

@@ -65,10 +65,16 @@ except BaseException:
         ("AFTER", "interrupt()", ["went on"]),
     ],
 )
-def test_an_interrupt_ends_the_work_and_nothing_else(at: str, code: str, printed: list[str], tmp_path: Path) -> None:
+def test_an_interrupt_ends_the_work_and_nothing_else(
+    at: str, code: str, printed: list[str], tmp_path: Path
+) -> None:
     (tmp_path / "optional_part.py").write_text(OPTIONAL_PART)
-    script = SCRIPT.replace(at, code).replace("BEFORE", "").replace("WORK", "pass").replace("AFTER", "")
+    script = (
+        SCRIPT.replace(at, code).replace("BEFORE", "").replace("WORK", "pass").replace("AFTER", "")
+    )
     if at == "AFTER":
         script = script.replace("0.5", "0.0")
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True
+    )
     assert (done.stdout.split("\n")[:-1], done.stderr, done.returncode) == (printed, "", 0)

@@ -27,15 +27,21 @@ sys.exit(int(_get_madvise_hugepage()))
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has huge pages that numpy asks for")
 @pytest.mark.parametrize("wish", ["0", "1", None])
 def test_numpy_asks_for_huge_pages_only_if_the_user_wants_it(wish: str | None) -> None:
-    environment = {name: value for name, value in os.environ.items() if name != "NUMPY_MADVISE_HUGEPAGE"}
+    environment = {
+        name: value for name, value in os.environ.items() if name != "NUMPY_MADVISE_HUGEPAGE"
+    }
     if wish is not None:
         environment["NUMPY_MADVISE_HUGEPAGE"] = wish
-    result = subprocess.run([sys.executable, "-c", INSPECT, LOG], env=environment, capture_output=True, text=True)
+    result = subprocess.run(
+        [sys.executable, "-c", INSPECT, LOG], env=environment, capture_output=True, text=True
+    )
     assert result.stdout.startswith("{"), result.stderr
     assert result.returncode == int(wish or "0")
 
 
-def test_a_failure_for_want_of_memory_is_reported_as_one(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failure_for_want_of_memory_is_reported_as_one(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert log_failure(MemoryError("24 GiB"), 0) == 3
     assert "memory: 24 GiB; hint: " in capsys.readouterr().err
 
@@ -75,7 +81,9 @@ def within(megabytes: int, *words: str, **more: str) -> subprocess.CompletedProc
 def test_a_limit_that_is_too_low_for_the_libraries_is_said_before_they_are_loaded() -> None:
     done = within(400, "inspect", str(LOG))
     assert (done.returncode, done.stdout) == (3, "")
-    assert done.stderr.startswith("error: there is not enough memory within the limit of 410 MB: at least ")
+    assert done.stderr.startswith(
+        "error: there is not enough memory within the limit of 410 MB: at least "
+    )
     assert "ulimit -v" in done.stderr
 
 

@@ -21,7 +21,9 @@ KNOWN = {code: found for subject in explanations().values() for code, found in s
 
 @cache
 def trees() -> list[ast.Module]:
-    return [ast.parse(path.read_text("utf-8")) for path in (PROJECT / "insdvl_replay").rglob("*.py")]
+    return [
+        ast.parse(path.read_text("utf-8")) for path in (PROJECT / "insdvl_replay").rglob("*.py")
+    ]
 
 
 @cache
@@ -40,10 +42,17 @@ def every(kind: type[ast.AST]) -> list[ast.AST]:
 def constants() -> dict[str, str]:
     """Texts that have a name in a module."""
     found = {}
-    for node in (node for tree in trees() for node in tree.body if isinstance(node, ast.Assign | ast.AnnAssign)):
+    for node in (
+        node
+        for tree in trees()
+        for node in tree.body
+        if isinstance(node, ast.Assign | ast.AnnAssign)
+    ):
         targets = node.targets if isinstance(node, ast.Assign) else [node.target]
         if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-            found |= {target.id: node.value.value for target in targets if isinstance(target, ast.Name)}
+            found |= {
+                target.id: node.value.value for target in targets if isinstance(target, ast.Name)
+            }
     return found
 
 
@@ -90,13 +99,17 @@ def made_codes() -> frozenset[str]:
                 pairs = list(zip(target.elts, node.value.elts, strict=False))
             else:
                 pairs = [(target, node.value)]
-            found |= {text_of(value, named) for name, value in pairs if getattr(name, "id", "") == "code"}
+            found |= {
+                text_of(value, named) for name, value in pairs if getattr(name, "id", "") == "code"
+            }
     # What a generator of warnings yields: code, text, count and hint.
     yielded = [node.value.elts for node in every(ast.Yield) if isinstance(node.value, ast.Tuple)]
     found |= {text_of(parts[0], named) for parts in yielded if len(parts) == 4}
     # In a table of sentences, fields stand in braces, and what is behind a blank tells sentences of one code apart.
     found = {re.sub(r"\{[^}]*\}", "*", text.partition(" ")[0]) for text in found}
-    return frozenset(code for code in found if code.strip("*_") and code.replace("*", "x").isidentifier())
+    return frozenset(
+        code for code in found if code.strip("*_") and code.replace("*", "x").isidentifier()
+    )
 
 
 def stored_codes() -> set[str]:
@@ -135,13 +148,23 @@ def test_every_code_is_explained() -> None:
 
 def test_every_explanation_is_of_a_code_that_there_is() -> None:
     named = constants()
-    made = made_codes() | {node.value for node in every(ast.Constant) if isinstance(node.value, str)}
-    patterns = made | {text for node in every(ast.JoinedStr) if (text := text_of(node, named)).count("*") == 1}
-    patterns = {text for text in patterns if "*" in text and text.replace("*", "x").isidentifier() and text[-1] != "*"}
+    made = made_codes() | {
+        node.value for node in every(ast.Constant) if isinstance(node.value, str)
+    }
+    patterns = made | {
+        text for node in every(ast.JoinedStr) if (text := text_of(node, named)).count("*") == 1
+    }
+    patterns = {
+        text
+        for text in patterns
+        if "*" in text and text.replace("*", "x").isidentifier() and text[-1] != "*"
+    }
 
     def is_made(known: str) -> bool:
         without_source = {known.removeprefix(f"{source}_") for source in ("*", *SOURCES)}
-        return bool(made & {known, *without_source}) or any(fnmatchcase(known, pattern) for pattern in patterns)
+        return bool(made & {known, *without_source}) or any(
+            fnmatchcase(known, pattern) for pattern in patterns
+        )
 
     assert sorted(known for known in KNOWN if not is_made(known)) == []
 

@@ -24,7 +24,9 @@ SAMPLES = Path(__file__).resolve().parents[2] / "sample_logs"
 def started(cache: Path, *arguments: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "insdvl_replay", *arguments]
     environment = os.environ | {"INSDVL_REPLAY_CACHE": str(cache)}
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
 
 
 def test_what_is_inlined_divides_as_numpy_does_and_is_python_where_python_calls_it() -> None:
@@ -41,11 +43,16 @@ def test_what_is_inlined_divides_as_numpy_does_and_is_python_where_python_calls_
 @pytest.mark.nightly
 def test_processes_that_start_at_once_compile_side_by_side_and_agree(tmp_path: Path) -> None:
     log = str(SAMPLES / "straight.mcap")
-    runs = [started(tmp_path / "cache", "run", log, "-o", str(tmp_path / f"{i}")) for i in range(PROCESSES)]
+    runs = [
+        started(tmp_path / "cache", "run", log, "-o", str(tmp_path / f"{i}"))
+        for i in range(PROCESSES)
+    ]
     for run in runs:
         _, errors = run.communicate()
         assert run.returncode == 0, errors
-    tables = {(tmp_path / f"{i}" / "straight" / "improvement.csv").read_bytes() for i in range(PROCESSES)}
+    tables = {
+        (tmp_path / f"{i}" / "straight" / "improvement.csv").read_bytes() for i in range(PROCESSES)
+    }
     assert len(tables) == 1
     again = started(tmp_path / "cache", "compile")
     assert "already" in again.communicate()[0]
@@ -56,7 +63,9 @@ def test_compile_says_where_the_code_is_and_how_long_it_took(tmp_path: Path) -> 
     printed, errors = started(tmp_path, "compile").communicate()
     (folder,) = (path for path in tmp_path.iterdir() if any(path.rglob("*")))
     assert re.fullmatch(rf"compiled in \d+\.\d s: {re.escape(str(folder))}\n", printed), errors
-    assert re.fullmatch(rf".*already.*: {re.escape(str(folder))}\n", started(tmp_path, "compile").communicate()[0])
+    assert re.fullmatch(
+        rf".*already.*: {re.escape(str(folder))}\n", started(tmp_path, "compile").communicate()[0]
+    )
 
 
 def test_compile_without_a_place_for_the_code_is_a_users_error(tmp_path: Path) -> None:
@@ -101,7 +110,9 @@ def squares(cache: Path, script: Path) -> tuple[int, str]:
     if not script.exists():
         script.write_text(SQUARES)
     environment = os.environ | {"INSDVL_REPLAY_CACHE": str(cache)}
-    done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, script], env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     hits, folder = done.stdout.split()
     return int(hits), folder
@@ -119,7 +130,9 @@ def test_code_is_found_again_wherever_the_package_is_installed(tmp_path: Path) -
     shutil.copytree(package, tmp_path / package.name, ignore=shutil.ignore_patterns("__pycache__"))
     command = [sys.executable, "-c", PLACE_OF_FILTER]
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
     file, place = done.stdout.split()
     assert Path(file).is_relative_to(tmp_path)
     assert place == nav_filter._run._cache.cache_path  # type: ignore[attr-defined]
@@ -141,11 +154,16 @@ def empty(path: Path) -> None:
     ("which", "damage"),
     [
         (1, cut),
-        *(pytest.param(0, damage, marks=pytest.mark.nightly) for damage in (cut, empty, Path.unlink)),
+        *(
+            pytest.param(0, damage, marks=pytest.mark.nightly)
+            for damage in (cut, empty, Path.unlink)
+        ),
         *(pytest.param(1, damage, marks=pytest.mark.nightly) for damage in (empty, Path.unlink)),
     ],
 )
-def test_damaged_code_is_compiled_again_and_mended(damage: Callable[[Path], None], which: int, tmp_path: Path) -> None:
+def test_damaged_code_is_compiled_again_and_mended(
+    damage: Callable[[Path], None], which: int, tmp_path: Path
+) -> None:
     cache, script = tmp_path / "cache", tmp_path / "script.py"
     assert squares(cache, script)[0] == 0
     index_and_code = files_in(cache)
@@ -158,7 +176,9 @@ def test_damaged_code_is_compiled_again_and_mended(damage: Callable[[Path], None
 def test_a_full_disk_costs_the_time_to_compile(tmp_path: Path) -> None:
     """No file can be larger than nothing."""
     script = tmp_path / "script.py"
-    script.write_text("import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n" + SQUARES)
+    script.write_text(
+        "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n" + SQUARES
+    )
     assert squares(tmp_path / "cache", script)[0] == 0
     assert files_in(tmp_path / "cache") == []
 
@@ -180,19 +200,31 @@ def test_machine_code_is_known_by_all_that_it_is_made_of() -> None:
     covered = {path for pattern in runtime._COMPILED_SOURCES for path in package.glob(pattern)}
     for path in package.rglob("*.py"):
         tree = ast.parse(path.read_text("utf-8"))
-        functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and _is_compiled(node)]
+        functions = [
+            node for node in tree.body if isinstance(node, ast.FunctionDef) and _is_compiled(node)
+        ]
         if not functions:
             continue
         assert path in covered, path
-        used = {name.id for function in functions for name in ast.walk(function) if isinstance(name, ast.Name)}
+        used = {
+            name.id
+            for function in functions
+            for name in ast.walk(function)
+            if isinstance(name, ast.Name)
+        }
         for node in tree.body:
             if isinstance(node, ast.ImportFrom) and used & {alias.name for alias in node.names}:
                 module = package.joinpath(*str(node.module).split(".")[1:]).with_suffix(".py")
-                assert not module.is_file() or module in covered | {package / "core" / "dive_columns.py"}, (
+                assert not module.is_file() or module in covered | {
+                    package / "core" / "dive_columns.py"
+                }, (
                     path,
                     module,
                 )
 
 
 def _is_compiled(function: ast.FunctionDef) -> bool:
-    return any(isinstance(one, ast.Name) and one.id in ("compiled", "inlined") for one in function.decorator_list)
+    return any(
+        isinstance(one, ast.Name) and one.id in ("compiled", "inlined")
+        for one in function.decorator_list
+    )

@@ -8,7 +8,14 @@ from row_messages import message_definition
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import SENSORS
-from insdvl_replay.core.tables import LAYOUTS, TABLES, EvidenceRow, PooledRow, TableLayout, each_table
+from insdvl_replay.core.tables import (
+    LAYOUTS,
+    TABLES,
+    EvidenceRow,
+    PooledRow,
+    TableLayout,
+    each_table,
+)
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
@@ -41,7 +48,15 @@ def test_every_verdict_has_a_rank() -> None:
 def test_a_row_of_one_dive_has_no_word_and_no_interval() -> None:
     """One dive cannot tell whether the next one will be; both are in the rows over dives alone."""
     of_dive, over_dives = ({*row.__struct_fields__} for row in (EvidenceRow, PooledRow))
-    assert over_dives - of_dive >= {"low", "high", "low_always", "high_always", "p", "scatter", "verdict"}
+    assert over_dives - of_dive >= {
+        "low",
+        "high",
+        "low_always",
+        "high_always",
+        "p",
+        "scatter",
+        "verdict",
+    }
     assert of_dive >= {"baseline", "value", "ratio", "moves", "acts", "reference_noise", "role"}
 
 
@@ -65,7 +80,9 @@ def test_a_replay_has_the_rows_that_its_layouts_name() -> None:
         if layout.name in ("jumps", "assay"):
             continue
         of_others = longer | {
-            name for name in layout.rows if layout.name in OF_MORE and OF_MORE[layout.name].match(name)
+            name
+            for name in layout.rows
+            if layout.name in OF_MORE and OF_MORE[layout.name].match(name)
         }
         assert {getattr(row, layout.key) for row in rows} == set(layout.rows) - of_others
         assert ("baseline" in {getattr(row, "filter") for row in rows}) == layout.baseline_too  # noqa: B009
@@ -93,6 +110,8 @@ def test_a_message_definition_is_what_the_row_type_says(layout: TableLayout) -> 
         ("outage", "ratio_to_baseline", ""),
     ],
 )
-def test_a_unit_holds_for_the_physical_quantities_of_its_row(table: str, column: str, unit: str) -> None:
+def test_a_unit_holds_for_the_physical_quantities_of_its_row(
+    table: str, column: str, unit: str
+) -> None:
     (layout,) = (layout for layout in LAYOUTS if layout.name == table)
     assert layout.unit_of(column, "mg") == unit

@@ -42,7 +42,9 @@ def errors_of(dive: Dive, unknown: slice = slice(0, 0)) -> ReferenceErrors:
     reference = reference_of(dive)
     time_ns = reference.time_ns[1:]
     time_s = (time_ns - reference.time_ns[0]) * 1e-9
-    course = reference.velocity_n[1:] / np.linalg.norm(reference.velocity_n[1:], axis=1, keepdims=True)
+    course = reference.velocity_n[1:] / np.linalg.norm(
+        reference.velocity_n[1:], axis=1, keepdims=True
+    )
     position_m = np.outer(time_s, [DRIFT_MPS, 0.0, 0.01])
     velocity_mps = SCALE_MPS * course
     attitude_rad = np.tile([ROLL_DEG * DEG, 0.0, HEADING_DEG * DEG], (len(time_s), 1))
@@ -96,10 +98,15 @@ def test_each_quantity_is_what_was_put_in(dive: Dive) -> None:
         "level": ROLL_DEG / np.sqrt(2.0),
         "heading": HEADING_DEG,
     }
-    units = {"m": {"drift_30s", "drift_60s", "drift_100m", "depth_60s"}, "deg": {"level", "heading"}}
+    units = {
+        "m": {"drift_30s", "drift_60s", "drift_100m", "depth_60s"},
+        "deg": {"level", "heading"},
+    }
     for quantity, series in found.items():
         assert rms(series.errors) == pytest.approx(expected[quantity], rel=0.02, abs=1e-9), quantity
-        assert series.unit == next((unit for unit, names in units.items() if quantity in names), "m/s")
+        assert series.unit == next(
+            (unit for unit, names in units.items() if quantity in names), "m/s"
+        )
 
 
 def test_noise_is_what_the_reference_itself_errs_by(dive: Dive) -> None:
@@ -111,7 +118,9 @@ def test_noise_is_what_the_reference_itself_errs_by(dive: Dive) -> None:
         position_m = NOISE.position_m * rng.standard_normal((k, 3))
         velocity_mps = NOISE.velocity_mps * rng.standard_normal((k, 3))
         attitude_rad = NOISE.attitude_deg * DEG * rng.standard_normal((k, 3))
-        errors = ReferenceErrors(reference.time_ns[1:], position_m, velocity_mps, attitude_rad, 600.0, position_m)
+        errors = ReferenceErrors(
+            reference.time_ns[1:], position_m, velocity_mps, attitude_rad, 600.0, position_m
+        )
         found = found_in(dive, errors)
         for quantity in ALL:
             squares[quantity] += rms(found[quantity].errors) ** 2 / 60
@@ -123,7 +132,10 @@ def test_noise_is_what_the_reference_itself_errs_by(dive: Dive) -> None:
 
 
 def test_only_velocity_and_attitude_leave_out_the_time_of_settling(dive: Dive) -> None:
-    whole, settled = found_in(dive), found_in(dive, None, {"velocity_along": 50.0, "level": 100.0, "heading": 20.5})
+    whole, settled = (
+        found_in(dive),
+        found_in(dive, None, {"velocity_along": 50.0, "level": 100.0, "heading": 20.5}),
+    )
     lost = {name: len(whole[name].errors) - len(settled[name].errors) for name in whole}
     # Errors begin one second after the start.
     expected = {"velocity_along": 49, "level": 99, "heading": 20}
@@ -137,7 +149,9 @@ def test_positions_through_a_long_gap_of_the_imu_are_no_evidence(dive: Dive) -> 
 
 
 @pytest.mark.parametrize(("unknown", "left"), [(slice(0, 20), ALL), (slice(100, 200), [])])
-def test_what_the_reference_covers_for_too_little_is_no_evidence(dive: Dive, unknown: slice, left: list[str]) -> None:
+def test_what_the_reference_covers_for_too_little_is_no_evidence(
+    dive: Dive, unknown: slice, left: list[str]
+) -> None:
     start_ns, *_, end_ns = (int(time) for time in reference_of(dive).time_ns)
     covered = covered_errors(errors_of(dive, unknown), start_ns, end_ns)
     assert sorted(known(found_in(dive, covered))) == sorted(left)
@@ -147,7 +161,12 @@ def test_reference_without_positions_has_velocities(dive: Dive) -> None:
     whole = errors_of(dive)
     nothing = np.full_like(whole.position_error_ned_m, np.nan)
     nowhere = replace(whole, position_error_ned_m=nothing, drifting_ned_m=nothing)
-    assert known(found_in(dive, nowhere)) == ["velocity_along", "velocity_across", "level", "heading"]
+    assert known(found_in(dive, nowhere)) == [
+        "velocity_along",
+        "velocity_across",
+        "level",
+        "heading",
+    ]
 
 
 # --- Settling.
@@ -228,7 +247,11 @@ def test_no_ratio_differs_from_one_by_more_than_a_candidate_acts(size: float) ->
         before = rng.standard_normal((rng.integers(1, 30), columns)) * rng.lognormal(0.0, 2.0)
         size_of = rng.lognormal(0.0, 1.0) * size * np.sqrt(np.mean(before**2))
         # A third of them are as bad as they can be: they stretch or shrink the error itself.
-        difference = size_of * rng.standard_normal(before.shape) if number % 3 else rng.choice([-1, 1]) * size * before
+        difference = (
+            size_of * rng.standard_normal(before.shape)
+            if number % 3
+            else rng.choice([-1, 1]) * size * before
+        )
         noise = rng.uniform(0.0, 2.0) * np.sqrt(np.mean(before**2))
         found = compared(series(before, noise), series(before + difference, noise))
         assert abs(found.value / found.baseline - 1.0) <= found.acts * (1.0 + 1e-9)
@@ -247,7 +270,9 @@ def test_a_copy_acts_by_nothing_however_noisy_the_reference_is() -> None:
         assert compared(series(before, noise), series(before.copy(), noise)).acts == 0.0
     exact = np.zeros((50, 2))
     assert compared(series(exact), series(exact)).acts == 0.0
-    assert np.isnan(compared(series(exact), series(exact + 1.0)).acts), "of an error of nothing there is no share"
+    assert np.isnan(compared(series(exact), series(exact + 1.0)).acts), (
+        "of an error of nothing there is no share"
+    )
 
 
 def test_noise_of_the_reference_is_no_error_of_the_baseline() -> None:
@@ -257,7 +282,9 @@ def test_noise_of_the_reference_is_no_error_of_the_baseline() -> None:
     assert (found.acts, found.noise_share) == (pytest.approx(0.1), pytest.approx(0.8))
     whole = compared(series(before, 9.0), series(before + 0.1, 9.0))
     assert whole.noise_share == 1.0
-    assert whole.acts == pytest.approx(0.1 / np.sqrt(0.5)), "a tenth of the squared error counts at least"
+    assert whole.acts == pytest.approx(0.1 / np.sqrt(0.5)), (
+        "a tenth of the squared error counts at least"
+    )
 
 
 def test_filters_are_compared_where_both_are_known() -> None:
@@ -265,4 +292,7 @@ def test_filters_are_compared_where_both_are_known() -> None:
     before[0, 1], after[3] = np.nan, np.nan
     found = compared(series(before), series(after))
     assert found.samples == 2
-    assert (found.baseline, found.value) == (pytest.approx(np.sqrt(2.0)), pytest.approx(2.0 * np.sqrt(2.0)))
+    assert (found.baseline, found.value) == (
+        pytest.approx(np.sqrt(2.0)),
+        pytest.approx(2.0 * np.sqrt(2.0)),
+    )

@@ -10,7 +10,12 @@ import pytest
 from made_verdicts import evidence_row
 
 from insdvl_replay.core.tables import EvidenceRow, PooledRow
-from insdvl_replay.evaluation.answers import CandidateAnswer, Undecided, pooled_candidate, primary_of
+from insdvl_replay.evaluation.answers import (
+    CandidateAnswer,
+    Undecided,
+    pooled_candidate,
+    primary_of,
+)
 from insdvl_replay.evaluation.interval import log_ratio_interval
 from insdvl_replay.evaluation.sentences import headline, plan_line
 
@@ -23,7 +28,10 @@ BETTER, EQUAL, WORSE, WIDE = (
 def dives_of(ratios: Mapping[str, Sequence[float]], **changes: Any) -> Dives:
     """Return the rows of several dives, by quantity the ratio on each dive."""
     count = len(next(iter(ratios.values())))
-    return [[evidence_row(name, values[i], **changes) for name, values in ratios.items()] for i in range(count)]
+    return [
+        [evidence_row(name, values[i], **changes) for name, values in ratios.items()]
+        for i in range(count)
+    ]
 
 
 def answer(dives: Dives, **given: Any) -> CandidateAnswer:
@@ -46,7 +54,11 @@ def having(*quantities: str, **roles: str) -> list[EvidenceRow]:
     return [evidence_row(name, 0.9, role=roles.get(name)) for name in quantities]
 
 
-POSITION, BOTH, SHORT = having("position", "outage_60s", "outage_30s"), ["outage_60s", "outage_30s"], "outage_30s"
+POSITION, BOTH, SHORT = (
+    having("position", "outage_60s", "outage_30s"),
+    ["outage_60s", "outage_30s"],
+    "outage_30s",
+)
 
 
 @pytest.mark.parametrize(
@@ -93,23 +105,48 @@ def test_settings_are_respected_even_where_a_dive_lacks_what_they_name() -> None
 
 
 @pytest.mark.parametrize(
-    ("ratios", "word"), [(BETTER, "better"), (EQUAL, "equivalent"), (WORSE, "worse"), (WIDE, "undecided")]
+    ("ratios", "word"),
+    [(BETTER, "better"), (EQUAL, "equivalent"), (WORSE, "worse"), (WIDE, "undecided")],
 )
 def test_verdict_is_the_word_of_the_primary_interval(ratios: tuple[float, ...], word: str) -> None:
     found = answer(dives_of({"position": ratios}))
     assert found.verdict == word
     row = row_of(found, "position")
     interval = log_ratio_interval(np.log(ratios))
-    assert (row.ratio, row.low, row.high, row.p) == (interval.ratio, interval.low, interval.high, interval.p)
+    assert (row.ratio, row.low, row.high, row.p) == (
+        interval.ratio,
+        interval.low,
+        interval.high,
+        interval.p,
+    )
     assert (row.low_always, row.high_always) == (interval.low_always, interval.high_always)
-    assert (row.dives, row.dives_won, row.role) == (4, sum(ratio < 1.0 for ratio in ratios), "primary")
-    without = {"better": "better without DVL", "worse": "worse without DVL", "equivalent": "equivalent without DVL"}
-    assert verdict({"outage_60s": ratios}) == without.get(word, word), "words of an outage carry their object"
+    assert (row.dives, row.dives_won, row.role) == (
+        4,
+        sum(ratio < 1.0 for ratio in ratios),
+        "primary",
+    )
+    without = {
+        "better": "better without DVL",
+        "worse": "worse without DVL",
+        "equivalent": "equivalent without DVL",
+    }
+    assert verdict({"outage_60s": ratios}) == without.get(word, word), (
+        "words of an outage carry their object"
+    )
 
 
 @pytest.mark.parametrize("other", [BETTER, EQUAL, WORSE])
 def test_no_other_row_makes_a_verdict(other: tuple[float, ...]) -> None:
-    names = ("outage_60s", "drift_60s", "level", "heading", "velocity_along", "velocity_across", "drift_30s", "depth")
+    names = (
+        "outage_60s",
+        "drift_60s",
+        "level",
+        "heading",
+        "velocity_along",
+        "velocity_across",
+        "drift_30s",
+        "depth",
+    )
     others = dict.fromkeys(names, other)
     assert verdict({"position": WIDE, **others}) == "undecided"
     assert verdict({"position": EQUAL, **others}) == "equivalent"
@@ -117,10 +154,15 @@ def test_no_other_row_makes_a_verdict(other: tuple[float, ...]) -> None:
     assert verdict(others) == {BETTER: "better without DVL", EQUAL: "equivalent without DVL"}.get(
         other, "worse without DVL"
     )
-    assert verdict({name: values for name, values in others.items() if name != "outage_60s"}) == "undecided"
+    assert (
+        verdict({name: values for name, values in others.items() if name != "outage_60s"})
+        == "undecided"
+    )
 
 
-@pytest.mark.parametrize("warning", ["outage_60s", "drift_60s", "level", "heading", "velocity_along"])
+@pytest.mark.parametrize(
+    "warning", ["outage_60s", "drift_60s", "level", "heading", "velocity_along"]
+)
 def test_better_next_to_a_kind_that_is_worse_is_mixed_and_names_it(warning: str) -> None:
     found = answer(dives_of({"position": BETTER, warning: WORSE}))
     assert found.verdict == "mixed"
@@ -130,7 +172,9 @@ def test_better_next_to_a_kind_that_is_worse_is_mixed_and_names_it(warning: str)
     assert (" but without the DVL " in headline(found)) == (warning == "outage_60s")
 
 
-@pytest.mark.parametrize("shown", ["drift_30s", "drift_100m", "depth", "depth_60s", "position_end", "outage_120s"])
+@pytest.mark.parametrize(
+    "shown", ["drift_30s", "drift_100m", "depth", "depth_60s", "position_end", "outage_120s"]
+)
 def test_what_is_only_shown_does_not_warn(shown: str) -> None:
     found = answer(dives_of({"position": BETTER, shown: WORSE}))
     assert (found.verdict, found.warnings) == ("better", [])
@@ -151,7 +195,10 @@ def test_worse_and_undecided_name_what_is_better() -> None:
     without = answer(dives_of({"outage_60s": WORSE, "level": BETTER}))
     assert "but level 0.70" in headline(without)
     undecided = answer(dives_of({"position": WIDE, "level": BETTER}))
-    assert (undecided.verdict, [row.quantity for row in undecided.warnings]) == ("undecided", ["level"])
+    assert (undecided.verdict, [row.quantity for row in undecided.warnings]) == (
+        "undecided",
+        ["level"],
+    )
 
 
 def test_secondary_rows_share_the_error_of_one() -> None:
@@ -163,7 +210,9 @@ def test_secondary_rows_share_the_error_of_one() -> None:
     found = answer(dives_of(crowded))
     assert found.verdict == "better"
     assert row_of(found, "velocity_across").level_pct == pytest.approx(100.0 - 5.0 / 6.0)
-    assert row_of(found, "position").level_pct == pytest.approx(95.0), "the primary row shares nothing with them"
+    assert row_of(found, "position").level_pct == pytest.approx(95.0), (
+        "the primary row shares nothing with them"
+    )
     assert verdict({**crowded, "velocity_across": WORSE}) == "mixed"
 
 
@@ -190,7 +239,10 @@ def test_one_row_that_is_moved_takes_the_proof_away() -> None:
 
 def test_an_error_that_is_moved_by_an_unknown_share_takes_the_proof_away() -> None:
     dives = dives_of({"position": (1.0,) * 3, "level": (1.0,) * 3}, acts=0.001)
-    unknown = [msgspec.structs.replace(row, acts=None) if row.quantity == "level" else row for row in dives[1]]
+    unknown = [
+        msgspec.structs.replace(row, acts=None) if row.quantity == "level" else row
+        for row in dives[1]
+    ]
     assert answer([dives[0], unknown, dives[2]]).verdict != "no effect"
 
 
@@ -218,7 +270,9 @@ def test_noise_of_the_reference_makes_no_filters_equivalent() -> None:
     assert (noisy.verdict, noisy.undecided) == ("undecided", Undecided.NOISE)
     assert verdict({"position": EQUAL}, noise=0.4) == "equivalent"
     assert verdict({"position": BETTER}, noise=0.6) == "better", "a difference that is seen is seen"
-    assert verdict({"position": EQUAL}, noise=0.6, acts=0.02) == "equivalent", "that is proved without the reference"
+    assert verdict({"position": EQUAL}, noise=0.6, acts=0.02) == "equivalent", (
+        "that is proved without the reference"
+    )
 
 
 # --- Few dives.
@@ -242,7 +296,9 @@ def test_two_dives_have_no_verdict() -> None:
 
 
 def test_dives_without_the_primary_quantity_do_not_count() -> None:
-    dives = dives_of({"position": BETTER[:2], "level": BETTER[:2]}) + dives_of({"level": BETTER[:2]})
+    dives = dives_of({"position": BETTER[:2], "level": BETTER[:2]}) + dives_of(
+        {"level": BETTER[:2]}
+    )
     found = answer(dives, primary="position")
     assert (found.verdict, found.undecided) == ("undecided", Undecided.FEW_DIVES)
     assert row_of(found, "position").dives == 2
@@ -282,7 +338,9 @@ def test_two_vehicles_that_agree_have_the_common_word() -> None:
 
 def test_three_vehicles_are_three_samples() -> None:
     """Twelve dives of which those of one vehicle are far better: the vehicles together are undecided."""
-    ratios = tuple(ratio * factor for factor in (0.5, 0.95, 0.97) for ratio in (1.0, 1.01, 0.99, 1.0))
+    ratios = tuple(
+        ratio * factor for factor in (0.5, 0.95, 0.97) for ratio in (1.0, 1.01, 0.99, 1.0)
+    )
     dives = dives_of({"position": ratios})
     assert answer(dives).verdict == "better"
     assert answer(dives, vehicles=["a"] * 4 + ["b"] * 4 + ["c"] * 4).verdict == "undecided"
@@ -295,7 +353,9 @@ def test_three_vehicles_are_three_samples() -> None:
     ("ratios", "word"), [(BETTER, "sooner"), (EQUAL, "same"), (WORSE, "later"), (WIDE, "undecided")]
 )
 def test_convergence_has_a_word_of_its_own(ratios: tuple[float, ...], word: str) -> None:
-    found = answer(dives_of({"position": EQUAL, "convergence_velocity": ratios, "convergence_level": WORSE}))
+    found = answer(
+        dives_of({"position": EQUAL, "convergence_velocity": ratios, "convergence_level": WORSE})
+    )
     assert (found.verdict, found.settling) == ("equivalent", word)
     assert found.settles is not None
     assert found.settles.quantity == "convergence_velocity"
@@ -305,7 +365,9 @@ def test_convergence_has_a_word_of_its_own(ratios: tuple[float, ...], word: str)
 def test_filter_that_never_settles_on_a_dive_leaves_it_undecided() -> None:
     dives = dives_of({"position": EQUAL, "convergence_velocity": BETTER})
     never = evidence_row("convergence_velocity", math.nan)
-    dives[1][1] = type(never)(**{**{name: getattr(never, name) for name in never.__struct_fields__}, "value": None})
+    dives[1][1] = type(never)(
+        **{**{name: getattr(never, name) for name in never.__struct_fields__}, "value": None}
+    )
     found = answer(dives)
     assert found.settling == "undecided"
 

@@ -21,7 +21,9 @@ def falling(power: float, scale: float = 1.0) -> Floats:
 @pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
 def test_times_have_the_closed_form(power: float) -> None:
     found = measured_convergence(falling(power), falling(power, 0.5), TIME_S)
-    assert found.target == pytest.approx(np.sqrt(np.mean(np.arange(0.9005, 1.0, 0.001) ** (-2 * power))), rel=2e-3)
+    assert found.target == pytest.approx(
+        np.sqrt(np.mean(np.arange(0.9005, 1.0, 0.001) ** (-2 * power))), rel=2e-3
+    )
     assert found.baseline_s == pytest.approx(END_S * MARGIN ** (-1.0 / power), rel=2e-3)
     assert found.candidate_s == pytest.approx(END_S * (2.0 * MARGIN) ** (-1.0 / power), rel=2e-3)
     assert found.candidate_s / found.baseline_s == pytest.approx(2.0 ** (-1.0 / power), rel=4e-3)
@@ -84,4 +86,6 @@ def test_times_that_the_reference_lacks_are_left_out() -> None:
     every = measured_convergence(*squares, TIME_S)
     squares[..., 1::2] = np.nan
     fewer = measured_convergence(*squares, TIME_S)
-    assert (fewer.baseline_s, fewer.candidate_s) == pytest.approx((every.baseline_s, every.candidate_s), rel=1e-3)
+    assert (fewer.baseline_s, fewer.candidate_s) == pytest.approx(
+        (every.baseline_s, every.candidate_s), rel=1e-3
+    )

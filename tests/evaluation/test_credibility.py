@@ -87,7 +87,9 @@ def test_errors_drawn_from_p_are_credible_in_every_row() -> None:
     np.testing.assert_allclose(table["effective_samples"], K, rtol=0.02)
 
 
-@pytest.mark.parametrize(("factor", "word"), [(1.2, "overconfident"), (0.8, "consistent"), (0.2, "conservative")])
+@pytest.mark.parametrize(
+    ("factor", "word"), [(1.2, "overconfident"), (0.8, "consistent"), (0.2, "conservative")]
+)
 def test_errors_of_another_size_are_found_out_in_every_row(factor: float, word: str) -> None:
     table = judged(drawn(factor))
     assert (table["verdict"] == word).all()
@@ -103,14 +105,20 @@ def test_columns_are_those_of_the_contract() -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("heading_deg", "quantity"), [(0.0, "roll"), (90.0, "pitch"), (180.0, "roll")])
-def test_misalignment_about_north_is_the_roll_of_who_heads_north(heading_deg: float, quantity: str) -> None:
+@pytest.mark.parametrize(
+    ("heading_deg", "quantity"), [(0.0, "roll"), (90.0, "pitch"), (180.0, "roll")]
+)
+def test_misalignment_about_north_is_the_roll_of_who_heads_north(
+    heading_deg: float, quantity: str
+) -> None:
     errors = drawn()
     error = np.zeros_like(errors.error)
     error[:, PHI.start] = 3.0 * SD[PHI.start]
     table = judged(replace(errors, error=error, heading=np.full(K, heading_deg * DEG)))
     for other in ("roll", "pitch", "heading"):
-        assert table.loc[other, "mean_nees"] == pytest.approx(9.0 if other == quantity else 0.0, abs=1e-9)
+        assert table.loc[other, "mean_nees"] == pytest.approx(
+            9.0 if other == quantity else 0.0, abs=1e-9
+        )
 
 
 @pytest.mark.parametrize("heading_deg", [30.0, 120.0, -130.0])
@@ -123,9 +131,13 @@ def test_misalignment_about_the_track_is_roll_with_its_variance(heading_deg: flo
     level = slice(PHI.start, PHI.start + 2)
     cov = np.zeros((2, 12, 12))
     cov[:, level, level] = 1e-6 * np.outer(ahead_n, ahead_n)
-    found = about_vehicle(replace(errors, error=error, cov=cov, heading=np.full(2, heading_deg * DEG)))
+    found = about_vehicle(
+        replace(errors, error=error, cov=cov, heading=np.full(2, heading_deg * DEG))
+    )
     np.testing.assert_allclose(found.error[:, level], [[2e-3, 0.0]] * 2, atol=1e-15)
-    np.testing.assert_allclose(found.cov[:, level, level], [[[1e-6, 0.0], [0.0, 0.0]]] * 2, atol=1e-18)
+    np.testing.assert_allclose(
+        found.cov[:, level, level], [[[1e-6, 0.0], [0.0, 0.0]]] * 2, atol=1e-18
+    )
 
 
 def test_heading_of_the_errors_is_that_of_the_reference() -> None:
@@ -157,7 +169,8 @@ def test_interval_is_that_of_the_independent_samples() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sigmas", "word"), [(0.01, "insufficient data"), (1.5, "insufficient data"), (4.0, "overconfident")]
+    ("sigmas", "word"),
+    [(0.01, "insufficient data"), (1.5, "insufficient data"), (4.0, "overconfident")],
 )
 def test_error_that_stays_can_only_be_too_large(sigmas: float, word: str) -> None:
     """One sample within 1.5 sigma proves nothing, however often it is looked at; at 4 sigma it does."""
@@ -166,7 +179,9 @@ def test_error_that_stays_can_only_be_too_large(sigmas: float, word: str) -> Non
 
 
 @pytest.mark.parametrize(("times", "word"), [(1.0, "consistent"), (10.0, "overconfident")])
-def test_rare_large_errors_are_found_though_their_mean_square_is_as_predicted(times: float, word: str) -> None:
+def test_rare_large_errors_are_found_though_their_mean_square_is_as_predicted(
+    times: float, word: str
+) -> None:
     """Every twentieth error is ``times`` as large as the others."""
     errors = drawn()
     error = errors.error * np.where(np.arange(K) % 20 == 0, times, 1.0)[:, None]
@@ -181,18 +196,25 @@ def test_share_of_large_errors_is_as_improbable_as_scipys_binomial_says(independ
     expected = 2.0 * float(stats.norm.sf(3.0))
     for count in (1, 2, 4):
         found = probability_beyond_3_sd(count / independent, independent)
-        assert found == pytest.approx(stats.binom(int(independent), expected).sf(count - 1), rel=1e-9)
-    assert probability_beyond_3_sd(0.5 / independent, independent) == pytest.approx(2.0 * independent * expected)
+        assert found == pytest.approx(
+            stats.binom(int(independent), expected).sf(count - 1), rel=1e-9
+        )
+    assert probability_beyond_3_sd(0.5 / independent, independent) == pytest.approx(
+        2.0 * independent * expected
+    )
 
 
 def test_correlated_errors_drawn_from_p_are_seldom_called_far_off() -> None:
     """Each error resembles the one before by 0.98: the few excursions of a series last, and prove little."""
     rng, flagged, runs = np.random.default_rng(5), 0, 300
     for _ in range(runs):
-        series = signal.lfilter([np.sqrt(1.0 - 0.98**2)], [1.0, -0.98], rng.standard_normal(1200))[200:]
+        series = signal.lfilter([np.sqrt(1.0 - 0.98**2)], [1.0, -0.98], rng.standard_normal(1200))[
+            200:
+        ]
         far_off = float(np.mean(np.abs(series) > 3.0))
         flagged += (
-            far_off >= MANY_FAR_OFF and probability_beyond_3_sd(far_off, samples_in_mean_square(series[:, None])) < 0.05
+            far_off >= MANY_FAR_OFF
+            and probability_beyond_3_sd(far_off, samples_in_mean_square(series[:, None])) < 0.05
         )
     assert flagged / runs < 0.05
 
@@ -208,7 +230,9 @@ def hanging_on_heading(sigmas: float) -> StateErrors:
 
 
 @pytest.mark.parametrize(("sigmas", "word"), [(1.0, "consistent"), (0.4, "conservative")])
-def test_velocity_that_hangs_on_the_heading_is_evaluated_by_what_is_its_own(sigmas: float, word: str) -> None:
+def test_velocity_that_hangs_on_the_heading_is_evaluated_by_what_is_its_own(
+    sigmas: float, word: str
+) -> None:
     row = judged(hanging_on_heading(sigmas)).loc["velocity_n"]
     assert row["mean_nees"] == pytest.approx(0.1 * sigmas**2, rel=0.11)
     assert row["verdict"] == word
@@ -221,7 +245,11 @@ def test_what_the_reference_lacks_is_said_and_not_counted() -> None:
         "no biases without the truth"
     )
     assert table.loc["roll":"heading", "verdict"].tolist() == ["not in reference"] * 3
-    assert table.loc["roll":"heading", ["mean_nees", "low", "high", "within_1sd_pct"]].isna().all(axis=None)
+    assert (
+        table.loc["roll":"heading", ["mean_nees", "low", "high", "within_1sd_pct"]]
+        .isna()
+        .all(axis=None)
+    )
     assert table.loc["all", "dof"] == 3
     assert table.loc["all", "verdict"] == "consistent"
     nothing = judged(without(drawn(), slice(0, 12)))
@@ -238,7 +266,10 @@ def test_joint_row_takes_the_times_when_everything_is_known() -> None:
 
 def test_dive_without_a_reference_says_so() -> None:
     table = frame(credibility_table("dive", ["baseline", "aided"], {}))
-    assert table["quantity"].tolist() == [*CREDIBILITY_QUANTITIES[:6], "velocity", "attitude", "all"] * 2
+    assert (
+        table["quantity"].tolist()
+        == [*CREDIBILITY_QUANTITIES[:6], "velocity", "attitude", "all"] * 2
+    )
     assert set(table["verdict"]) == {"no reference"}
     assert table["mean_nees"].isna().all()
 
@@ -261,7 +292,9 @@ def test_whitened_errors_have_scipys_mahalanobis_distance() -> None:
     errors = drawn(k=50)
     expected = [e @ np.linalg.inv(errors.cov[0] / np.outer(SD, SD)) @ e for e in errors.error / SD]
     np.testing.assert_allclose(nees(errors.error, errors.cov), expected, rtol=1e-9)
-    np.testing.assert_allclose(np.sum(whitened(errors.error, errors.cov) ** 2, axis=1), expected, rtol=1e-9)
+    np.testing.assert_allclose(
+        np.sum(whitened(errors.error, errors.cov) ** 2, axis=1), expected, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize(("group", "states"), CREDIBILITY_GROUPS.items())
@@ -288,9 +321,18 @@ def test_groups_show_what_all_states_together_hide() -> None:
 
 @pytest.mark.parametrize(
     ("factor", "why"),
-    [(1.0, ""), (0.97, Reason.NEAR), (1.04, Reason.NEAR), (0.8, Reason.EXACT_START), (0.2, ""), (1.2, "")],
+    [
+        (1.0, ""),
+        (0.97, Reason.NEAR),
+        (1.04, Reason.NEAR),
+        (0.8, Reason.EXACT_START),
+        (0.2, ""),
+        (1.2, ""),
+    ],
 )
-def test_consistent_is_not_said_outside_the_interval_without_the_reason(factor: float, why: str) -> None:
+def test_consistent_is_not_said_outside_the_interval_without_the_reason(
+    factor: float, why: str
+) -> None:
     row = judged(drawn(factor)).loc["all"]
     outside = not row["low"] <= row["mean_nees"] <= row["high"]
     assert row["why"] == why
@@ -300,7 +342,9 @@ def test_consistent_is_not_said_outside_the_interval_without_the_reason(factor: 
 def test_rare_large_errors_are_the_reason_for_over_confident_inside_the_interval() -> None:
     errors = drawn()
     error = errors.error * np.where(np.arange(K) % 20 == 0, 10.0, 1.0)[:, None]
-    row = judged(replace(errors, error=error * SD / np.sqrt(np.mean(error**2, axis=0)))).loc["velocity_d"]
+    row = judged(replace(errors, error=error * SD / np.sqrt(np.mean(error**2, axis=0)))).loc[
+        "velocity_d"
+    ]
     assert row["low"] < row["mean_nees"] < row["high"]
     assert (row["verdict"], row["why"]) == ("overconfident", Reason.BEYOND_3_SD)
 
@@ -318,7 +362,9 @@ def on_a_slow_error(share: float, slow: float, seed: int) -> StateErrors:
 
 @pytest.mark.parametrize("share", [0.3, 0.7])
 @pytest.mark.parametrize("slow", [0.05, 1.0])
-def test_velocity_on_a_slow_heading_error_is_worth_few_samples_however_small_that_is(share: float, slow: float) -> None:
+def test_velocity_on_a_slow_heading_error_is_worth_few_samples_however_small_that_is(
+    share: float, slow: float
+) -> None:
     """Its mean square varies with that of the heading error, which is one sample, by the square of the share."""
     row = judged(on_a_slow_error(share, slow, 3)).loc["velocity_n"]
     assert 0.45 / share**2 < row["effective_samples"] <= 1.05 / share**2
@@ -347,7 +393,9 @@ def rows(replay: Replay) -> Any:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(exact: Dive, seed: int) -> None:
+def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(
+    exact: Dive, seed: int
+) -> None:
     replay = replay_dive(add_errors(exact, *matched_errors(MATCHED), seed), MATCHED)
     table = rows(replay)
     baseline = table.loc[("baseline", "all")]
@@ -356,7 +404,9 @@ def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(
     assert 6.0 < baseline["mean_nees"] < baseline["high"]
     assert table.loc[("published", "all"), "verdict"] == "overconfident"
     for quantity in ("roll", "pitch"):
-        assert table.loc[("published", quantity), "verdict"] == "overconfident", "it leaves out w x v"
+        assert table.loc[("published", quantity), "verdict"] == "overconfident", (
+            "it leaves out w x v"
+        )
     verdict = replay.verdicts["published"]
     assert verdict.credibility == "overconfident"
     assert re.search(r"published .*overconfident.*baseline .*consistent", verdict.sentence)
@@ -367,20 +417,26 @@ def test_straight_line_gives_no_false_words_on_what_its_heading_hides() -> None:
     alone = msgspec.structs.replace(MATCHED, filters={"baseline": MATCHED.filters["baseline"]})
     straight = exact_dive("straight", imu_rate_hz=50.0)
     for seed in (1, 2, 5):
-        table = rows(replay_dive(add_errors(straight, *matched_errors(alone), seed), alone)).loc["baseline"]
+        table = rows(replay_dive(add_errors(straight, *matched_errors(alone), seed), alone)).loc[
+            "baseline"
+        ]
         assert table.loc["velocity_e", "mean_nees"] < FAR_SMALLER
         assert table.loc["velocity_e", "verdict"] in {"consistent", "insufficient data"}
         assert table.loc["velocity", "verdict"] == "consistent"
 
 
 def test_settings_of_the_paper_are_conservative_for_a_fibre_optic_imu() -> None:
-    replay = replay_dive(simulate_dive("figure-eight", duration_s=200.0, imu_rate_hz=50.0), Config())
+    replay = replay_dive(
+        simulate_dive("figure-eight", duration_s=200.0, imu_rate_hz=50.0), Config()
+    )
     assert set(rows(replay).xs("all", level="quantity")["verdict"]) == {"conservative"}
 
 
 def test_biases_are_evaluated_where_the_truth_is_known(exact: Dive) -> None:
     dive = add_errors(exact, *matched_errors(MATCHED), 1)
-    with_truth, without_truth = (rows(replay_dive(d, MATCHED)) for d in (dive, replace(dive, truth=None)))
+    with_truth, without_truth = (
+        rows(replay_dive(d, MATCHED)) for d in (dive, replace(dive, truth=None))
+    )
     biases = [state.id for state in STATES[BA.start :]]
     assert [quantity for name, quantity in with_truth.index if name == "baseline"] == [
         *CREDIBILITY_QUANTITIES, *CREDIBILITY_GROUPS, "all",

@@ -20,7 +20,16 @@ def drawn(name: str, size: float, *, heading: bool = True, starts: int = STARTS)
     error[0] = 1e6
     error[..., 5] *= 1.0 if heading else np.nan
     velocity: Floats = error[..., :3]
-    return DrawnErrors(name, np.arange(k), TIME_S, velocity, velocity, error, np.full((k, 12), 3.0 * size), velocity)
+    return DrawnErrors(
+        name,
+        np.arange(k),
+        TIME_S,
+        velocity,
+        velocity,
+        error,
+        np.full((k, 12), 3.0 * size),
+        velocity,
+    )
 
 
 def test_rms_is_of_the_drawn_starts_over_the_last_tenth_of_the_time() -> None:
@@ -33,21 +42,30 @@ def test_rms_is_of_the_drawn_starts_over_the_last_tenth_of_the_time() -> None:
         expected = size * END_S / level.time_s[late] * np.sqrt(mean_square)
         np.testing.assert_allclose(level.rms[name][late], expected, rtol=0.02)
         np.testing.assert_allclose(level.predicted[name], 3.0 * size)
-    np.testing.assert_allclose(curves["velocity"].rms["aided"], np.sqrt(2.0) * curves["heading"].rms["aided"])
+    np.testing.assert_allclose(
+        curves["velocity"].rms["aided"], np.sqrt(2.0) * curves["heading"].rms["aided"]
+    )
     np.testing.assert_allclose(curves["velocity"].predicted["aided"], np.sqrt(2.0) * 0.3)
 
 
 def test_curves_fall_below_the_limit_at_the_times_of_the_table() -> None:
     baseline, aided = drawn("baseline", 0.5), drawn("aided", 0.1)
-    found, curves = measured_convergences(baseline, aided)["phi_d"], convergence_curves([baseline, aided])["heading"]
+    found, curves = (
+        measured_convergences(baseline, aided)["phi_d"],
+        convergence_curves([baseline, aided])["heading"],
+    )
     for name, reached_s in (("baseline", found.baseline_s), ("aided", found.candidate_s)):
-        assert np.interp(reached_s, curves.time_s, curves.rms[name]) == pytest.approx(curves.limit, rel=1e-3)
+        assert np.interp(reached_s, curves.time_s, curves.rms[name]) == pytest.approx(
+            curves.limit, rel=1e-3
+        )
         assert (curves.rms[name][curves.time_s > reached_s] < curves.limit).all()
         assert (curves.rms[name][curves.time_s < reached_s] > curves.limit).all()
 
 
 def test_what_is_not_known_has_no_curve() -> None:
-    assert list(convergence_curves([drawn("baseline", 0.5), drawn("aided", 0.1, heading=False)])) == [
+    assert list(
+        convergence_curves([drawn("baseline", 0.5), drawn("aided", 0.1, heading=False)])
+    ) == [
         "velocity",
         "level",
     ]
@@ -59,7 +77,8 @@ def test_a_long_dive_has_hardly_more_points_than_a_short_one() -> None:
     """Nine hours at 5 Hz, as thinned as drawn runs are, take 40 KB for two filters."""
     curves = convergence_curves([drawn("baseline", 0.5), drawn("aided", 0.1)]).values()
     held = sum(
-        one.time_s.nbytes + sum(of_one.nbytes for of_one in (*one.rms.values(), *one.predicted.values()))
+        one.time_s.nbytes
+        + sum(of_one.nbytes for of_one in (*one.rms.values(), *one.predicted.values()))
         for one in curves
     )
     assert held < 50_000

@@ -26,7 +26,9 @@ TIME_S = np.arange(1.0, 401.0)
 START = np.array([0.57, 0.61, -20.0])
 
 
-def errors_of(position_ned_m: Floats, velocity_n: Floats | None = None, step_s: float = 1.0) -> ReferenceErrors:
+def errors_of(
+    position_ned_m: Floats, velocity_n: Floats | None = None, step_s: float = 1.0
+) -> ReferenceErrors:
     k = len(position_ned_m)
     return ReferenceErrors(
         (1_700_000_000 * SECOND + np.arange(1, k + 1) * step_s * SECOND).astype(np.int64),
@@ -68,7 +70,9 @@ def test_error_that_grows_evenly_drifts_alike_over_every_segment() -> None:
     np.testing.assert_allclose(horizontal_m(drift), 3.0, atol=1e-9)
     np.testing.assert_allclose(drift[:, 2], 0.6, atol=1e-9)
     segments = time_segments(errors.time_ns)
-    np.testing.assert_array_equal(errors.time_ns[segments.last] - errors.time_ns[segments.first], 60 * SECOND)
+    np.testing.assert_array_equal(
+        errors.time_ns[segments.last] - errors.time_ns[segments.first], 60 * SECOND
+    )
 
 
 def test_error_that_stays_is_no_drift() -> None:
@@ -79,7 +83,9 @@ def test_error_that_stays_is_no_drift() -> None:
 def test_correction_of_the_position_is_no_drift() -> None:
     """Half of the error is taken out halfway; the positions of the vehicle move on as before."""
     dead_reckoned = growing(400, (0.03, -0.04, 0.01))
-    corrected = dead_reckoned - np.where(np.arange(400)[:, None] < 200, 0.0, 0.5 * dead_reckoned[200])
+    corrected = dead_reckoned - np.where(
+        np.arange(400)[:, None] < 200, 0.0, 0.5 * dead_reckoned[200]
+    )
     errors = replace(errors_of(corrected), drifting_ned_m=dead_reckoned)
     drift = segment_change(errors, time_segments(errors.time_ns))
     np.testing.assert_allclose(horizontal_m(drift), 3.0, atol=1e-9)
@@ -162,7 +168,9 @@ def test_vehicle_that_stops_drifts_over_the_way_and_not_over_the_time() -> None:
     velocity_n = np.zeros((600, 3))
     velocity_n[:, 0] = np.where((np.arange(600) >= 200) & (np.arange(600) < 300), 0.0, 1.0)
     reference, errors = going(600, velocity_n), errors_of(growing(600, (0.1, 0.0, 0.0)))
-    drift = segment_change(errors, distance_segments(errors.time_ns, reference_distance_m(reference, errors.time_ns)))
+    drift = segment_change(
+        errors, distance_segments(errors.time_ns, reference_distance_m(reference, errors.time_ns))
+    )
     assert horizontal_m(drift).min() == pytest.approx(10.0, abs=0.2)
     assert horizontal_m(drift).max() == pytest.approx(20.0, abs=0.2)
 
@@ -171,7 +179,9 @@ def test_distance_of_positions_alone_does_not_add_up_their_noise() -> None:
     reference = going(600, np.array([1.0, 0.0, 0.0]))
     noise_m = 0.5 * np.random.default_rng(2).standard_normal((600, 3))
     noisy = replace(
-        reference, position=moved_position(reference.position, noise_m), velocity_n=np.full((600, 3), np.nan)
+        reference,
+        position=moved_position(reference.position, noise_m),
+        velocity_n=np.full((600, 3), np.nan),
     )
     assert reference_distance_m(noisy, reference.time_ns)[-1] == pytest.approx(599.0, rel=0.02)
     nothing = replace(noisy, position=np.full((600, 3), np.nan))
@@ -197,7 +207,9 @@ def test_vehicle_at_rest_has_no_course() -> None:
     velocity_n = np.zeros((50, 3))
     velocity_n[10:, 1] = 1.0
     velocity_n[20] = np.nan
-    found = course_errors(errors_of(np.zeros((50, 3)), np.full((50, 3), 0.1)), going(50, velocity_n))
+    found = course_errors(
+        errors_of(np.zeros((50, 3)), np.full((50, 3), 0.1)), going(50, velocity_n)
+    )
     assert np.flatnonzero(np.isnan(found.along_mps)).tolist() == [*range(10), 20]
     np.testing.assert_array_equal(np.isnan(found.along_mps), np.isnan(found.across_mps))
 
@@ -205,7 +217,9 @@ def test_vehicle_at_rest_has_no_course() -> None:
 # --- The table.
 
 
-def table(reference: ReferenceColumns, *, bridged_gaps: bool = False, **errors: ReferenceErrors) -> list[DriftRow]:
+def table(
+    reference: ReferenceColumns, *, bridged_gaps: bool = False, **errors: ReferenceErrors
+) -> list[DriftRow]:
     start_ns = int(reference.time_ns[0]) - SECOND
     return drift_table("dive", errors, reference, start_ns, bridged_gaps=bridged_gaps)
 
@@ -217,12 +231,20 @@ def row_of(rows: list[DriftRow], name: str, quantity: str) -> DriftRow:
 
 def test_circles_of_a_normal_error_have_the_radii_of_rayleigh() -> None:
     position_m = 2.0 * np.random.default_rng(3).standard_normal((20_000, 3))
-    row = row_of(table(going(20_000, np.array([1.0, 0.0, 0.0])), aided=errors_of(position_m)), "aided", "position_h")
+    row = row_of(
+        table(going(20_000, np.array([1.0, 0.0, 0.0])), aided=errors_of(position_m)),
+        "aided",
+        "position_h",
+    )
     assert row.p50 == pytest.approx(2.0 * np.sqrt(chi2.ppf(0.50, 2)), rel=0.02)
     assert row.p95 == pytest.approx(2.0 * np.sqrt(chi2.ppf(0.95, 2)), rel=0.02)
     assert row.rms == pytest.approx(2.0 * np.sqrt(2.0), rel=0.02)
     largest_m = np.hypot(position_m[:, 0], position_m[:, 1])
-    assert (row.samples, row.worst, row.worst_from_s) == (20_000, largest_m.max(), float(np.argmax(largest_m) + 1))
+    assert (row.samples, row.worst, row.worst_from_s) == (
+        20_000,
+        largest_m.max(),
+        float(np.argmax(largest_m) + 1),
+    )
 
 
 def test_final_error_is_in_percent_of_the_distance_travelled() -> None:
@@ -240,13 +262,19 @@ def test_final_error_is_in_percent_of_the_distance_travelled() -> None:
 def test_each_filter_has_a_row_of_each_quantity_that_is_known() -> None:
     reference = going(400, np.array([0.0, 2.0, 0.0]))
     steady = errors_of(growing(400, (0.03, -0.04, 0.0)), np.tile([0.01, -0.03, 0.0], (400, 1)))
-    rows = table(reference, baseline=steady, aided=errors_of(np.full((400, 3), np.nan), np.full((400, 3), np.nan)))
+    rows = table(
+        reference,
+        baseline=steady,
+        aided=errors_of(np.full((400, 3), np.nan), np.full((400, 3), np.nan)),
+    )
     assert [(row.filter, row.quantity) for row in rows] == [
         (name, quantity) for name in ("baseline", "aided") for quantity in DRIFT_QUANTITIES
     ]
     assert row_of(rows, "baseline", "drift_60s").p50 == pytest.approx(3.0)
     assert row_of(rows, "baseline", "drift_100m").p95 == pytest.approx(2.5), "50 s at 2 m/s"
-    assert row_of(rows, "baseline", "velocity_along").p50 == pytest.approx(0.03), "sizes, whichever way"
+    assert row_of(rows, "baseline", "velocity_along").p50 == pytest.approx(0.03), (
+        "sizes, whichever way"
+    )
     assert row_of(rows, "baseline", "velocity_across").worst == pytest.approx(0.01)
     dead = row_of(rows, "aided", "position_h")
     assert dead.samples == 0
@@ -254,21 +282,30 @@ def test_each_filter_has_a_row_of_each_quantity_that_is_known() -> None:
 
 
 def test_what_the_reference_or_a_gap_leaves_unknown_has_no_row() -> None:
-    reference, errors = going(400, np.array([1.0, 0.0, 0.0])), errors_of(growing(400, (0.1, 0.0, 0.0)))
+    reference, errors = (
+        going(400, np.array([1.0, 0.0, 0.0])),
+        errors_of(growing(400, (0.1, 0.0, 0.0))),
+    )
     unlocated = replace(reference, position=np.full((400, 3), np.nan))
     of_velocity = ["velocity_along", "velocity_across"]
     nothing = np.full((400, 3), np.nan)
     blind = replace(errors, position_error_ned_m=nothing, drifting_ned_m=nothing)
     assert [row.quantity for row in table(unlocated, aided=blind)] == of_velocity
-    assert [row.quantity for row in table(reference, aided=errors, bridged_gaps=True)] == of_velocity
-    short = table(going(30, np.array([1.0, 0.0, 0.0])), aided=errors_of(growing(30, (0.1, 0.0, 0.0))))
+    assert [
+        row.quantity for row in table(reference, aided=errors, bridged_gaps=True)
+    ] == of_velocity
+    short = table(
+        going(30, np.array([1.0, 0.0, 0.0])), aided=errors_of(growing(30, (0.1, 0.0, 0.0)))
+    )
     assert [row.quantity for row in short] == ["position_h", *of_velocity]
 
 
 def test_track_fit_of_each_filter_is_two_rows_and_none_where_nothing_moves() -> None:
     velocity_n = np.array([1.0, 0.5, 0.0])
     reference, small = going(400, velocity_n), errors_of(growing(400, (-0.02, -0.01, 0.0)))
-    rows = track_fit_table("dive", {"baseline": small, "aided": errors_of(np.zeros((400, 3)))}, reference)
+    rows = track_fit_table(
+        "dive", {"baseline": small, "aided": errors_of(np.zeros((400, 3)))}, reference
+    )
     assert [(row.filter, row.quantity, row.unit) for row in rows] == [
         (name, *unit) for name in ("baseline", "aided") for unit in TRACK_FIT_QUANTITIES.items()
     ]

@@ -32,7 +32,9 @@ def test_bias_of_short_series_is_taken_off() -> None:
     assert found == pytest.approx(100.0 / 9.0, rel=0.25)
 
 
-@pytest.mark.parametrize(("values", "worth"), [([], 0.0), ([3.0], 1.0), ([2.0] * 50, 1.0), ([1.0, -1.0] * 25, 50.0)])
+@pytest.mark.parametrize(
+    ("values", "worth"), [([], 0.0), ([3.0], 1.0), ([2.0] * 50, 1.0), ([1.0, -1.0] * 25, 50.0)]
+)
 def test_effective_samples_of_a_mean_at_the_edges(values: list[float], worth: float) -> None:
     assert samples_in_mean(np.array(values)) == worth
 
@@ -84,7 +86,9 @@ def test_slow_part_is_seen_below_fast_noise(share: float) -> None:
     """White noise over an error that stays: the mean square scatters by the square of the share that stays."""
     rng, k = np.random.default_rng(4), 1500
     found = [
-        samples_in_mean_square((np.sqrt(share) + np.sqrt(1.0 - share) * rng.standard_normal(k))[:, None])
+        samples_in_mean_square(
+            (np.sqrt(share) + np.sqrt(1.0 - share) * rng.standard_normal(k))[:, None]
+        )
         for _ in range(50)
     ]
     assert np.median(found) == pytest.approx(1.0 / share**2, rel=0.1)

@@ -19,7 +19,9 @@ def errors(rng: np.random.Generator, columns: int = 1, times: int = TIMES) -> Fl
     return np.asarray(rng.standard_normal((times, columns)))
 
 
-def pair_of(quantity: str, before: Floats, after: Floats, noise: float = 0.0, from_s: float = 0.0) -> Pair:
+def pair_of(
+    quantity: str, before: Floats, after: Floats, noise: float = 0.0, from_s: float = 0.0
+) -> Pair:
     """Return both filters in one quantity."""
     first, second = (ErrorSeries("m", values, noise, from_s) for values in (before, after))
     return {quantity: first}, {quantity: second}
@@ -27,7 +29,10 @@ def pair_of(quantity: str, before: Floats, after: Floats, noise: float = 0.0, fr
 
 def rows_of(measured: Measured, nis: tuple[ConsistencyRow, ...] = ()) -> dict[str, EvidenceRow]:
     """Return the rows on one candidate by quantity."""
-    return {row.quantity: row for row in evidence_table("dive", "baseline", ["aided"], measured, nis, ())}
+    return {
+        row.quantity: row
+        for row in evidence_table("dive", "baseline", ["aided"], measured, nis, ())
+    }
 
 
 def merged(*pairs: Pair) -> dict[str, Pair]:
@@ -65,7 +70,9 @@ def test_drawn_starts_change_no_row_but_those_of_convergence() -> None:
 
 
 def test_time_of_settling_and_noise_of_the_reference_are_told() -> None:
-    row = rows_of(Measured(merged(pair_of("level", np.full((9, 1), 2.0), np.full((9, 1), 3.0), 1.0, 124.0))))["level"]
+    row = rows_of(
+        Measured(merged(pair_of("level", np.full((9, 1), 2.0), np.full((9, 1), 3.0), 1.0, 124.0)))
+    )["level"]
     assert (row.from_s, row.reference_noise) == (124.0, pytest.approx(0.25))
     assert row.acts == pytest.approx(1.0 / np.sqrt(3.0)), "of the error without the noise"
 
@@ -82,7 +89,9 @@ def test_a_copy_has_no_effect_in_any_row() -> None:
 
 
 def test_baseline_without_an_error_has_no_ratio() -> None:
-    row = rows_of(Measured(merged(pair_of("drift_60s", np.zeros((9, 2)), np.ones((9, 2))))))["drift_60s"]
+    row = rows_of(Measured(merged(pair_of("drift_60s", np.zeros((9, 2)), np.ones((9, 2))))))[
+        "drift_60s"
+    ]
     assert np.isnan([row.ratio, row.acts]).all()
 
 
@@ -110,9 +119,14 @@ def roles(measured: Measured) -> Mapping[str, str]:
 
 
 @pytest.mark.parametrize(("independent", "role"), [(True, Role.PRIMARY), (False, Role.SHOWN)])
-def test_position_may_decide_by_an_independent_reference_alone(independent: bool, role: str) -> None:
+def test_position_may_decide_by_an_independent_reference_alone(
+    independent: bool, role: str
+) -> None:
     rng = np.random.default_rng(5)
-    track = merged(pair_of("position", errors(rng, 2), errors(rng, 2)), pair_of("depth", errors(rng), errors(rng)))
+    track = merged(
+        pair_of("position", errors(rng, 2), errors(rng, 2)),
+        pair_of("depth", errors(rng), errors(rng)),
+    )
     found = roles(Measured(track=track, independent=independent))
     assert found == {"position": role, "depth": Role.SHOWN}
 
@@ -125,7 +139,11 @@ def test_outage_may_decide_from_two_windows_on(windows: int, role: str) -> None:
         pair_of("outage_60s", errors(rng, 2, windows), errors(rng, 2, windows)),
         pair_of("outage_120s", errors(rng, 2, 5), errors(rng, 2, 5)),
     )
-    assert roles(Measured(outage=outage)) == {"outage_30s": "primary", "outage_60s": role, "outage_120s": "shown"}
+    assert roles(Measured(outage=outage)) == {
+        "outage_30s": "primary",
+        "outage_60s": role,
+        "outage_120s": "shown",
+    }
 
 
 def test_of_the_errors_in_time_one_of_a_kind_may_warn() -> None:
@@ -141,8 +159,17 @@ def test_of_the_errors_in_time_one_of_a_kind_may_warn() -> None:
 
 def test_rows_of_the_track_are_in_their_order_with_the_ends() -> None:
     rng = np.random.default_rng(8)
-    track = merged(pair_of("depth", errors(rng), errors(rng)), pair_of("position", errors(rng, 2), errors(rng, 2)))
-    ends = {"aided": {"position": (9.0, 9.0), "position_end": (2.0, 1.0), "position_end_pct": (0.0, 0.1)}}
+    track = merged(
+        pair_of("depth", errors(rng), errors(rng)),
+        pair_of("position", errors(rng, 2), errors(rng, 2)),
+    )
+    ends = {
+        "aided": {
+            "position": (9.0, 9.0),
+            "position_end": (2.0, 1.0),
+            "position_end_pct": (0.0, 0.1),
+        }
+    }
     found = rows_of(Measured(track=track, ends=ends))
     assert [*found] == ["position", "position_end", "position_end_pct", "depth"]
     end = found["position_end"]
@@ -160,7 +187,9 @@ def test_outage_is_compared_window_by_window_with_directions() -> None:
     row = rows_of(Measured(outage=merged(pair_of("outage_30s", north, east))))["outage_30s"]
     assert (row.evidence, row.unit, row.samples) == ("outage", "m", 3)
     assert row.ratio == pytest.approx(1.0)
-    assert row.acts == pytest.approx(np.sqrt(2.0)), "drifts of one size in two directions are not the same"
+    assert row.acts == pytest.approx(np.sqrt(2.0)), (
+        "drifts of one size in two directions are not the same"
+    )
 
 
 def test_convergence_has_the_times_and_their_ratio() -> None:
@@ -178,9 +207,15 @@ def nis(filter_: str, mean: float, verdict: str) -> ConsistencyRow:
     return ConsistencyRow("dive", filter_, "velocity", 3, 99, 0, 3.0 * mean, 2.9, 3.1, verdict)
 
 
-@pytest.mark.parametrize(("before", "after", "ratio"), [(10.0, 2.0, 0.2), (0.1, 2.0, 0.2), (1.0, 4.0, 4.0)])
-def test_consistency_compares_distances_from_one_and_decides_nothing(before: float, after: float, ratio: float) -> None:
-    row = rows_of(Measured(), (nis("baseline", before, "overconfident"), nis("aided", after, "overconfident")))["nis"]
+@pytest.mark.parametrize(
+    ("before", "after", "ratio"), [(10.0, 2.0, 0.2), (0.1, 2.0, 0.2), (1.0, 4.0, 4.0)]
+)
+def test_consistency_compares_distances_from_one_and_decides_nothing(
+    before: float, after: float, ratio: float
+) -> None:
+    row = rows_of(
+        Measured(), (nis("baseline", before, "overconfident"), nis("aided", after, "overconfident"))
+    )["nis"]
     assert (row.evidence, row.role) == ("consistency", "shown")
     assert (row.baseline, row.value) == pytest.approx((before, after))
     assert row.ratio == pytest.approx(ratio)

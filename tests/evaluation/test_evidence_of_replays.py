@@ -37,11 +37,17 @@ def rows_of(replay: Replay, name: str) -> dict[str, EvidenceRow]:
 
 def measured(replay: Replay, name: str) -> dict[str, EvidenceRow]:
     """Return the rows that compare two runs."""
-    return {quantity: row for quantity, row in rows_of(replay, name).items() if row.acts is not None}
+    return {
+        quantity: row for quantity, row in rows_of(replay, name).items() if row.acts is not None
+    }
 
 
 def test_the_baseline_is_fit_to_judge_by() -> None:
-    sizes = [row for row in replayed().tables.consistency if row.filter == "baseline" and row.measurement == "velocity"]
+    sizes = [
+        row
+        for row in replayed().tables.consistency
+        if row.filter == "baseline" and row.measurement == "velocity"
+    ]
     assert [0.5 < finite(row.mean_nis) / row.dof < 2.0 for row in sizes] == [True]
 
 
@@ -58,19 +64,25 @@ def test_values_are_those_of_the_other_tables() -> None:
     rows = rows_of(replay, "far")
     errors = {row.quantity: row for row in replay.tables.reference_error if row.filter == "far"}
     position = errors["position_h"]
-    assert (rows["position"].baseline, rows["position"].value) == pytest.approx((position.baseline_rmse, position.rmse))
+    assert (rows["position"].baseline, rows["position"].value) == pytest.approx(
+        (position.baseline_rmse, position.rmse)
+    )
     ends = abs(finite(position.baseline_final)), abs(finite(position.final))
     assert (rows["position_end"].baseline, rows["position_end"].value) == pytest.approx(ends)
     outages = {row.filter: row for row in replay.tables.outage if row.window_s == "60"}
     found = rows["outage_60s"]
-    assert (found.baseline, found.value) == pytest.approx((outages["baseline"].drift_rms_m, outages["far"].drift_rms_m))
+    assert (found.baseline, found.value) == pytest.approx(
+        (outages["baseline"].drift_rms_m, outages["far"].drift_rms_m)
+    )
     assert found.samples == outages["far"].windows
     for row in rows.values():
         if row.evidence not in ("consistency", "prediction"):
             assert row.ratio == pytest.approx(finite(row.value) / finite(row.baseline))
     score = rows["prediction"]
     densities = math.exp(-finite(score.baseline)), math.exp(-finite(score.value))
-    assert score.ratio == pytest.approx(densities[0] / densities[1]), "the values are minus logarithms of densities"
+    assert score.ratio == pytest.approx(densities[0] / densities[1]), (
+        "the values are minus logarithms of densities"
+    )
 
 
 @pytest.mark.parametrize("name", ["copy", "near", "far", "aided"])
@@ -92,7 +104,9 @@ def test_a_copy_of_the_baseline_has_no_effect() -> None:
 
 def test_a_change_of_a_hundredth_is_proved_small_and_one_of_twenty_is_not() -> None:
     replay = replayed()
-    near, far = (max(finite(row.acts) for row in measured(replay, name).values()) for name in ("near", "far"))
+    near, far = (
+        max(finite(row.acts) for row in measured(replay, name).values()) for name in ("near", "far")
+    )
     assert 0.0 < near < 1.0 - 1.0 / 1.05 < far
     assert replay.verdicts["near"].verdict in (Verdict.NO_EFFECT, Verdict.EQUIVALENT)
     found = replay.verdicts["far"]
@@ -109,7 +123,9 @@ def test_errors_in_time_begin_when_the_baseline_has_settled() -> None:
     assert all(0.0 < finite(from_s) <= 130.0 for from_s in begins.values())
     longest = rows["position"].samples
     for quantity, from_s in begins.items():
-        assert rows[quantity].samples == pytest.approx(longest * (1.0 - finite(from_s) / 260.0), abs=2)
+        assert rows[quantity].samples == pytest.approx(
+            longest * (1.0 - finite(from_s) / 260.0), abs=2
+        )
 
 
 def test_settings_name_the_quantity_that_decides() -> None:
@@ -126,5 +142,7 @@ def test_reference_that_shares_sensors_leaves_the_decision_to_the_outage() -> No
     assert found.verdicts["far"].primary == "outage_60s"
     roles = {quantity: row.role for quantity, row in rows_of(found, "far").items()}
     assert roles["position"] == "shown"
-    assert math.isfinite(finite(rows_of(found, "far")["position"].ratio)), "it is shown all the same"
+    assert math.isfinite(finite(rows_of(found, "far")["position"].ratio)), (
+        "it is shown all the same"
+    )
     assert roles["outage_60s"] == "primary"

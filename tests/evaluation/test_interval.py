@@ -28,7 +28,9 @@ BETTER, EQUIVALENT, UNDECIDED, WORSE = (
 NAN = math.nan
 
 
-def word(log_ratios: Sequence[float] | Floats, vehicles: Sequence[str] | None = None) -> EvidenceVerdict:
+def word(
+    log_ratios: Sequence[float] | Floats, vehicles: Sequence[str] | None = None
+) -> EvidenceVerdict:
     found = log_ratio_interval(log_ratios, vehicles=vehicles)
     return word_of_interval(found.low, found.high)
 
@@ -45,7 +47,9 @@ def ends(found: Interval) -> list[float]:
 def test_interval_over_dives_is_that_of_scipy(dives: int, level: float) -> None:
     log_ratios = np.random.default_rng(dives).normal(-0.3, 0.2, dives)
     found = log_ratio_interval(log_ratios, level=level)
-    assert ends(found) == pytest.approx([*ttest_1samp(log_ratios, 0.0).confidence_interval(level)], rel=1e-9)
+    assert ends(found) == pytest.approx(
+        [*ttest_1samp(log_ratios, 0.0).confidence_interval(level)], rel=1e-9
+    )
     assert found.ratio == pytest.approx(np.exp(log_ratios.mean()))
     assert found.scatter == pytest.approx(log_ratios.std(ddof=1))
     assert (found.dives, found.vehicles) == (dives, 1)
@@ -61,7 +65,9 @@ def test_p_is_that_of_a_ratio_at_the_nearer_end_of_the_band(mean: float) -> None
 
 
 @pytest.mark.parametrize("log_ratios", [[], [-0.3], [-0.3, -0.31], [-0.3, NAN, -0.31, np.inf]])
-def test_fewer_than_three_dives_have_a_ratio_without_interval_and_p(log_ratios: list[float]) -> None:
+def test_fewer_than_three_dives_have_a_ratio_without_interval_and_p(
+    log_ratios: list[float],
+) -> None:
     found = log_ratio_interval(log_ratios)
     known = [value for value in log_ratios if math.isfinite(value)]
     assert found.dives == len(known)
@@ -75,17 +81,29 @@ def test_dives_without_a_number_are_left_out() -> None:
     assert log_ratio_interval(log_ratios) == log_ratio_interval(log_ratios[[0, 2, 4]])
 
 
-@pytest.mark.parametrize(("log_ratio", "expected", "p"), [(0.0, EQUIVALENT, 1.0), (-0.1, BETTER, 0.0)])
-def test_dives_that_agree_to_the_last_digit_leave_no_doubt(log_ratio: float, expected: str, p: float) -> None:
+@pytest.mark.parametrize(
+    ("log_ratio", "expected", "p"), [(0.0, EQUIVALENT, 1.0), (-0.1, BETTER, 0.0)]
+)
+def test_dives_that_agree_to_the_last_digit_leave_no_doubt(
+    log_ratio: float, expected: str, p: float
+) -> None:
     found = log_ratio_interval([log_ratio] * 8)
-    assert (found.low, found.high, found.p) == pytest.approx((math.exp(log_ratio), math.exp(log_ratio), p))
+    assert (found.low, found.high, found.p) == pytest.approx(
+        (math.exp(log_ratio), math.exp(log_ratio), p)
+    )
     assert word_of_interval(found.low, found.high) == expected
 
 
 def test_exchanged_filters_have_the_inverse_interval() -> None:
     log_ratios = np.random.default_rng(9).normal(-0.2, 0.1, 7)
     there, back = log_ratio_interval(log_ratios), log_ratio_interval(-log_ratios)
-    inverse = [1.0 / there.ratio, 1.0 / there.high, 1.0 / there.low, 1.0 / there.high_always, 1.0 / there.low_always]
+    inverse = [
+        1.0 / there.ratio,
+        1.0 / there.high,
+        1.0 / there.low,
+        1.0 / there.high_always,
+        1.0 / there.low_always,
+    ]
     assert [*back[:5]] == pytest.approx(inverse)
     assert (back.scatter, back.p) == pytest.approx((there.scatter, there.p))
 
@@ -114,7 +132,9 @@ def test_from_three_vehicles_on_each_is_one_sample() -> None:
     assert found.ratio == pytest.approx(math.exp(np.mean(means)))
     assert (found.dives, found.vehicles) == (7, 3)
     within = sum(np.var(values) * len(values) for values in dives.values())
-    assert found.scatter == pytest.approx(math.sqrt(within / (7 - 3))), "of dives within their vehicles"
+    assert found.scatter == pytest.approx(math.sqrt(within / (7 - 3))), (
+        "of dives within their vehicles"
+    )
 
 
 def test_vehicles_of_one_dive_each_are_as_dives() -> None:
@@ -184,7 +204,9 @@ def test_word_is_where_the_interval_is(low: float, high: float, expected: Eviden
     assert word_of_interval(low, high) == expected
     opposite = {BETTER: WORSE, WORSE: BETTER}.get(expected, expected)
     if low > 0.0 or math.isnan(low):
-        assert word_of_interval(1.0 / high, 1.0 / low) == opposite, "the band is as wide to both sides"
+        assert word_of_interval(1.0 / high, 1.0 / low) == opposite, (
+            "the band is as wide to both sides"
+        )
 
 
 def test_three_dives_that_agree_are_the_fewest_that_decide() -> None:
@@ -216,7 +238,9 @@ def counted_words(drawn: Floats) -> Counter[EvidenceVerdict]:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("scatter", "dives"), RATES)
-def test_wrong_words_and_found_changes_are_those_of_the_documentation(scatter: float, dives: int) -> None:
+def test_wrong_words_and_found_changes_are_those_of_the_documentation(
+    scatter: float, dives: int
+) -> None:
     archives = 4000
     drawn = np.random.default_rng(dives).normal(0.0, scatter, (archives, dives))
     for ratio, stated_pct in zip(RATIOS, RATES[scatter, dives], strict=True):
@@ -258,7 +282,9 @@ def test_interval_for_every_look_holds_at_all_looks_together() -> None:
     once = np.full(looks, 2.0)
     # Three standard deviations above 5 %.
     assert excluded_at_some_look(log_ratios, always).mean() <= 0.06
-    assert excluded_at_some_look(log_ratios, once).mean() > 0.3, "an interval for one look does not hold"
+    assert excluded_at_some_look(log_ratios, once).mean() > 0.3, (
+        "an interval for one look does not hold"
+    )
 
 
 def test_interval_for_every_look_has_its_closed_form() -> None:
@@ -283,7 +309,9 @@ def test_interval_for_every_look_is_finite_from_four_dives_on() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("scatter", [0.1, 0.2, 0.5])
-def test_growing_archives_of_equal_pairs_have_a_wrong_word_in_less_than_two_of_a_hundred(scatter: float) -> None:
+def test_growing_archives_of_equal_pairs_have_a_wrong_word_in_less_than_two_of_a_hundred(
+    scatter: float,
+) -> None:
     looks, archives, wrong = 200, 400, 0
     rng = np.random.default_rng(8)
     for log_ratios in rng.normal(0.0, scatter, (archives, looks)):
@@ -324,8 +352,12 @@ def test_rows_leave_the_band_where_holm_rejects() -> None:
         rows = rng.normal(rng.normal(0.1, 0.1, (6, 1)), 0.1, (6, 5))
         p_values = [log_ratio_interval(row).p for row in rows]
         levels = holm_levels(p_values)
-        intervals = [log_ratio_interval(row, level=level) for row, level in zip(rows, levels, strict=True)]
-        outside = [word_of_interval(found.low, found.high) in (BETTER, WORSE) for found in intervals]
+        intervals = [
+            log_ratio_interval(row, level=level) for row, level in zip(rows, levels, strict=True)
+        ]
+        outside = [
+            word_of_interval(found.low, found.high) in (BETTER, WORSE) for found in intervals
+        ]
         assert outside == [p < 0.05 for p in holm_adjusted([2.0 * p for p in p_values])]
         decided += sum(outside)
     assert 100 < decided < 1700, "some are and some are not"
@@ -346,7 +378,10 @@ def test_of_equal_rows_one_is_decided_as_seldom_as_of_one_row() -> None:
         rows = rng.normal(0.0, 0.5, (6, 5))
         levels = holm_levels([log_ratio_interval(row).p for row in rows])
         for level_of, is_holm in ((levels, True), ([0.95] * 6, False)):
-            found = [log_ratio_interval(row, level=level) for row, level in zip(rows, level_of, strict=True)]
+            found = [
+                log_ratio_interval(row, level=level)
+                for row, level in zip(rows, level_of, strict=True)
+            ]
             is_any = any(word_of_interval(one.low, one.high) in (BETTER, WORSE) for one in found)
             with_holm += is_any and is_holm
             without += is_any and not is_holm
@@ -360,7 +395,9 @@ def test_of_equal_rows_one_is_decided_as_seldom_as_of_one_row() -> None:
 @pytest.mark.parametrize(
     ("scatter", "dives", "level"), [(0.1, 5, 0.95), (0.2, 8, 0.95), (0.05, 3, 0.95), (0.1, 6, 0.99)]
 )
-def test_change_that_is_found_is_found_in_four_of_five_cases(scatter: float, dives: int, level: float) -> None:
+def test_change_that_is_found_is_found_in_four_of_five_cases(
+    scatter: float, dives: int, level: float
+) -> None:
     ratio = change_found(scatter, dives, level)
     assert ratio < 1.0 / BAND
     drawn = np.random.default_rng(11).normal(math.log(ratio), scatter, (2000, dives))
@@ -380,9 +417,13 @@ def test_dives_that_are_needed_are_the_fewest_that_find_the_change() -> None:
 
 
 def test_what_can_be_found_has_edges() -> None:
-    assert change_found(0.0, 3) == pytest.approx(1.0 / BAND), "what does not scatter is found beyond the band"
+    assert change_found(0.0, 3) == pytest.approx(1.0 / BAND), (
+        "what does not scatter is found beyond the band"
+    )
     assert dives_needed(0.0, 0.9) == 3
     assert np.isnan([change_found(0.1, 2), change_found(NAN, 5)]).all()
-    assert dives_needed(0.1, 0.99) is None, "a change within the band is found by no number of dives"
+    assert dives_needed(0.1, 0.99) is None, (
+        "a change within the band is found by no number of dives"
+    )
     assert dives_needed(NAN, 0.9) is None
     assert change_found(0.1, 20) > change_found(0.1, 5) > change_found(0.2, 5)

@@ -14,8 +14,13 @@ from insdvl_replay.geometry.frames import least_difference, moved_position
 RATE_HZ = 5
 TIME_S = np.arange(600) / RATE_HZ
 TURN_RADPS = 0.2
-VELOCITY_N = np.stack([np.cos(TURN_RADPS * TIME_S), np.sin(TURN_RADPS * TIME_S), 0.0 * TIME_S], axis=1)
-WAY_N = np.stack([np.sin(TURN_RADPS * TIME_S), 1.0 - np.cos(TURN_RADPS * TIME_S), 0.0 * TIME_S], axis=1) / TURN_RADPS
+VELOCITY_N = np.stack(
+    [np.cos(TURN_RADPS * TIME_S), np.sin(TURN_RADPS * TIME_S), 0.0 * TIME_S], axis=1
+)
+WAY_N = (
+    np.stack([np.sin(TURN_RADPS * TIME_S), 1.0 - np.cos(TURN_RADPS * TIME_S), 0.0 * TIME_S], axis=1)
+    / TURN_RADPS
+)
 
 
 def found(moved_n: Floats, velocity_n: Floats = VELOCITY_N, time_s: Floats = TIME_S) -> JumpRow:

@@ -51,7 +51,9 @@ def reference_of(dive: Dive) -> ReferenceColumns:
 
 def without_end(dive: Dive, *quantities: str) -> Dive:
     reference = reference_of(dive)
-    cut = {quantity: ended(getattr(reference, quantity), reference.time_ns) for quantity in quantities}
+    cut = {
+        quantity: ended(getattr(reference, quantity), reference.time_ns) for quantity in quantities
+    }
     return replace(dive, reference=replace(reference, **cut))
 
 
@@ -100,7 +102,9 @@ def test_reader_counts_what_is_not_finite_and_says_from_when(tmp_path: Path, div
 
 
 @pytest.mark.parametrize("missing", [(), ("velocity_n",), ("position",)])
-def test_what_a_reference_never_gives_is_not_missed(tmp_path: Path, dive: Dive, missing: tuple[str, ...]) -> None:
+def test_what_a_reference_never_gives_is_not_missed(
+    tmp_path: Path, dive: Dive, missing: tuple[str, ...]
+) -> None:
     reference = reference_of(dive)
     never = {quantity: np.full_like(getattr(reference, quantity), np.nan) for quantity in missing}
     path = tmp_path / "dive.mcap"
@@ -127,7 +131,9 @@ def test_reference_that_turns_nan_as_a_whole(tmp_path: Path, dive: Dive) -> None
     cut = replay_dive(replace(dive, reference=short), Config())
     for name in ("reference_error", "credibility"):
         numbers = frames(replay.tables)[name].select_dtypes("number")
-        np.testing.assert_allclose(numbers, frames(cut.tables)[name].select_dtypes("number"), rtol=1e-9)
+        np.testing.assert_allclose(
+            numbers, frames(cut.tables)[name].select_dtypes("number"), rtol=1e-9
+        )
     assert [note.code for note in notes(replay, "reference_slow")] == [
         note.code for note in notes(cut, "reference_slow")
     ]
@@ -138,7 +144,8 @@ def test_number_in_the_last_row_does_not_cover_what_is_before(dive: Dive) -> Non
     velocity_n = ended(reference.velocity_n, reference.time_ns)
     velocity_n[-1] = reference.velocity_n[-1]
     found = notes(
-        replay_dive(replace(dive, reference=replace(reference, velocity_n=velocity_n)), Config()), "reference_coverage"
+        replay_dive(replace(dive, reference=replace(reference, velocity_n=velocity_n)), Config()),
+        "reference_coverage",
     )
     (covered,) = found
     assert re.match(r"velocities .*\b20 %", covered.text)
@@ -146,14 +153,19 @@ def test_number_in_the_last_row_does_not_cover_what_is_before(dive: Dive) -> Non
 
 def test_reference_of_nan_alone_is_none(dive: Dive) -> None:
     reference = reference_of(dive)
-    nothing = replace(reference, **{quantity: np.full_like(getattr(reference, quantity), np.nan) for quantity in NAMES})
+    nothing = replace(
+        reference,
+        **{quantity: np.full_like(getattr(reference, quantity), np.nan) for quantity in NAMES},
+    )
     assert with_reference_at_imu(replace(dive, reference=nothing), Config()).reference is None
     level = Initial(source="level", heading_deg=30.0, latitude_deg=32.8)
     replay = replay_dive(replace(dive, reference=nothing), Config(initial=level))
     assert set(frame(replay.tables.reference_error)["status"]) == {"no reference"}
 
 
-@pytest.mark.parametrize("quantities", [("position",), ("velocity_n",), ("mat_nb",), tuple(OF_QUANTITY)])
+@pytest.mark.parametrize(
+    "quantities", [("position",), ("velocity_n",), ("mat_nb",), tuple(OF_QUANTITY)]
+)
 def test_pages_and_trajectories_of_a_reference_that_ends_are_whole(
     tmp_path: Path, dive: Dive, quantities: tuple[str, ...]
 ) -> None:

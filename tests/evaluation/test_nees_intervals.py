@@ -16,7 +16,14 @@ def test_intervals_of_mean_nees_hold_the_truth(preset: str) -> None:
     dives = list(matched_dives(preset, DIVES))
     rows = [judged(errors) for errors in dives]
     held = {quantity: np.mean([is_held(row[quantity]) for row in rows]) for quantity in rows[0]}
-    for quantity in ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", *CREDIBILITY_GROUPS):
+    for quantity in (
+        "velocity_n",
+        "velocity_e",
+        "velocity_d",
+        "roll",
+        "pitch",
+        *CREDIBILITY_GROUPS,
+    ):
         assert held[quantity] >= LEAST, quantity
     assert np.mean(list(held.values())) >= LEAST
     # It is not the errors of these few dives that make it so: alone they would show more samples than there are.

@@ -22,9 +22,17 @@ def said(drifts_mps: Any, pings_s: Any, status: str = "compared") -> str:
     north_m = np.cumsum(np.broadcast_to(drifts_mps, 400).astype(float))
     position_m = np.column_stack([north_m, np.zeros((400, 2))])
     nothing = np.zeros((400, 3))
-    errors = {"aided": ReferenceErrors(seconds * NS_PER_S, position_m, nothing, nothing, 1000.0, position_m)}
-    velocities = SimpleNamespace(measurement="velocity", time_ns=np.asarray(pings_s, np.int64) * NS_PER_S)
-    of_one: Any = SimpleNamespace(filter="aided", time_ns=np.zeros(1, np.int64), innovations=(velocities,))
+    errors = {
+        "aided": ReferenceErrors(
+            seconds * NS_PER_S, position_m, nothing, nothing, 1000.0, position_m
+        )
+    }
+    velocities = SimpleNamespace(
+        measurement="velocity", time_ns=np.asarray(pings_s, np.int64) * NS_PER_S
+    )
+    of_one: Any = SimpleNamespace(
+        filter="aided", time_ns=np.zeros(1, np.int64), innovations=(velocities,)
+    )
     rows = [ReferenceErrorRow("dive", "aided", name, unit, 1.0, 1.0, 0.0, 1.0, 1.0, 9, status)
             for name, unit in REFERENCE_QUANTITIES.items()]  # fmt: skip
     tables: Any = SimpleNamespace(reference_error=rows)

@@ -34,7 +34,9 @@ def pings(duration_s: float, rate_hz: float = 1.0) -> TimeNs:
     return at(*np.arange(FIRST_PING_S, duration_s, 1.0 / rate_hz))
 
 
-def plan_of(ping_ns: TimeNs, duration_s: float, gaps_s: tuple[tuple[float, float], ...] = ()) -> OutagePlan:
+def plan_of(
+    ping_ns: TimeNs, duration_s: float, gaps_s: tuple[tuple[float, float], ...] = ()
+) -> OutagePlan:
     def in_gap(from_ns: TimeNs, to_ns: TimeNs) -> np.ndarray:
         touched = [(from_ns < at(end)) & (to_ns > at(start)) for start, end in gaps_s]
         return np.any([np.zeros(len(from_ns), bool), *touched], axis=0)
@@ -64,7 +66,14 @@ def test_windows_begin_after_the_burn_in_and_do_not_overlap() -> None:
 
 @pytest.mark.parametrize(
     ("duration_s", "lengths"),
-    [(159.0, []), (160.0, [30]), (219.9, [30]), (220.0, [30, 60]), (424.0, [30, 60, 120]), (700.0, [30, 60, 120, 300])],
+    [
+        (159.0, []),
+        (160.0, [30]),
+        (219.9, [30]),
+        (220.0, [30, 60]),
+        (424.0, [30, 60, 120]),
+        (700.0, [30, 60, 120, 300]),
+    ],
 )
 def test_dive_needs_room_for_two_windows(duration_s: float, lengths: list[int]) -> None:
     plan = plan_of(pings(duration_s), duration_s)
@@ -100,9 +109,12 @@ def test_windows_with_an_outage_are_left_out_and_counted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("outage_s", "left_out"), [((97.0, 104.0), 1), ((126.0, 134.0), 2), ((128.0, 140.0), 2), ((391.0, 399.0), 1)]
+    ("outage_s", "left_out"),
+    [((97.0, 104.0), 1), ((126.0, 134.0), 2), ((128.0, 140.0), 2), ((391.0, 399.0), 1)],
 )
-def test_window_whose_end_has_no_ping_near_is_left_out(outage_s: tuple[float, float], left_out: int) -> None:
+def test_window_whose_end_has_no_ping_near_is_left_out(
+    outage_s: tuple[float, float], left_out: int
+) -> None:
     thirty, *_ = plan_of(without(pings(424.0), outage_s), 424.0).by_length
     assert (thirty.left_out, len(thirty.first)) == (left_out, 10 - left_out)
 
@@ -114,7 +126,10 @@ def test_single_lost_pings_are_no_outage() -> None:
 
 def test_windows_after_the_last_ping_of_all_are_left_out() -> None:
     thirty, *_ = plan_of(pings(300.0), 424.0).by_length
-    assert (starts_s(plan_of(pings(300.0), 424.0), thirty.first), thirty.left_out) == (list(range(100, 251, 30)), 4)
+    assert (starts_s(plan_of(pings(300.0), 424.0), thirty.first), thirty.left_out) == (
+        list(range(100, 251, 30)),
+        4,
+    )
 
 
 def test_windows_with_a_gap_of_the_imu_are_left_out() -> None:
@@ -122,7 +137,9 @@ def test_windows_with_a_gap_of_the_imu_are_left_out() -> None:
     assert thirty.left_out == 1
 
 
-@pytest.mark.parametrize("ping_ns", [at(), at(5.0), pings(400.0, 0.01)], ids=["none", "one", "rare"])
+@pytest.mark.parametrize(
+    "ping_ns", [at(), at(5.0), pings(400.0, 0.01)], ids=["none", "one", "rare"]
+)
 def test_pings_that_are_too_few_make_no_windows(ping_ns: TimeNs) -> None:
     plan = plan_of(ping_ns, 400.0)
     assert plan.by_length == ()
@@ -156,7 +173,9 @@ def test_innovations_are_turned_to_north_and_integrated() -> None:
 
 def test_distance_is_that_of_the_dvl() -> None:
     velocity_b = np.tile([1.2, 0.0, 1.6], (11, 1))
-    np.testing.assert_allclose(distance_along_m(at(*np.arange(0.0, 22.0, 2.0)), velocity_b), 4.0 * np.arange(11))
+    np.testing.assert_allclose(
+        distance_along_m(at(*np.arange(0.0, 22.0, 2.0)), velocity_b), 4.0 * np.arange(11)
+    )
 
 
 DURATION_S = 424.0
@@ -176,7 +195,10 @@ def coasts_that_drift(**accel_mps2: Floats | float) -> OutageRuns:
         return OutageRun(time_s, accel * moved_n, drift_n, nis, score)
 
     of_filters = {name: np.broadcast_to(accel, len(first)) for name, accel in accel_mps2.items()}
-    runs = {name: tuple(run(row, a) for row, a in enumerate(accel)) for name, accel in of_filters.items()}
+    runs = {
+        name: tuple(run(row, a) for row, a in enumerate(accel))
+        for name, accel in of_filters.items()
+    }
     return OutageRuns(plan, 2.0 * np.arange(len(ping_ns)), runs)
 
 
@@ -187,7 +209,9 @@ def rows_of(coasts: OutageRuns) -> dict[tuple[str, str], OutageRow]:
 
 def test_rows_say_how_far_a_filter_drifts() -> None:
     rows = rows_of(coasts_that_drift(baseline=0.001, aided=0.0005))
-    assert list(rows) == [(name, length) for length in ("30", "60", "120") for name in ("baseline", "aided")]
+    assert list(rows) == [
+        (name, length) for length in ("30", "60", "120") for name in ("baseline", "aided")
+    ]
     row = rows["baseline", "60"]
     assert (row.log, row.windows, row.left_out) == ("dive", 5, 0)
     assert [row.drift_median_m, row.drift_rms_m, row.drift_p95_m] == pytest.approx([1.8] * 3)
@@ -203,7 +227,10 @@ def test_rows_say_how_far_a_filter_drifts() -> None:
 @pytest.mark.parametrize("dof", [3, 30])
 def test_alarm_is_rare_by_chance_and_sure_where_sigma_is_a_third_of_the_error(dof: int) -> None:
     """Of consistent filters NIS per dof is chi-square; with a third of the true noise it is nine times that."""
-    rng, row = np.random.default_rng(11), rows_of(coasts_that_drift(baseline=0.001))["baseline", "60"]
+    rng, row = (
+        np.random.default_rng(11),
+        rows_of(coasts_that_drift(baseline=0.001))["baseline", "60"],
+    )
     nis_per_dof = rng.chisquare(dof, 3000) / dof
 
     def rate(factor: float) -> float:
@@ -216,10 +243,16 @@ def test_alarm_is_rare_by_chance_and_sure_where_sigma_is_a_third_of_the_error(do
 
 def test_alarm_names_both_filters_and_the_length_that_is_furthest_off() -> None:
     rows = [
-        replace(row, nis_per_dof={"30": 1.1, "60": 8.94, "120": 6.0}[window_s] / (1.0 if name == "aided" else 8.0))
+        replace(
+            row,
+            nis_per_dof={"30": 1.1, "60": 8.94, "120": 6.0}[window_s]
+            / (1.0 if name == "aided" else 8.0),
+        )
         for (name, window_s), row in rows_of(coasts_that_drift(baseline=0.001, aided=0.001)).items()
     ]
-    said = " NIS / dof after 60 s without DVL: baseline 1.12, aided 8.94, expected 1. Raise [noise]."
+    said = (
+        " NIS / dof after 60 s without DVL: baseline 1.12, aided 8.94, expected 1. Raise [noise]."
+    )
     assert outage_alarm(rows, ("baseline", "aided")) == said
     assert not outage_alarm(rows, ("baseline",))
     assert not outage_alarm([replace(row, nis_per_dof=None) for row in rows], ("baseline", "aided"))
@@ -228,7 +261,10 @@ def test_alarm_names_both_filters_and_the_length_that_is_furthest_off() -> None:
 
 
 def test_alarm_beyond_any_noise_is_geometry_where_innovations_under_way_are_consistent() -> None:
-    rows = [replace(row, nis_per_dof=17.8) for row in rows_of(coasts_that_drift(baseline=0.001)).values()]
+    rows = [
+        replace(row, nis_per_dof=17.8)
+        for row in rows_of(coasts_that_drift(baseline=0.001)).values()
+    ]
     assert "dvl.mounting_rpy_deg" in outage_alarm(rows, ["baseline"], {"baseline": 1.1})
     assert "[noise]" in outage_alarm(rows, ["baseline"], {"baseline": 15.0})
 
@@ -240,7 +276,9 @@ def test_filters_are_paired_by_window() -> None:
     candidate = 0.8 * baseline
     candidate[0] = 2.0 * baseline[0]
     coasts = coasts_that_drift(baseline=baseline, aided=candidate)
-    before, after = (window_ends(coasts, name, coasts.plan.by_length[0]).drift_m for name in coasts.runs)
+    before, after = (
+        window_ends(coasts, name, coasts.plan.by_length[0]).drift_m for name in coasts.runs
+    )
     assert sorted(after / before) == pytest.approx([0.8] * (len(before) - 1) + [2.0])
     row = rows_of(coasts)["aided", "30"]
     assert row.ratio_to_baseline == pytest.approx(np.sqrt(np.sum(after**2) / np.sum(before**2)))
@@ -256,7 +294,9 @@ def test_drift_in_a_window_has_its_direction() -> None:
 
 
 def test_filters_that_drift_alike_draw() -> None:
-    assert rows_of(coasts_that_drift(baseline=0.001, same=0.001))["same", "30"].windows_won_pct == 50.0
+    assert (
+        rows_of(coasts_that_drift(baseline=0.001, same=0.001))["same", "30"].windows_won_pct == 50.0
+    )
 
 
 def test_filter_that_is_lost_has_no_numbers_to_compare() -> None:
@@ -295,7 +335,9 @@ def test_drift_over_time_is_the_middle_and_the_edge_of_all_windows() -> None:
     accel = 1e-3 * np.searchsorted(coasts.plan.runs[0], coasts.plan.shown.first)
     np.testing.assert_allclose(shown.time_s, np.arange(61.0))
     np.testing.assert_allclose(shown.median_m, 0.5 * np.median(accel) * shown.time_s**2, atol=1e-12)
-    np.testing.assert_allclose(shown.p95_m, 0.5 * np.quantile(accel, 0.95) * shown.time_s**2, atol=1e-12)
+    np.testing.assert_allclose(
+        shown.p95_m, 0.5 * np.quantile(accel, 0.95) * shown.time_s**2, atol=1e-12
+    )
 
 
 def test_curves_say_where_in_the_dive_each_window_is() -> None:

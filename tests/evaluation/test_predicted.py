@@ -35,7 +35,18 @@ def history(name: str, sd: Floats, interval_s: float = 1.0) -> History:
     nothing = np.zeros((k, 3))
     attitudes = np.tile(np.eye(3), (k, 1, 1))
     return History(
-        name, times, np.ones(k, dtype=bool), nothing, nothing, attitudes, nothing, nothing, wide, times[:0], nothing, ()
+        name,
+        times,
+        np.ones(k, dtype=bool),
+        nothing,
+        nothing,
+        attitudes,
+        nothing,
+        nothing,
+        wide,
+        times[:0],
+        nothing,
+        (),
     )
 
 
@@ -51,7 +62,9 @@ def test_improvement_compares_the_ends_in_shown_units() -> None:
     for state in STATES:
         baseline[-1, state.index] = 4.0 * state.factor
         aided[-1, state.index] = 3.0 * state.factor
-    table = frame(improvement_table("dive", (history("baseline", baseline), history("aided", aided))))
+    table = frame(
+        improvement_table("dive", (history("baseline", baseline), history("aided", aided)))
+    )
     assert table.columns.tolist() == [
         "log", "filter", "state", "unit", "baseline_sd", "sd", "improvement_pct", "status",
     ]  # fmt: skip
@@ -60,7 +73,9 @@ def test_improvement_compares_the_ends_in_shown_units() -> None:
     assert set(table["log"]) == {"dive"}
     assert set(table["filter"]) == {"aided"}
     assert set(table["status"]) == {"improved"}
-    np.testing.assert_allclose(table[["baseline_sd", "sd", "improvement_pct"]], [[4.0, 3.0, 25.0]] * 12, rtol=1e-12)
+    np.testing.assert_allclose(
+        table[["baseline_sd", "sd", "improvement_pct"]], [[4.0, 3.0, 25.0]] * 12, rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -78,16 +93,27 @@ def test_improvement_compares_the_ends_in_shown_units() -> None:
     ],
 )
 def test_status_of_an_improvement(before: float, after: float, status: str, pct: float) -> None:
-    table = frame(improvement_table("d", (history("b", np.array([9.0, before])), history("a", np.array([9.0, after])))))
+    table = frame(
+        improvement_table(
+            "d", (history("b", np.array([9.0, before])), history("a", np.array([9.0, after])))
+        )
+    )
     assert row(table, "ba_z")["status"] == status
     assert row(table, "ba_z")["improvement_pct"] == pytest.approx(pct, abs=1e-9, nan_ok=True)
     assert improvement_pct(before, after) == pytest.approx(pct, abs=1e-9, nan_ok=True)
 
 
 def test_every_candidate_is_held_against_the_first() -> None:
-    histories = tuple(history(name, np.array([9.0, end])) for name, end in (("a", 8.0), ("b", 4.0), ("c", 2.0)))
-    improvement, convergence = frame(improvement_table("d", histories)), frame(convergence_table("d", histories, {}))
-    assert improvement["filter"].tolist() == convergence["filter"].tolist() == ["b"] * 12 + ["c"] * 12
+    histories = tuple(
+        history(name, np.array([9.0, end])) for name, end in (("a", 8.0), ("b", 4.0), ("c", 2.0))
+    )
+    improvement, convergence = (
+        frame(improvement_table("d", histories)),
+        frame(convergence_table("d", histories, {})),
+    )
+    assert (
+        improvement["filter"].tolist() == convergence["filter"].tolist() == ["b"] * 12 + ["c"] * 12
+    )
     assert improvement["improvement_pct"].to_numpy() == pytest.approx([50.0] * 12 + [75.0] * 12)
 
 
@@ -129,7 +155,9 @@ def test_baseline_alone_has_nothing_to_compare() -> None:
         "not a number at the end",
     ],
 )
-def test_time_after_which_it_stays_at_or_below_5(sd: list[float], reached_s: float, status: str) -> None:
+def test_time_after_which_it_stays_at_or_below_5(
+    sd: list[float], reached_s: float, status: str
+) -> None:
     found_s, found = time_to_stay_below(np.arange(4.0), np.array(sd), 5.0)
     assert found == status
     assert found_s == pytest.approx(reached_s, abs=1e-12, nan_ok=True)
@@ -162,9 +190,13 @@ def test_convergence_counts_seconds_from_the_start() -> None:
         assert found["improvement_pct"] == pytest.approx(62.5, abs=1e-9)
 
 
-@pytest.mark.parametrize(("sd", "status"), [([4.0, 3.0, 2.0], "at_start"), ([9.0, 8.0, 7.0], "never")])
+@pytest.mark.parametrize(
+    ("sd", "status"), [([4.0, 3.0, 2.0], "at_start"), ([9.0, 8.0, 7.0], "never")]
+)
 def test_what_was_not_reached_has_no_time(sd: list[float], status: str) -> None:
-    rows = convergence_table("d", (history("b", np.array([9.0, 6.0, 5.0])), history("a", np.array(sd))), {})
+    rows = convergence_table(
+        "d", (history("b", np.array([9.0, 6.0, 5.0])), history("a", np.array(sd))), {}
+    )
     table = frame(rows)
     assert set(table["status"]) == {status}
     assert table[["reached_s", "improvement_pct"]].isna().all(axis=None)
@@ -174,7 +206,9 @@ def test_what_was_not_reached_has_no_time(sd: list[float], status: str) -> None:
 def test_a_candidate_that_changes_nothing_is_as_much_sooner_as_the_baseline_itself_was() -> None:
     """As sure after two of four seconds as at the end, which is when the paper takes it to have converged."""
     baseline = history("baseline", np.array([9.0, 8.0, 5.0, 5.0, 5.0]))
-    rows = convergence_table("dive", (baseline, history("same", baseline.sd), history("aided", 0.9 * baseline.sd)), {})
+    rows = convergence_table(
+        "dive", (baseline, history("same", baseline.sd), history("aided", 0.9 * baseline.sd)), {}
+    )
     assert [row.unchanged_s for row in rows] == pytest.approx([2.0] * len(rows))
     assert mean_over_nine(rows, "same") == unchanged_over_nine(rows, "same") == pytest.approx(50.0)
     assert mean_over_nine(rows, "aided") > unchanged_over_nine(rows, "aided") == pytest.approx(50.0)
@@ -206,7 +240,9 @@ def test_mean_of_the_nearest_approaches_is_over_the_nine_states() -> None:
     aided = np.repeat((12.0 - times_s)[:, None], 12, axis=1)
     for k, state in enumerate(NINE):
         aided[:, state.index] = 2.0 + np.abs(times_s - k)
-    rows = convergence_table("dive", (baseline, history("aided", aided), history("same", baseline.sd)), {})
+    rows = convergence_table(
+        "dive", (baseline, history("aided", aided), history("same", baseline.sd)), {}
+    )
     found = {row.state: row for row in rows if row.filter == "aided"}
     assert [found[state.id].nearest_approach_s for state in NINE] == list(range(9))
     assert nearest_over_nine(rows, "aided") == pytest.approx(60.0)
@@ -220,7 +256,8 @@ def test_mean_leaves_out_the_velocity_errors_and_the_other_filters() -> None:
     baseline, aided = np.full((2, 12), 4.0), np.full((2, 12), 2.0)
     aided[:, :3] = 4e9
     table = improvement_table(
-        "d", (history("b", baseline), history("aided", aided), history("other", np.full((2, 12), 1.0)))
+        "d",
+        (history("b", baseline), history("aided", aided), history("other", np.full((2, 12), 1.0))),
     )
     assert mean_over_nine(table, "aided") == pytest.approx(50.0)
     assert mean_over_nine(table, "other") == pytest.approx(75.0)
@@ -261,7 +298,9 @@ def papers_histories(printed: Any) -> tuple[History, History]:
             aided[:, state.index] = target * (1.0 + 1e-9)
         else:
             times_s = [0.0, line["reached_s"] / 2.0, line["reached_s"], PAPER_S]
-            aided[:, state.index] = np.interp(time_s, times_s, [0.9 * target, 2.0 * target, target, last])
+            aided[:, state.index] = np.interp(
+                time_s, times_s, [0.9 * target, 2.0 * target, target, last]
+            )
     return history("baseline", baseline), history("aided", aided)
 
 
@@ -278,13 +317,17 @@ def test_papers_improvements_follow_from_its_standard_deviations(
     assert mean_over_nine(rows, "aided") == pytest.approx(168.88 / 9.0, abs=0.002)
 
 
-def test_papers_convergence_follows_from_its_times(printed: Any, papers_histories: tuple[History, History]) -> None:
+def test_papers_convergence_follows_from_its_times(
+    printed: Any, papers_histories: tuple[History, History]
+) -> None:
     rows = convergence_table("straight", papers_histories, {})
     table = frame(rows)
     for state in NINE:
         found, line = row(table, state.id), printed.loc[state.id]
         assert found["target_sd"] == pytest.approx(line["baseline_sd"], rel=1e-12)
         assert found["reached_s"] == pytest.approx(line["reached_s"], abs=1e-6, nan_ok=True)
-        assert found["improvement_pct"] == pytest.approx(line["convergence_improvement_pct"], abs=0.01, nan_ok=True)
+        assert found["improvement_pct"] == pytest.approx(
+            line["convergence_improvement_pct"], abs=0.01, nan_ok=True
+        )
     assert row(table, "phi_d")["status"] == "never"
     assert mean_over_nine(rows, "aided") == pytest.approx(510.62 / 9.0, abs=0.005)

@@ -10,7 +10,13 @@ from scipy.stats import multivariate_normal, norm
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.evaluation.outage_test import OutagePlan, OutageRun, OutageRuns, Windows, outage_run
+from insdvl_replay.evaluation.outage_test import (
+    OutagePlan,
+    OutageRun,
+    OutageRuns,
+    Windows,
+    outage_run,
+)
 from insdvl_replay.evaluation.prediction import Score, crps, prediction_of
 
 PINGS = 40
@@ -24,7 +30,9 @@ def covariance(seed: int) -> Floats:
     return np.asarray(root @ root.T + 1e-4 * np.eye(3))
 
 
-def predicted(name: str, innovation: Floats, S: Floats, measurement: str = "velocity", gate: float = np.inf) -> History:
+def predicted(
+    name: str, innovation: Floats, S: Floats, measurement: str = "velocity", gate: float = np.inf
+) -> History:
     """A filter that met one ping a second, with these innovations, shape (m, 3), and their covariance."""
     m = len(innovation)
     nis = np.einsum("ki,ij,kj->k", innovation, np.linalg.inv(S), innovation)
@@ -32,11 +40,15 @@ def predicted(name: str, innovation: Floats, S: Floats, measurement: str = "velo
     made = history(name, nis, measurement=measurement)
     [met] = made.innovations
     log_det = np.full(m, np.linalg.slogdet(S)[1])
-    met = replace(met, time_ns=time_ns, valid_ns=time_ns, innovation=innovation, log_det=log_det, gate=gate)
+    met = replace(
+        met, time_ns=time_ns, valid_ns=time_ns, innovation=innovation, log_det=log_det, gate=gate
+    )
     return replace(made, innovations=(met,))
 
 
-def score_of(before: History, after: History, settled_s: float = 0.0, outages: OutageRuns = NO_RUNS) -> Score:
+def score_of(
+    before: History, after: History, settled_s: float = 0.0, outages: OutageRuns = NO_RUNS
+) -> Score:
     score = prediction_of(before, after, outages, settled_s)
     assert score is not None
     return score
@@ -56,7 +68,9 @@ def per_component(innovation: Floats, S: Floats) -> float:
 
 def test_log_score_is_that_of_a_normal_density() -> None:
     S, new_S = covariance(1), covariance(2)
-    score = score_of(predicted("baseline", innovations(3), S), predicted("aided", innovations(4), new_S))
+    score = score_of(
+        predicted("baseline", innovations(3), S), predicted("aided", innovations(4), new_S)
+    )
     assert score.baseline == pytest.approx(per_component(innovations(3), S), rel=1e-12)
     assert score.value == pytest.approx(per_component(innovations(4), new_S), rel=1e-12)
     assert score.pings == PINGS
@@ -90,7 +104,9 @@ def test_outlier_counts_as_much_as_the_gate_is() -> None:
     score = score_of(predicted("baseline", z, S, gate=GATE), predicted("aided", z, S))
     constant = 1.5 * np.log(2.0 * np.pi)
     assert score.baseline == pytest.approx((constant + 0.25 * GATE) / 3.0)
-    assert score.value == pytest.approx((constant + 0.25e6) / 3.0), "of a filter without a gate all of it"
+    assert score.value == pytest.approx((constant + 0.25e6) / 3.0), (
+        "of a filter without a gate all of it"
+    )
 
 
 def test_pings_that_one_of_two_lacks_are_left_out_of_both() -> None:
@@ -125,7 +141,10 @@ def outages(scores: dict[str, float], window_s: int = 60, windows: int = 2) -> O
     first = np.arange(windows) * window_s
     ends = Windows(window_s, first, first + window_s, 0)
     plan = OutagePlan(NS_PER_S * np.arange(windows * window_s + 1), (ends,), ends)
-    runs = {name: tuple(coasting(window_s, score) for _ in range(windows)) for name, score in scores.items()}
+    runs = {
+        name: tuple(coasting(window_s, score) for _ in range(windows))
+        for name, score in scores.items()
+    }
     return OutageRuns(plan, np.arange(windows * window_s + 1.0), runs)
 
 
@@ -175,15 +194,31 @@ def test_score_of_held_out_velocities_is_that_of_a_normal_density() -> None:
 
 
 @pytest.mark.parametrize(("error", "sigma"), [(0.0, 1.0), (0.7, 0.2), (-3.0, 2.0), (5.0, 0.01)])
-def test_crps_is_the_integral_of_squared_differences_of_distributions(error: float, sigma: float) -> None:
+def test_crps_is_the_integral_of_squared_differences_of_distributions(
+    error: float, sigma: float
+) -> None:
     """Between the predicted distribution, about zero, and the step at what came."""
-    before, _ = quad(lambda x: norm.cdf(x, 0.0, sigma) ** 2, -9.0 * sigma - abs(error), error, points=[0.0], limit=500)
-    after, _ = quad(lambda x: norm.sf(x, 0.0, sigma) ** 2, error, 9.0 * sigma + abs(error), points=[0.0], limit=500)
+    before, _ = quad(
+        lambda x: norm.cdf(x, 0.0, sigma) ** 2,
+        -9.0 * sigma - abs(error),
+        error,
+        points=[0.0],
+        limit=500,
+    )
+    after, _ = quad(
+        lambda x: norm.sf(x, 0.0, sigma) ** 2,
+        error,
+        9.0 * sigma + abs(error),
+        points=[0.0],
+        limit=500,
+    )
     assert crps(np.array([error]), np.array([sigma])) == pytest.approx(before + after, rel=1e-6)
 
 
 def test_crps_is_a_mean_over_what_is_known() -> None:
-    alone = [crps(np.array([error]), np.array([sigma])) for error, sigma in ((0.7, 0.2), (-3.0, 2.0))]
+    alone = [
+        crps(np.array([error]), np.array([sigma])) for error, sigma in ((0.7, 0.2), (-3.0, 2.0))
+    ]
     found = crps(np.array([0.7, np.nan, -3.0, 1.0]), np.array([0.2, 1.0, 2.0, np.nan]))
     assert found == pytest.approx(np.mean(alone))
     assert np.isnan(crps(np.array([np.nan]), np.array([1.0])))

@@ -37,7 +37,9 @@ def shifted(position: Floats, north_east_down: Floats) -> Floats:
 
 
 def attitudes(rpy_deg: Floats) -> Floats:
-    made: Floats = Rotation.from_euler("ZYX", np.atleast_2d(rpy_deg)[:, ::-1], degrees=True).as_matrix()
+    made: Floats = Rotation.from_euler(
+        "ZYX", np.atleast_2d(rpy_deg)[:, ::-1], degrees=True
+    ).as_matrix()
     return made
 
 
@@ -97,15 +99,25 @@ def test_position_error_is_in_metres_everywhere(
 ) -> None:
     origin = np.array([[latitude_deg * DEG, longitude_deg * DEG, height_m]])
     # The curvature of the Earth over 50 m, steeper towards the poles.
-    np.testing.assert_allclose(north_east_down_m(shifted(origin, np.array([moved])), origin), [moved], atol=5e-3)
+    np.testing.assert_allclose(
+        north_east_down_m(shifted(origin, np.array([moved])), origin), [moved], atol=5e-3
+    )
 
 
-@pytest.mark.parametrize(("ours_deg", "theirs_deg", "sign"), [(-179.9999, 179.9999, 1.0), (179.9999, -179.9999, -1.0)])
-def test_position_error_crosses_the_antimeridian(ours_deg: float, theirs_deg: float, sign: float) -> None:
-    ours, theirs = (np.array([[-17.0 * DEG, longitude * DEG, 0.0]]) for longitude in (ours_deg, theirs_deg))
+@pytest.mark.parametrize(
+    ("ours_deg", "theirs_deg", "sign"), [(-179.9999, 179.9999, 1.0), (179.9999, -179.9999, -1.0)]
+)
+def test_position_error_crosses_the_antimeridian(
+    ours_deg: float, theirs_deg: float, sign: float
+) -> None:
+    ours, theirs = (
+        np.array([[-17.0 * DEG, longitude * DEG, 0.0]]) for longitude in (ours_deg, theirs_deg)
+    )
     over_greenwich = np.array([[-17.0 * DEG, 0.0001 * DEG, 0.0]])
     apart_m = north_east_down_m(over_greenwich, over_greenwich * [1.0, -1.0, 1.0])[0, 1]
-    np.testing.assert_allclose(north_east_down_m(ours, theirs), [[0.0, sign * apart_m, 0.0]], atol=1e-6)
+    np.testing.assert_allclose(
+        north_east_down_m(ours, theirs), [[0.0, sign * apart_m, 0.0]], atol=1e-6
+    )
     assert apart_m == pytest.approx(2e-4 * 1852.0 * 60.0 * np.cos(17.0 * DEG), rel=0.01)
 
 
@@ -123,9 +135,13 @@ def test_noise_of_the_reference_travels_no_distance() -> None:
     reference = going_north()
     noise = np.random.default_rng(1).normal(scale=5.0, size=(11, 3))
     noisy = replace(reference, position=shifted(reference.position, noise))
-    assert reference_errors(history_like(reference), noisy).distance_m == pytest.approx(100.0, abs=1e-9)
+    assert reference_errors(history_like(reference), noisy).distance_m == pytest.approx(
+        100.0, abs=1e-9
+    )
     noisier = replace(
-        reference, position=shifted(reference.position, 10.0 * noise), velocity_n=np.full((11, 3), np.nan)
+        reference,
+        position=shifted(reference.position, 10.0 * noise),
+        velocity_n=np.full((11, 3), np.nan),
     )
     assert reference_errors(history_like(reference), noisier).distance_m <= 100.0 + 1e-9
 
@@ -133,10 +149,17 @@ def test_noise_of_the_reference_travels_no_distance() -> None:
 def test_all_filters_are_measured_by_the_way_of_the_reference() -> None:
     """A filter that flies off would make its own way longer, and what it is off by a smaller share of it."""
     reference = going_north()
-    baseline, astray = history_like(reference, "baseline"), history_like(reference, velocity=(500.0, 0.0, 0.0))
+    baseline, astray = (
+        history_like(reference, "baseline"),
+        history_like(reference, velocity=(500.0, 0.0, 0.0)),
+    )
     for known in (reference, replace(reference, velocity_n=np.full((11, 3), np.nan))):
-        assert reference_errors(astray, known, baseline).distance_m == pytest.approx(100.0, abs=1e-3)
-        assert reference_errors(baseline, known, astray).distance_m == pytest.approx(100.0, abs=1e-3)
+        assert reference_errors(astray, known, baseline).distance_m == pytest.approx(
+            100.0, abs=1e-3
+        )
+        assert reference_errors(baseline, known, astray).distance_m == pytest.approx(
+            100.0, abs=1e-3
+        )
 
 
 def test_way_is_that_of_the_baseline_where_the_reference_does_not_tell_it() -> None:
@@ -146,10 +169,14 @@ def test_way_is_that_of_the_baseline_where_the_reference_does_not_tell_it() -> N
     position = reference.position.copy()
     position[1:10] = np.nan
     surfaced = replace(reference, position=position, velocity_n=unseen)
-    assert reference_errors(history_like(reference), surfaced).distance_m == pytest.approx(100.0, abs=1e-9)
+    assert reference_errors(history_like(reference), surfaced).distance_m == pytest.approx(
+        100.0, abs=1e-9
+    )
     few = reference.velocity_n.copy()
     few[2:] = 0.0, 0.0, np.nan
-    by_positions = reference_errors(history_like(reference), replace(reference, velocity_n=few)).distance_m
+    by_positions = reference_errors(
+        history_like(reference), replace(reference, velocity_n=few)
+    ).distance_m
     assert by_positions == pytest.approx(100.0, abs=1e-3)
 
 
@@ -157,13 +184,20 @@ def test_way_is_that_of_the_baseline_where_the_reference_does_not_tell_it() -> N
 
 
 @REPEATABLE
-@given(st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(-180.0, 180.0)), st.integers(0, 2))
-def test_small_attitude_error_is_the_difference_of_the_angles(rpy_deg: tuple[float, float, float], axis: int) -> None:
+@given(
+    st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(-180.0, 180.0)),
+    st.integers(0, 2),
+)
+def test_small_attitude_error_is_the_difference_of_the_angles(
+    rpy_deg: tuple[float, float, float], axis: int
+) -> None:
     theirs = np.array(rpy_deg)
     ours = theirs + 0.01 * np.eye(3)[axis]
     error_deg = attitude_error(attitudes(ours), attitudes(theirs)) / DEG
     # Axes that lean by 5 deg share the error among them.
-    np.testing.assert_allclose(error_deg, [0.01 * np.eye(3)[axis]], atol=0.01 * np.sin(5.5 * DEG) * 1.5)
+    np.testing.assert_allclose(
+        error_deg, [0.01 * np.eye(3)[axis]], atol=0.01 * np.sin(5.5 * DEG) * 1.5
+    )
 
 
 @pytest.mark.parametrize(
@@ -185,9 +219,13 @@ def test_large_attitude_error_is_turned_to_the_vehicles_heading(
 @pytest.mark.parametrize(
     ("ours_deg", "theirs_deg", "error_deg"), [(1.0, 359.0, 2.0), (359.0, 1.0, -2.0), (181, 179, 2)]
 )
-def test_heading_error_goes_the_short_way_round(ours_deg: float, theirs_deg: float, error_deg: float) -> None:
+def test_heading_error_goes_the_short_way_round(
+    ours_deg: float, theirs_deg: float, error_deg: float
+) -> None:
     ours, theirs = (attitudes(np.array([0.0, 0.0, heading])) for heading in (ours_deg, theirs_deg))
-    np.testing.assert_allclose(attitude_error(ours, theirs) / DEG, [[0.0, 0.0, error_deg]], atol=1e-9)
+    np.testing.assert_allclose(
+        attitude_error(ours, theirs) / DEG, [[0.0, 0.0, error_deg]], atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("pitch_deg", [89.0, 89.9999, 90.0, -90.0])
@@ -206,13 +244,20 @@ def test_known_errors_come_out_with_their_size_and_sign() -> None:
     reference = going_north()
     history = history_like(reference, north_east_down=(3.0, -4.0, -1.5), velocity=(0.1, -0.2, 0.3))
     table = table_of(history_like(reference, "baseline"), history, reference=reference)
-    for quantity, error in (("velocity_n", 0.1), ("velocity_e", -0.2), ("velocity_d", 0.3), ("depth", -1.5)):
+    for quantity, error in (
+        ("velocity_n", 0.1),
+        ("velocity_e", -0.2),
+        ("velocity_d", 0.3),
+        ("depth", -1.5),
+    ):
         assert table.loc[quantity, "rmse"] == pytest.approx(abs(error), abs=1e-4), quantity
         assert table.loc[quantity, "final"] == pytest.approx(error, abs=1e-4), quantity
     assert table.loc["position_h", "rmse"] == pytest.approx(5.0, abs=1e-4)
     # The way is the reference's, 10 m/s for 10 s, not what the filter's own velocity makes of it.
     assert table.loc["position_h_pct", "final"] == pytest.approx(5.0, abs=1e-4)
-    assert (table["samples"] == 10).all(), "the start, where a filter is set to the reference, does not count"
+    assert (table["samples"] == 10).all(), (
+        "the start, where a filter is set to the reference, does not count"
+    )
     assert set(table["status"]) == {"compared"}
 
 
@@ -232,11 +277,17 @@ def test_attitude_errors_are_in_degrees(axis: int, quantity: str) -> None:
 
 def test_rms_final_and_improvement_of_errors_that_change() -> None:
     reference = going_north(4)
-    ours = history_like(reference, "aided", velocity=np.outer([9.0, 1.0, 2.0, -2.0], [1.0, 0.0, 0.0]))
-    theirs = history_like(reference, "baseline", velocity=np.outer([9.0, 2.0, 4.0, 4.0], [1.0, 0.0, 0.0]))
+    ours = history_like(
+        reference, "aided", velocity=np.outer([9.0, 1.0, 2.0, -2.0], [1.0, 0.0, 0.0])
+    )
+    theirs = history_like(
+        reference, "baseline", velocity=np.outer([9.0, 2.0, 4.0, 4.0], [1.0, 0.0, 0.0])
+    )
     table = frame(
         reference_error_table(
-            "dive", (theirs, ours), {h.filter: reference_errors(h, reference) for h in (theirs, ours)}
+            "dive",
+            (theirs, ours),
+            {h.filter: reference_errors(h, reference) for h in (theirs, ours)},
         )
     )
     assert table.columns.tolist() == [
@@ -261,21 +312,33 @@ def test_rms_final_and_improvement_of_errors_that_change() -> None:
         ("mat_nb", {"roll", "pitch", "heading"}),
     ],
 )
-def test_quantity_that_the_reference_lacks_is_said_to_be_missing(missing: str, quantities: set[str]) -> None:
+def test_quantity_that_the_reference_lacks_is_said_to_be_missing(
+    missing: str, quantities: set[str]
+) -> None:
     reference = going_north()
-    histories = history_like(reference, "baseline"), history_like(reference, velocity=(0.1, 0.1, 0.1))
+    histories = (
+        history_like(reference, "baseline"),
+        history_like(reference, velocity=(0.1, 0.1, 0.1)),
+    )
     partial = replace(reference, **{missing: np.full_like(getattr(reference, missing), np.nan)})
     table = table_of(*histories, reference=partial)
     assert set(table.index[table["status"] == "not in reference"]) == quantities
     absent = table.loc[sorted(quantities)]
-    assert absent[["baseline_rmse", "rmse", "improvement_pct", "baseline_final", "final"]].isna().all(axis=None)
+    assert (
+        absent[["baseline_rmse", "rmse", "improvement_pct", "baseline_final", "final"]]
+        .isna()
+        .all(axis=None)
+    )
     assert (absent["samples"] == 0).all()
     assert (table.drop(index=sorted(quantities))["samples"] == 10).all()
 
 
 def test_reference_without_depth_still_has_a_horizontal_position() -> None:
     reference = going_north()
-    histories = history_like(reference, "baseline"), history_like(reference, north_east_down=(3.0, 4.0, 5.0))
+    histories = (
+        history_like(reference, "baseline"),
+        history_like(reference, north_east_down=(3.0, 4.0, 5.0)),
+    )
     flat = reference.position.copy()
     flat[:, 2] = np.nan
     table = table_of(*histories, reference=replace(reference, position=flat))
@@ -285,13 +348,18 @@ def test_reference_without_depth_still_has_a_horizontal_position() -> None:
 
 def test_rows_that_are_not_numbers_are_left_out_of_their_quantity_alone() -> None:
     reference = going_north()
-    histories = history_like(reference, "baseline"), history_like(reference, velocity=(0.1, 0.0, 0.0))
+    histories = (
+        history_like(reference, "baseline"),
+        history_like(reference, velocity=(0.1, 0.0, 0.0)),
+    )
     velocity_n = reference.velocity_n.copy()
     velocity_n[[2, 10]] = np.nan
     table = table_of(*histories, reference=replace(reference, velocity_n=velocity_n))
     assert table.loc["velocity_n", "samples"] == 8
     assert table.loc["velocity_n", "rmse"] == pytest.approx(0.1, abs=1e-12)
-    assert table.loc["velocity_n", "final"] == pytest.approx(0.1, abs=1e-12), "of the last row that is known"
+    assert table.loc["velocity_n", "final"] == pytest.approx(0.1, abs=1e-12), (
+        "of the last row that is known"
+    )
     assert table.loc["heading", "samples"] == 10
 
 
@@ -299,9 +367,14 @@ def test_only_the_references_own_times_are_compared() -> None:
     reference = going_north()
     every = slice(3, None, 3)
     thin = ReferenceColumns(
-        reference.time_ns[every], reference.position[every], reference.velocity_n[every], reference.mat_nb[every]
+        reference.time_ns[every],
+        reference.position[every],
+        reference.velocity_n[every],
+        reference.mat_nb[every],
     )
-    errors = reference_errors(history_like(reference, velocity=np.outer(np.arange(11.0), [0, 0, 1])), thin)
+    errors = reference_errors(
+        history_like(reference, velocity=np.outer(np.arange(11.0), [0, 0, 1])), thin
+    )
     assert errors.time_ns.tolist() == [3 * SECOND, 6 * SECOND, 9 * SECOND]
     np.testing.assert_allclose(errors.velocity_error_n[:, 2], [3.0, 6.0, 9.0])
     assert errors.distance_m == pytest.approx(90.0, abs=1e-3)
@@ -317,7 +390,10 @@ def test_reference_that_never_meets_the_replay_is_compared_with_nothing() -> Non
 
 def test_vehicle_that_stays_has_no_error_in_percent() -> None:
     reference = going_north(step_m=0.0)
-    histories = history_like(reference, "baseline"), history_like(reference, north_east_down=(3.0, 4.0, 0.0))
+    histories = (
+        history_like(reference, "baseline"),
+        history_like(reference, north_east_down=(3.0, 4.0, 0.0)),
+    )
     table = table_of(*histories, reference=reference)
     assert table.loc["position_h", "rmse"] == pytest.approx(5.0, abs=1e-4)
     assert table.loc["position_h_pct", "samples"] == 0
@@ -327,9 +403,17 @@ def test_vehicle_that_stays_has_no_error_in_percent() -> None:
 def test_dive_without_a_reference_says_so() -> None:
     reference = going_north()
     nothing: dict[str, ReferenceErrors] = {}
-    histories = history_like(reference, "baseline"), history_like(reference), history_like(reference, "third")
+    histories = (
+        history_like(reference, "baseline"),
+        history_like(reference),
+        history_like(reference, "third"),
+    )
     table = frame(reference_error_table("dive", histories, nothing))
     assert table["filter"].tolist() == ["aided"] * 9 + ["third"] * 9
     assert set(table["status"]) == {"no reference"}
     assert (table["samples"] == 0).all()
-    assert table[["baseline_rmse", "rmse", "improvement_pct", "baseline_final", "final"]].isna().all(axis=None)
+    assert (
+        table[["baseline_rmse", "rmse", "improvement_pct", "baseline_final", "final"]]
+        .isna()
+        .all(axis=None)
+    )

@@ -9,7 +9,12 @@ from scipy.signal import lfilter
 from insdvl_replay.core.config import Filter
 from insdvl_replay.core.config_file import PRESETS, load_config
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.evaluation.notes import CLASSES, beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.evaluation.notes import (
+    CLASSES,
+    beyond_the_sensor,
+    readings_scatter,
+    sensor_class,
+)
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import GRADES
 
@@ -71,7 +76,12 @@ def test_classes_are_best_first_and_bear_the_keys_of_a_filter() -> None:
 @pytest.mark.parametrize(
     ("key", "noise", "scatter", "expected"),
     [
-        (GYRO, 9e-6, 3e-7, []),  # more than the readings show, but within the best class: small errors of all kinds
+        (
+            GYRO,
+            9e-6,
+            3e-7,
+            [],
+        ),  # more than the readings show, but within the best class: small errors of all kinds
         (GYRO, 1.1e-5, 3e-7, ["37", "3e-07"]),
         (GYRO, 2.9e-4, 3e-5, []),
         (GYRO, 2e-3, 3e-5, ["67", "3e-05", "0.001"]),
@@ -85,7 +95,9 @@ def test_classes_are_best_first_and_bear_the_keys_of_a_filter() -> None:
         (ACCEL, 1.3e-6, 1e-3, ["1e-05"]),
     ],
 )
-def test_noise_beyond_its_sensor(key: str, noise: float, scatter: float, expected: list[str]) -> None:
+def test_noise_beyond_its_sensor(
+    key: str, noise: float, scatter: float, expected: list[str]
+) -> None:
     told = beyond_the_sensor(key, noise, scatter)
     assert re.findall(r"\d[\d.e-]*", told) == expected
     assert bool(told) == bool(expected)

@@ -11,13 +11,31 @@ from insdvl_replay.core.words import HeadingSource, Role, Verdict
 from insdvl_replay.evaluation.answers import CandidateAnswer, pooled_candidate
 from insdvl_replay.evaluation.sentences import answer_lines, headline, start_of
 
-SCATTER = (-0.02, -0.01, 0.0, 0.01, 0.02)  # of the logarithms over five dives; the interval is a factor 1.02 wide
+SCATTER = (
+    -0.02,
+    -0.01,
+    0.0,
+    0.01,
+    0.02,
+)  # of the logarithms over five dives; the interval is a factor 1.02 wide
 WIDE = tuple(10.0 * step for step in SCATTER)  # the interval is a factor 1.22 wide
 
 
 def row(quantity: str, log_ratio: float, role: Role) -> EvidenceRow:
     ratio = math.exp(log_ratio)
-    return EvidenceRow("dive", "compass", "track", quantity, "m", 1.0, ratio, ratio, acts=1.0, samples=100, role=role)
+    return EvidenceRow(
+        "dive",
+        "compass",
+        "track",
+        quantity,
+        "m",
+        1.0,
+        ratio,
+        ratio,
+        acts=1.0,
+        samples=100,
+        role=role,
+    )
 
 
 def answer(
@@ -89,7 +107,11 @@ def test_both_ratios_of_a_mixed_answer_are_in_the_headline_and_the_start_below()
         "MIXED, position 1.90 (1.86 .. 1.94) from the heading of the reference, smaller on 0 of 5 dives, "
         f"but {label(DRAWN_HEADING)} 0.60 (0.59 .. 0.61)"
     )
-    (line,) = (line for line in answer_lines(found, start="heading of the reference (0.06 deg)") if "start: " in line)
+    (line,) = (
+        line
+        for line in answer_lines(found, start="heading of the reference (0.06 deg)")
+        if "start: " in line
+    )
     assert line == (
         "start: heading of the reference (0.06 deg); from a heading as uncertain as [initial]: "
         "position, drawn heading 0.60 (0.59 .. 0.61) better"

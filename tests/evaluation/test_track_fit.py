@@ -16,7 +16,9 @@ TIME_NS = SECOND * np.arange(400, dtype=np.int64)
 
 
 def figure_eight() -> Floats:
-    turn = np.where(TIME_NS // (60 * SECOND) % 2 == 0, 1.0, -1.0) * 2.0 * np.pi * np.arange(400) / 60.0
+    turn = (
+        np.where(TIME_NS // (60 * SECOND) % 2 == 0, 1.0, -1.0) * 2.0 * np.pi * np.arange(400) / 60.0
+    )
     return np.cumsum(np.stack([np.cos(turn), np.sin(turn)], axis=1), axis=0)
 
 
@@ -30,20 +32,26 @@ def straight() -> Floats:
 
 
 def shrunk_and_turned_back(track_m: Floats, scale_pct: float, turn_deg: float) -> Floats:
-    turned: Floats = Rotation.from_euler("z", -turn_deg, degrees=True).as_matrix()[:2, :2] @ track_m.T
+    turned: Floats = (
+        Rotation.from_euler("z", -turn_deg, degrees=True).as_matrix()[:2, :2] @ track_m.T
+    )
     return turned.T / (1.0 + scale_pct / 100.0)
 
 
 @pytest.mark.parametrize("track", [figure_eight, lawn_mower, straight])
 def test_scale_and_turn_are_those_put_in(track: Callable[[], Floats]) -> None:
-    fit = track_fit(TIME_NS, np.array([3.0, -2.0]) + shrunk_and_turned_back(track(), 0.18, -1.5), track())
+    fit = track_fit(
+        TIME_NS, np.array([3.0, -2.0]) + shrunk_and_turned_back(track(), 0.18, -1.5), track()
+    )
     assert fit.scale_pct == pytest.approx(0.18, abs=1e-9)
     assert fit.turn_deg == pytest.approx(-1.5, abs=1e-9)
     assert (fit.scale_sd_pct, fit.turn_sd_deg) == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
 def test_turn_is_clockwise_from_above() -> None:
-    fit = track_fit(TIME_NS, np.outer(np.arange(400.0), [1.0, 0.0]), np.outer(np.arange(400.0), [0.0, 1.0]))
+    fit = track_fit(
+        TIME_NS, np.outer(np.arange(400.0), [1.0, 0.0]), np.outer(np.arange(400.0), [0.0, 1.0])
+    )
     assert fit.turn_deg == pytest.approx(90.0), "from north to east"
 
 
@@ -57,17 +65,26 @@ def random_walk(rng: np.random.Generator) -> Floats:
 
 @pytest.mark.parametrize("track", [figure_eight, lawn_mower, straight])
 @pytest.mark.parametrize(
-    ("wander", "least", "most"), [(random_walk, 0.8, 1.4), (noise_of_fixes, 0.1, 1.2)], ids=["walk", "fixes"]
+    ("wander", "least", "most"),
+    [(random_walk, 0.8, 1.4), (noise_of_fixes, 0.1, 1.2)],
+    ids=["walk", "fixes"],
 )
 def test_standard_errors_are_those_of_the_scatter(
-    track: Callable[[], Floats], wander: Callable[[np.random.Generator], Floats], least: float, most: float
+    track: Callable[[], Floats],
+    wander: Callable[[np.random.Generator], Floats],
+    least: float,
+    most: float,
 ) -> None:
     rng, standardised = np.random.default_rng(1), []
     for _ in range(200):
         fit = track_fit(TIME_NS, shrunk_and_turned_back(track(), 0.2, 0.3), track() + wander(rng))
-        standardised.append([(fit.scale_pct - 0.2) / fit.scale_sd_pct, (fit.turn_deg - 0.3) / fit.turn_sd_deg])
+        standardised.append(
+            [(fit.scale_pct - 0.2) / fit.scale_sd_pct, (fit.turn_deg - 0.3) / fit.turn_sd_deg]
+        )
     rms = np.sqrt(np.mean(np.square(standardised), axis=0))
-    assert np.all((least < rms) & (rms < most)), "the noise of fixes makes them too large, and never too small"
+    assert np.all((least < rms) & (rms < most)), (
+        "the noise of fixes makes them too large, and never too small"
+    )
 
 
 def test_error_along_a_straight_track_makes_the_scale_unsure_and_not_the_turn() -> None:
@@ -83,9 +100,13 @@ def test_error_along_a_straight_track_makes_the_scale_unsure_and_not_the_turn() 
 def test_filter_is_fitted_at_the_times_that_both_have() -> None:
     track_m = figure_eight() * 20.0
     start = np.array([0.57, 0.61, -20.0])
-    position = moved_position(np.tile(start, (400, 1)), np.column_stack([track_m - track_m[0], np.zeros(400)]))
+    position = moved_position(
+        np.tile(start, (400, 1)), np.column_stack([track_m - track_m[0], np.zeros(400)])
+    )
     position[7] = np.nan
-    reference = ReferenceColumns(TIME_NS, position, np.full((400, 3), np.nan), np.full((400, 3, 3), np.nan))
+    reference = ReferenceColumns(
+        TIME_NS, position, np.full((400, 3), np.nan), np.full((400, 3, 3), np.nan)
+    )
     estimated_m = shrunk_and_turned_back(track_m - track_m[0], -0.5, 0.7)
     error_m = np.column_stack([estimated_m - (track_m - track_m[0]), np.zeros(400)])[1:]
     error_m[20] = np.nan

@@ -21,15 +21,24 @@ def dive(**ratios: float) -> list[EvidenceRow]:
 @pytest.mark.parametrize("ratio", [0.1, 1.0, 9.0])
 def test_one_dive_is_undecided_and_says_what_was_on_it(ratio: float) -> None:
     found = judged(dive(position=ratio, level=0.1, drift_60s=9.0))
-    assert (found.verdict, found.prediction, found.primary) == ("undecided", "undecided", "position")
-    assert re.match(r"aided against baseline: on this dive position .*; one dive cannot tell", found.sentence)
+    assert (found.verdict, found.prediction, found.primary) == (
+        "undecided",
+        "undecided",
+        "position",
+    )
+    assert re.match(
+        r"aided against baseline: on this dive position .*; one dive cannot tell", found.sentence
+    )
 
 
 @pytest.mark.parametrize(
-    ("acts", "verdict", "word"), [(0.0, "no effect", "NO EFFECT"), (0.03, "equivalent", "EQUIVALENT")]
+    ("acts", "verdict", "word"),
+    [(0.0, "no effect", "NO EFFECT"), (0.03, "equivalent", "EQUIVALENT")],
 )
 def test_one_dive_proves_how_little_a_candidate_does(acts: float, verdict: str, word: str) -> None:
-    found = judged([evidence_row("position", 1.0, acts=acts), evidence_row("level", 1.0, acts=acts)])
+    found = judged(
+        [evidence_row("position", 1.0, acts=acts), evidence_row("level", 1.0, acts=acts)]
+    )
     assert found.verdict == verdict
     assert found.sentence.startswith(f"aided against baseline: {word}, ")
 
@@ -73,7 +82,9 @@ def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(unsound: str, ra
 
 
 def test_sentence_holds_the_numbers_that_it_was_evaluated_by() -> None:
-    sentence = judged([evidence_row("position", 1.75, acts=0.8)], 40.0, of_aided="overconfident").sentence
+    sentence = judged(
+        [evidence_row("position", 1.75, acts=0.8)], 40.0, of_aided="overconfident"
+    ).sentence
     assert "on this dive position 75.0 % larger" in sentence
     assert "moves the track by 1.6 m, 80 % of its error" in sentence
     assert "predicted: 40.0 % smaller sigma. Not confirmed: position is not smaller." in sentence
@@ -81,7 +92,9 @@ def test_sentence_holds_the_numbers_that_it_was_evaluated_by() -> None:
     assert " 30.0 % larger" in judged(dive(position=0.8), -30.0).sentence
 
 
-@pytest.mark.parametrize("errors", ["consistent", "overconfident", "insufficient data", "no reference"])
+@pytest.mark.parametrize(
+    "errors", ["consistent", "overconfident", "insufficient data", "no reference"]
+)
 @pytest.mark.parametrize("innovations", ["consistent", "overconfident", "insufficient data"])
 def test_innovations_and_errors_have_a_word_each(innovations: str, errors: str) -> None:
     verdict = judged(dive(position=1.0), of_aided=innovations, errors_of_aided=errors)
@@ -131,7 +144,9 @@ def test_gravest_group_of_errors_is_for_the_filter() -> None:
 def test_evidence_on_a_candidate_that_is_not_evaluated_decides_nothing() -> None:
     rows = dive(position=0.5, level=0.5)
     histories = tuple(history(name, np.full(9, 3.0)) for name in ("baseline", "aided"))
-    contradiction = Note("dvl_contradiction", "columns contradict each other", severity=Severity.WARNING)
+    contradiction = Note(
+        "dvl_contradiction", "columns contradict each other", severity=Severity.WARNING
+    )
     for notes, roles, word in (
         ((), ["primary", "secondary"], "undecided"),
         ((contradiction,), ["shown", "shown"], "not evaluated"),

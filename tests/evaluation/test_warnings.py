@@ -21,7 +21,9 @@ from insdvl_replay.evaluation.verdicts import not_evaluated_notes
         ("turn", "deg", -44.0, "warning"),
     ],
 )
-def test_a_track_that_is_far_off_is_a_warning(quantity: str, unit: str, fitted: float, severity: str) -> None:
+def test_a_track_that_is_far_off_is_a_warning(
+    quantity: str, unit: str, fitted: float, severity: str
+) -> None:
     row = TrackFitRow("dive", "baseline", quantity, unit, fitted, 0.1)
     tables: Any = SimpleNamespace(consistency=[], track_fit=[row])
     baseline: Any = SimpleNamespace(filter="baseline", sd=np.full((2, 12), 1e-4))

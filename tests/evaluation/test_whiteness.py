@@ -9,7 +9,9 @@ from insdvl_replay.evaluation.consistency import FEWEST_PAIRS, autocorrelation, 
 EVERY = np.ones(2000, dtype=bool)
 
 
-def autoregressive(rng: np.random.Generator, coefficient: float, k: int = 2000, n: int = 1) -> Floats:
+def autoregressive(
+    rng: np.random.Generator, coefficient: float, k: int = 2000, n: int = 1
+) -> Floats:
     """A normal series of unit variance in which each value is so correlated with the one before."""
     series = rng.standard_normal((k, n))
     for row in range(1, k):
@@ -19,8 +21,12 @@ def autoregressive(rng: np.random.Generator, coefficient: float, k: int = 2000, 
 
 @pytest.mark.parametrize("coefficient", [-0.8, -0.2, 0.0, 0.5, 0.95])
 @pytest.mark.parametrize("n", [1, 3])
-def test_autocorrelation_of_a_series_is_the_one_it_was_made_with(coefficient: float, n: int) -> None:
-    value, limit = autocorrelation(autoregressive(np.random.default_rng(7), coefficient, n=n), EVERY)
+def test_autocorrelation_of_a_series_is_the_one_it_was_made_with(
+    coefficient: float, n: int
+) -> None:
+    value, limit = autocorrelation(
+        autoregressive(np.random.default_rng(7), coefficient, n=n), EVERY
+    )
     # Scatters by sqrt((1 - r^2) / 2000), 2.2 % at most.
     assert value == pytest.approx(coefficient, abs=0.05)
     assert limit == pytest.approx(1.96 / np.sqrt(1999), rel=1e-12)
@@ -51,7 +57,10 @@ def test_nothing_that_varies_has_no_autocorrelation() -> None:
     value, limit = autocorrelation(np.zeros((100, 3)), EVERY[:100])
     assert np.isnan(value)
     assert whiteness(value, limit) == "not finite"
-    assert whiteness(*autocorrelation(np.zeros((FEWEST_PAIRS, 3)), EVERY[:FEWEST_PAIRS])) == "insufficient data"
+    assert (
+        whiteness(*autocorrelation(np.zeros((FEWEST_PAIRS, 3)), EVERY[:FEWEST_PAIRS]))
+        == "insufficient data"
+    )
 
 
 @pytest.mark.parametrize(

@@ -50,4 +50,6 @@ def test_radii_of_curvature() -> None:
 
 def test_arrays_and_numbers_give_the_same() -> None:
     latitude = np.deg2rad([10.0, 60.0])
-    np.testing.assert_array_equal(normal_gravity(latitude, -30.0), [normal_gravity(lat, -30.0) for lat in latitude])
+    np.testing.assert_array_equal(
+        normal_gravity(latitude, -30.0), [normal_gravity(lat, -30.0) for lat in latitude]
+    )

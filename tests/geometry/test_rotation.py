@@ -42,7 +42,9 @@ def test_quaternion_of_no_length_is_missing() -> None:
 
 @pytest.mark.parametrize("pitch_deg", [90.0, -90.0])
 @pytest.mark.parametrize("heading_deg", [-135.0, -90.0, 0.0, 30.0, 180.0])
-def test_roll_pitch_heading_of_an_upright_vehicle_are_of_its_attitude(pitch_deg: float, heading_deg: float) -> None:
+def test_roll_pitch_heading_of_an_upright_vehicle_are_of_its_attitude(
+    pitch_deg: float, heading_deg: float
+) -> None:
     mat = Rotation.from_euler("ZYX", [heading_deg, pitch_deg, 20.0], degrees=True).as_matrix()
     rpy = rpy_from_mat(mat)
     assert rpy[0] == 0.0
@@ -67,7 +69,9 @@ def test_exponential_of_logarithm_is_the_rotation(rotation: list[float]) -> None
 def test_exponential_agrees_with_scipy_on_both_sides_of_the_series(angle: float) -> None:
     rotation = angle * np.array([0.6, 0.0, -0.8])
     mat = rotation_from_vector(vector(rotation))
-    np.testing.assert_allclose(mat, Rotation.from_rotvec(rotation).as_matrix(), rtol=0.0, atol=3e-16)
+    np.testing.assert_allclose(
+        mat, Rotation.from_rotvec(rotation).as_matrix(), rtol=0.0, atol=3e-16
+    )
 
 
 def test_skew_is_the_cross_product() -> None:

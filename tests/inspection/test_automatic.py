@@ -42,7 +42,11 @@ def test_a_damaged_log_is_replayed_and_the_found_settings_repeat_it(
     log = written(good, "mg, flu and deg/s", tmp_path)
     first, second = tmp_path / "first", tmp_path / "second"
     assert run_command_line(["run", str(log), "-o", str(first), "--starts", "1"]) == 0
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith(("found:", "assumed:"))]
+    lines = [
+        line
+        for line in capsys.readouterr().err.splitlines()
+        if line.startswith(("found:", "assumed:"))
+    ]
     assert 3 <= len(lines) < 8
     report = json.loads((first / "dive" / "report.json").read_text())
     nis = next(row for row in report["tables"]["consistency"] if row["measurement"] == "velocity")
@@ -50,7 +54,9 @@ def test_a_damaged_log_is_replayed_and_the_found_settings_repeat_it(
     assert report["config"]["imu"]["axes"] == "flu"
     assert report["config"]["imu"]["specific_force_unit"] == "mg"
     assert report["config"]["imu"]["angular_rate_unit"] == "deg/s"
-    assert {"found_imu", "found_dvl", "found_calibration"} <= {note["code"] for note in report["notes"]}
+    assert {"found_imu", "found_dvl", "found_calibration"} <= {
+        note["code"] for note in report["notes"]
+    }
     vehicle = str(first / "dive" / "vehicle.toml")
     assert run_command_line(["run", str(log), "-o", str(second), "-c", vehicle]) == 0
     assert json.loads((second / "dive" / "report.json").read_text())["tables"] == report["tables"]
@@ -80,7 +86,10 @@ def test_dives_that_fit_or_cannot_be_read_do_not_decide_for_the_others(
 
 def test_no_auto_stops(good: Dive, tmp_path: Path) -> None:
     log = written(good, "deg/s", tmp_path)
-    assert run_command_line(["run", str(log), "-o", str(tmp_path / "out"), "--no-auto"]) == LogError.exit_code
+    assert (
+        run_command_line(["run", str(log), "-o", str(tmp_path / "out"), "--no-auto"])
+        == LogError.exit_code
+    )
     assert not (tmp_path / "out").exists()
 
 
@@ -91,7 +100,9 @@ def test_python_finds_the_same_settings(good: Dive, tmp_path: Path) -> None:
     assert result.report.config["dvl"]["mounting_rpy_deg"][2] == pytest.approx(90.0, abs=0.5)
 
 
-@pytest.mark.parametrize("damage", ["accelerometers -x+y+z", "gyros +x+y-z", "gyro scale 0.6", "IMU 0.3 s late"])
+@pytest.mark.parametrize(
+    "damage", ["accelerometers -x+y+z", "gyros +x+y-z", "gyro scale 0.6", "IMU 0.3 s late"]
+)
 @pytest.mark.nightly
 def test_signs_scales_and_late_stamps_are_found(damage: str, good: Dive, tmp_path: Path) -> None:
     log = written(good, damage, tmp_path)
@@ -122,7 +133,14 @@ def test_a_value_that_is_given_stays_also_where_it_is_the_default(
     good: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["run", str(wandering(good, tmp_path)), "-o", str(tmp_path / "out"), "--starts", "1"]
-    command += ["--preset", "levy-klein", "--set", "dvl.lever_arm_m=[0,0,0]", "--set", "reference.ignore=false"]
+    command += [
+        "--preset",
+        "levy-klein",
+        "--set",
+        "dvl.lever_arm_m=[0,0,0]",
+        "--set",
+        "reference.ignore=false",
+    ]
     assert run_command_line(command) == 0
     assert "found: IMU" in capsys.readouterr().err
     config = json.loads((tmp_path / "out" / "dive" / "report.json").read_text())["config"]
@@ -164,7 +182,10 @@ def test_tracks_are_added_with_the_settings_that_were_found(
     assert run_command_line(["run", str(log), "-o", str(out), "--starts", "1", "--force"]) == 0
     assert json.loads((out / "dive" / "report.json").read_text())["config"]["dvl"]["scale"] == 1.0
     capsys.readouterr()
-    assert run_command_line(["run", str(log), "-o", str(out), "--starts", "1", "--tum", "--force"]) == 0
+    assert (
+        run_command_line(["run", str(log), "-o", str(out), "--starts", "1", "--tum", "--force"])
+        == 0
+    )
     assert "found: IMU" in capsys.readouterr().err
     assert (out / "dive" / "reference.tum").is_file()
 

@@ -24,7 +24,9 @@ def mat(*rpy_deg: float) -> np.ndarray:
     return np.asarray(mat_from_rpy(np.array(rpy_deg) * DEG))
 
 
-def oblique(dvl_rpy_deg: tuple[float, float, float], imu_rpy_deg: tuple[float, float, float]) -> Dive:
+def oblique(
+    dvl_rpy_deg: tuple[float, float, float], imu_rpy_deg: tuple[float, float, float]
+) -> Dive:
     """A dive whose DVL gives velocities, with the readings of an IMU that is turned in the body."""
     dive = simulate_dive(
         "calibration", seed=5, grade="tactical", duration_s=160.0, imu_rate_hz=25.0, dvl_rate_hz=2.0,
@@ -34,7 +36,9 @@ def oblique(dvl_rpy_deg: tuple[float, float, float], imu_rpy_deg: tuple[float, f
     assert dive.dvl.beam_vectors_d is not None
     velocity_d, *_ = solve_beams(dive.dvl.beam_velocity_mps, dive.dvl.beam_vectors_d)
     turn = mat(*imu_rpy_deg)
-    imu = ImuColumns(dive.imu.time_ns, dive.imu.specific_force_b @ turn, dive.imu.angular_rate_b @ turn)
+    imu = ImuColumns(
+        dive.imu.time_ns, dive.imu.specific_force_b @ turn, dive.imu.angular_rate_b @ turn
+    )
     dvl = replace(dive.dvl, beam_velocity_mps=None, beam_vectors_d=None, velocity_d=velocity_d)
     return replace(dive, imu=imu, dvl=dvl)
 
@@ -52,7 +56,9 @@ def found_in(dive: Dive, given: Given) -> tuple[Hypothesis, Trials]:
      ((180.0, 0.0, 45.0), (-20.0, 10.0, 40.0), True)],
 )  # fmt: skip
 def test_oblique_mountings_are_found(
-    dvl_rpy_deg: tuple[float, float, float], imu_rpy_deg: tuple[float, float, float], has_reference: bool
+    dvl_rpy_deg: tuple[float, float, float],
+    imu_rpy_deg: tuple[float, float, float],
+    has_reference: bool,
 ) -> None:
     dive = oblique(dvl_rpy_deg, imu_rpy_deg)
     found, _ = found_in(dive if has_reference else replace(dive, reference=None), Given(Config()))

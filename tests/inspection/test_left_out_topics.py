@@ -29,8 +29,14 @@ TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 
 
 def imu(topic: str = "/imu", times: Sequence[float] = tuple(TIMES)) -> list[Message]:
-    flying = {"linear_acceleration": xyz((0.1, 0.15, -9.8)), "angular_velocity": xyz((0.01, 0.0, RATE_RADPS))}
-    return [(topic, "sensor_msgs/msg/Imu", time_s, {"header": header(time_s)} | flying) for time_s in times]
+    flying = {
+        "linear_acceleration": xyz((0.1, 0.15, -9.8)),
+        "angular_velocity": xyz((0.01, 0.0, RATE_RADPS)),
+    }
+    return [
+        (topic, "sensor_msgs/msg/Imu", time_s, {"header": header(time_s)} | flying)
+        for time_s in times
+    ]
 
 
 def speed_mps(time_s: float) -> float:
@@ -43,7 +49,12 @@ def dvl(topic: str, **values: Any) -> list[Message]:
             topic,
             DVL,
             time_s,
-            {"header": header(time_s), "velocity_mode": 1, "velocity": xyz((speed_mps(time_s), 0.05, 0.01))} | values,
+            {
+                "header": header(time_s),
+                "velocity_mode": 1,
+                "velocity": xyz((speed_mps(time_s), 0.05, 0.01)),
+            }
+            | values,
         )
         for time_s in PINGS.tolist()
     ]
@@ -64,13 +75,21 @@ def odometry(topic: str, again: int = 1, off_mps: float = 0.0) -> list[Message]:
             at_s = time_s + 0.01 * number
             twist = {"twist": {"linear": xyz(velocity)}}
             found.append(
-                (topic, "nav_msgs/msg/Odometry", at_s, {"header": header(at_s), "pose": {"pose": pose}, "twist": twist})
+                (
+                    topic,
+                    "nav_msgs/msg/Odometry",
+                    at_s,
+                    {"header": header(at_s), "pose": {"pose": pose}, "twist": twist},
+                )
             )
     return found
 
 
 def read(folder: Path, *messages: list[Message], config: Config | None = None) -> RoleReadings:
-    path = write_log(folder / "dive.mcap", sorted((row for rows in messages for row in rows), key=lambda row: row[2]))
+    path = write_log(
+        folder / "dive.mcap",
+        sorted((row for rows in messages for row in rows), key=lambda row: row[2]),
+    )
     return read_roles(path, config or Config(), allow_damaged=False)
 
 
@@ -87,7 +106,10 @@ def test_a_dvl_that_cannot_be_read_is_left_out_and_named(tmp_path: Path) -> None
 
 
 def test_an_imu_that_cannot_be_read_is_left_out_and_named(tmp_path: Path) -> None:
-    stuck = [(*row[:3], row[3] | {"angular_velocity_covariance": [-1.0] + [0.0] * 8}) for row in imu("/a_no_gyro")]
+    stuck = [
+        (*row[:3], row[3] | {"angular_velocity_covariance": [-1.0] + [0.0] * 8})
+        for row in imu("/a_no_gyro")
+    ]
     found = read(tmp_path, imu(), imu("/a_few", (0.0, 1.0, 2.0)), stuck, dvl("/bottom"))
     assert [found_imu.topic for found_imu in found.imus] == ["/imu"]
     assert "/a_few" in left_out(found)
@@ -164,7 +186,9 @@ def test_an_imu_in_gps_time_is_reported(tmp_path: Path) -> None:
 # Several dives
 
 
-def test_short_dives_and_those_that_fail_do_not_decide_for_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_short_dives_and_those_that_fail_do_not_decide_for_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     tried: list[str] = []
 
     def roles(paths: Sequence[Path], given: Config, *, allow_damaged: bool) -> Any:
@@ -192,7 +216,11 @@ def test_a_dive_of_some_seconds_does_not_count_beside_others() -> None:
     def lasting(length_s: float) -> Dive:
         time_ns = START_NS + np.arange(round(10 * length_s)) * 10**8
         columns = ImuColumns(time_ns, np.zeros((len(time_ns), 3)), np.zeros((len(time_ns), 3)))
-        return Dive(f"of_{length_s:g}_s", columns, DvlColumns(time_ns, velocity_d=np.zeros((len(time_ns), 3))))
+        return Dive(
+            f"of_{length_s:g}_s",
+            columns,
+            DvlColumns(time_ns, velocity_d=np.zeros((len(time_ns), 3))),
+        )
 
     notes: list[Note] = []
     whole, short = lasting(60.0), lasting(5.0)
@@ -207,7 +235,9 @@ def test_a_number_that_stands_for_none_does_not_tell_the_size_of_a_field() -> No
     values = np.random.default_rng(1).normal(1.0, 0.1, (50, 3))
     marked = values.copy()
     marked[10:40] = 999.999
-    np.testing.assert_array_equal(without_marks(marked), np.delete(values, np.arange(10, 40), axis=0))
+    np.testing.assert_array_equal(
+        without_marks(marked), np.delete(values, np.arange(10, 40), axis=0)
+    )
     assert without_marks(values) is values
     assert len(without_marks(np.full((5, 3), 2.0))) == 5
 

@@ -21,14 +21,21 @@ from insdvl_replay.sim.trajectories import HEADING_DEG
 
 def with_fixes_alone(dive: Dive) -> Dive:
     assert dive.reference is not None
-    nothing = {name: np.full_like(getattr(dive.reference, name), np.nan) for name in ("mat_nb", "velocity_n")}
+    nothing = {
+        name: np.full_like(getattr(dive.reference, name), np.nan)
+        for name in ("mat_nb", "velocity_n")
+    }
     return replace(dive, truth=None, reference=replace(dive.reference, **nothing))
 
 
 def test_heading_of_a_short_dive_is_fitted_to_its_fixes() -> None:
-    dive = simulate_dive("figure-eight", seed=2, duration_s=90.0, imu_rate_hz=20.0, reference_rate_hz=1.0)
+    dive = simulate_dive(
+        "figure-eight", seed=2, duration_s=90.0, imu_rate_hz=20.0, reference_rate_hz=1.0
+    )
     config = load_config("fog", overrides=["initial.source=level", "initial.heading_deg=fit"])
-    assert fitted_start(with_fixes_alone(dive), config).heading_deg == pytest.approx(HEADING_DEG, abs=1.0)
+    assert fitted_start(with_fixes_alone(dive), config).heading_deg == pytest.approx(
+        HEADING_DEG, abs=1.0
+    )
 
 
 def test_what_differs_is_named() -> None:
@@ -47,11 +54,16 @@ def test_what_differs_is_named() -> None:
 def test_dive_with_another_scale_gets_settings_of_its_own(tmp_path: Path) -> None:
     logs = [tmp_path / f"dive_{number}.mcap" for number in (1, 2, 3)]
     for seed, log in enumerate(logs):
-        dive = simulate_dive("calibration", seed=seed, grade="tactical", duration_s=150.0, imu_rate_hz=50.0)
+        dive = simulate_dive(
+            "calibration", seed=seed, grade="tactical", duration_s=150.0, imu_rate_hz=50.0
+        )
         scale = 0.54 if log.stem == "dive_2" else 1.0
         scaled = replace(dive.imu, specific_force_b=scale * dive.imu.specific_force_b)
         write_dive(log, with_fixes_alone(replace(dive, imu=scaled)))
     output = tmp_path / "replay"
     assert run_command_line(["run", *map(str, logs), "-o", str(output), "--starts", "1", "-q"]) == 0
-    scales = [load_config(file=output / log.stem / "vehicle.toml").imu.specific_force_scale for log in logs]
+    scales = [
+        load_config(file=output / log.stem / "vehicle.toml").imu.specific_force_scale
+        for log in logs
+    ]
     assert scales == [1.0, pytest.approx(0.54, abs=0.01), 1.0]

@@ -26,7 +26,9 @@ def messages(*, in_world: bool, moved: bool = True) -> list[Message]:
     for time_s, yaw in zip(TIMES.tolist(), YAW.tolist(), strict=True):
         at = header(time_s)
         place = SPEED_MPS / RATE_RADPS * np.array([np.sin(yaw), -np.cos(yaw), 0.0])
-        velocity = SPEED_MPS * np.array([np.cos(yaw), np.sin(yaw), 0.0] if in_world else [1.0, 0.0, 0.0])
+        velocity = SPEED_MPS * np.array(
+            [np.cos(yaw), np.sin(yaw), 0.0] if in_world else [1.0, 0.0, 0.0]
+        )
         pose = {
             "position": xyz(place if moved else place * 0),
             "orientation": {"z": np.sin(yaw / 2), "w": np.cos(yaw / 2)},
@@ -34,7 +36,12 @@ def messages(*, in_world: bool, moved: bool = True) -> list[Message]:
         found.append(("/imu", "sensor_msgs/msg/Imu", time_s, {"header": at, **flying}))
         twist = {"twist": {"linear": xyz(velocity)}}
         found.append(
-            ("/truth", "nav_msgs/msg/Odometry", time_s, {"header": at, "pose": {"pose": pose}, "twist": twist})
+            (
+                "/truth",
+                "nav_msgs/msg/Odometry",
+                time_s,
+                {"header": at, "pose": {"pose": pose}, "twist": twist},
+            )
         )
     for time_s in TIMES[::4].tolist():
         found.append(("/dvl", "geometry_msgs/msg/TwistStamped", time_s, ping(time_s)))
@@ -42,7 +49,10 @@ def messages(*, in_world: bool, moved: bool = True) -> list[Message]:
 
 
 def ping(time_s: float) -> dict[str, Any]:
-    return {"header": header(time_s), "twist": {"linear": xyz((SPEED_MPS, 1e-3 * np.sin(time_s), 0.0))}}
+    return {
+        "header": header(time_s),
+        "twist": {"linear": xyz((SPEED_MPS, 1e-3 * np.sin(time_s), 0.0))},
+    }
 
 
 def proposed(path: Path, found: list[Message], **initial: Any) -> dict[str, Setting]:
@@ -64,17 +74,26 @@ def test_it_is_reported_even_where_a_replay_lacks_nothing(in_world: bool, tmp_pa
     path = write_log(tmp_path / "dive.mcap", messages(in_world=in_world))
     config = Config(imu=Imu(axes="flu"), initial=Initial(latitude_deg=30.0))
     proposal = propose_settings(path, config)
-    assert [setting.key for setting in proposal.settings] == (["reference.velocity_n"] if in_world else [])
+    assert [setting.key for setting in proposal.settings] == (
+        ["reference.velocity_n"] if in_world else []
+    )
     assert proposal.blockers == ()
 
 
 def test_without_positions_nothing_reports_in_which_frame_a_velocity_is(tmp_path: Path) -> None:
-    assert "reference.velocity_n" not in proposed(tmp_path / "dive.mcap", messages(in_world=True, moved=False))
+    assert "reference.velocity_n" not in proposed(
+        tmp_path / "dive.mcap", messages(in_world=True, moved=False)
+    )
 
 
 def test_a_topic_that_only_has_the_type_of_a_reference_is_not_proposed(tmp_path: Path) -> None:
     depths: list[Message] = [
-        ("/depth", "nav_msgs/msg/Odometry", t, {"header": header(t), "pose": {"pose": {"position": {"z": -t}}}})
+        (
+            "/depth",
+            "nav_msgs/msg/Odometry",
+            t,
+            {"header": header(t), "pose": {"pose": {"position": {"z": -t}}}},
+        )
         for t in TIMES.tolist()
     ]
     settings = proposed(tmp_path / "dive.mcap", [*messages(in_world=False), *depths])

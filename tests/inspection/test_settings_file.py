@@ -44,7 +44,11 @@ def loaded(log: Path, folder: Path, *overrides: str) -> Config:
 
 def word(report: Path) -> str:
     rows = json.loads(report.read_text())["tables"]["consistency"]
-    return next(row["verdict"] for row in rows if (row["filter"], row["measurement"]) == ("baseline", "velocity"))
+    return next(
+        row["verdict"]
+        for row in rows
+        if (row["filter"], row["measurement"]) == ("baseline", "velocity")
+    )
 
 
 # --- Real logs that nobody has written settings for.
@@ -75,7 +79,9 @@ def real(name: str) -> Path:
 
 
 @pytest.mark.nightly
-def test_unit_and_scale_of_an_imu_that_is_wrong_are_found_and_another_one_is_preferred(tmp_path: Path) -> None:
+def test_unit_and_scale_of_an_imu_that_is_wrong_are_found_and_another_one_is_preferred(
+    tmp_path: Path,
+) -> None:
     """Its gyros show 1 / 1.6645 of the truth, and its accelerometers m/s^2 where the type says g."""
     log = real("blueye_x3/grid_gyro_scale_wrong.mcap")
     assert loaded(log, tmp_path).imu.topic != "blueye.protocol.Imu2Tel"
@@ -97,14 +103,23 @@ def test_two_commands_lead_to_a_consistent_replay_whatever_the_sensors(
     seed: str, grade: str, put_in: tuple[str, ...], tmp_path: Path
 ) -> None:
     log, file, out = (tmp_path / name for name in ("dive.mcap", "vehicle.toml", "out"))
-    assert run_command_line(["simulate", "calibration", "--imu", grade, "--seed", seed, "-o", str(log), *put_in]) == 0
+    assert (
+        run_command_line(
+            ["simulate", "calibration", "--imu", grade, "--seed", seed, "-o", str(log), *put_in]
+        )
+        == 0
+    )
     assert run_command_line(["inspect", str(log), "--propose", str(file)]) == 0
-    assert run_command_line(["run", str(log), "-c", str(file), "-o", str(out), "--starts", "1"]) == 0
+    assert (
+        run_command_line(["run", str(log), "-c", str(file), "-o", str(out), "--starts", "1"]) == 0
+    )
     assert word(out / "dive" / "report.json") in AS_GOOD_AS_SAID
 
 
 @pytest.mark.nightly
-def test_an_arm_and_a_delay_that_nobody_knows_are_not_taken_for_a_turned_dvl(tmp_path: Path) -> None:
+def test_an_arm_and_a_delay_that_nobody_knows_are_not_taken_for_a_turned_dvl(
+    tmp_path: Path,
+) -> None:
     """On the figure-eight a DVL that is rolled by 90 deg left less of the innovations, with no arm and no delay."""
     log = tmp_path / "dive.mcap"
     put_in = ["--lever-arm", "0.3,-0.1,0.2", "--dvl-delay", "0.12"]
@@ -166,7 +181,11 @@ def test_file_is_readable_even_where_the_log_is_not(
     write(log, turning)
     found = proposed(log)
     loaded(log, tmp_path)
-    told = {line.partition(" =")[0].removeprefix("# ") for line in found.text.splitlines() if " =" in line}
+    told = {
+        line.partition(" =")[0].removeprefix("# ")
+        for line in found.text.splitlines()
+        if " =" in line
+    }
     assert {key.partition(".")[2] for key in found.missing} <= told
 
 
@@ -185,7 +204,10 @@ def test_log_with_nothing_in_it_gives_a_file_that_says_so(tmp_path: Path) -> Non
 
 def positions_alone(dive: Dive) -> Dive:
     assert dive.reference is not None
-    nothing = {name: np.full_like(getattr(dive.reference, name), np.nan) for name in ("mat_nb", "velocity_n")}
+    nothing = {
+        name: np.full_like(getattr(dive.reference, name), np.nan)
+        for name in ("mat_nb", "velocity_n")
+    }
     return replace(dive, reference=replace(dive.reference, **nothing))
 
 
@@ -225,13 +247,20 @@ def test_class_of_the_sensors_is_that_of_their_noise(grade: str) -> None:
 
 
 def test_readings_that_never_change_are_of_no_class(turning: Dive) -> None:
-    assert imu_class(replace(turning.imu, angular_rate_b=np.zeros_like(turning.imu.angular_rate_b))) == "mems"
+    assert (
+        imu_class(replace(turning.imu, angular_rate_b=np.zeros_like(turning.imu.angular_rate_b)))
+        == "mems"
+    )
 
 
 def test_what_was_given_stays(turning: Dive, tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     write_dive(log, turning)
-    geometry = ["dvl.lever_arm_m=[1.0, 0.0, 0.5]", "dvl.mounting_rpy_deg=[0, 0, 2.0]", "dvl.latency_s=0.05"]
+    geometry = [
+        "dvl.lever_arm_m=[1.0, 0.0, 0.5]",
+        "dvl.mounting_rpy_deg=[0, 0, 2.0]",
+        "dvl.latency_s=0.05",
+    ]
     turn_rate = ['topics.turning.topic="/imu"', 'topics.turning.values="angular_velocity.z"']
     given = load_config("tactical", overrides=[*geometry, *turn_rate])
     file = tmp_path / "proposed.toml"
@@ -245,7 +274,9 @@ def test_what_was_given_stays_where_no_settings_are_found(tmp_path: Path) -> Non
     log, file = tmp_path / "log.mcap", tmp_path / "proposed.toml"
     write_dive(log, replace(simulate_dive("static", duration_s=60.0), truth=None))
     turn_rate = ['topics.turning.topic="/imu"', 'topics.turning.values="angular_velocity.z"']
-    given = load_config("mems", overrides=["dvl.latency_s=0.05", "filters.aided.velocity_sd_mps=0.01", *turn_rate])
+    given = load_config(
+        "mems", overrides=["dvl.latency_s=0.05", "filters.aided.velocity_sd_mps=0.01", *turn_rate]
+    )
     proposed = settings_file([[log]], Given(given))
     assert proposed.failure is not None
     file.write_text(proposed.text)
@@ -294,4 +325,6 @@ def test_the_start_of_a_dive_without_settings_is_not_given() -> None:
     assert Given(load_config()).keys == []
     assert Given(load_config("levy-klein")).has("noise.gyro_white_rad_rts", "initial.uncertainty")
     as_set = ["initial.uncertainty=settings"]
-    assert Given(load_config(overrides=as_set), given_keys(None, (), as_set)).keys == ["initial.uncertainty"]
+    assert Given(load_config(overrides=as_set), given_keys(None, (), as_set)).keys == [
+        "initial.uncertainty"
+    ]

@@ -18,7 +18,9 @@ from insdvl_replay.sim.dive import simulate_dive
 
 AKIT = Path(__file__).resolve().parents[3] / "shared" / "data" / "akit_csv"
 SNAPIR = AKIT.parent / "snapir" / "snapir_01.mcap"
-needs_dives = pytest.mark.skipif(not AKIT.is_dir(), reason="needs the recorded dives in ../shared/data")
+needs_dives = pytest.mark.skipif(
+    not AKIT.is_dir(), reason="needs the recorded dives in ../shared/data"
+)
 
 
 def in_equal_steps(end_s: float, rows: int) -> np.ndarray:
@@ -46,12 +48,16 @@ def published(folder: Path) -> Path:
     assert dive.dvl.beam_velocity_mps is not None
     assert dive.dvl.beam_vectors_d is not None
     velocity_d = solve_beams(dive.dvl.beam_velocity_mps, dive.dvl.beam_vectors_d)[0]
-    tables["dvl"] = {f"DVL {axis} [m/s]": column for axis, column in zip("xyz", velocity_d.T, strict=True)}
+    tables["dvl"] = {
+        f"DVL {axis} [m/s]": column for axis, column in zip("xyz", velocity_d.T, strict=True)
+    }
     for name in ("Acc y [m/s^2]", "Gyro y [rad/s]"):
         tables["imu"][name] = -tables["imu"][name]
     for name, first, rows in (("imu", 0, 10_000), ("dvl", 0, 200), ("reference", 3, 1000)):
         tables[name].pop("Time [ns]", None)
-        frame = pd.DataFrame({title: column[first : first + rows] for title, column in tables[name].items()})
+        frame = pd.DataFrame(
+            {title: column[first : first + rows] for title, column in tables[name].items()}
+        )
         frame.insert(0, "Time [s]", np.linspace(0.0, 200.0, rows))
         frame.to_csv(folder / f"{name}.csv", index=False)
     return folder
@@ -60,7 +66,11 @@ def published(folder: Path) -> Path:
 def test_faults_of_published_tables_become_settings(tmp_path: Path) -> None:
     proposal = propose_settings(published(tmp_path), Config())
     found = {setting.key: setting.value for setting in proposal.settings}
-    assert [found[f"{role}.stamp"] for role in ("imu", "dvl", "reference")] == ["50 Hz", "1 Hz", "5 Hz"]
+    assert [found[f"{role}.stamp"] for role in ("imu", "dvl", "reference")] == [
+        "50 Hz",
+        "1 Hz",
+        "5 Hz",
+    ]
     assert found["reference.angle_unit"] == "rad"
     assert found["reference.latency_s"] == pytest.approx(-0.6, abs=0.01)
     assert found["dvl.latency_s"] == pytest.approx(-0.3717, abs=0.02)
@@ -78,11 +88,24 @@ def test_one_table_may_have_the_columns_of_all_sensors(tmp_path: Path) -> None:
         "Time [ns]": tables["dvl"]["Time [ns]"],
         **dict(zip(("dvl_vx", "dvl_vy", "dvl_vz"), beams, strict=True)),
     }
-    joined = pd.concat([pd.DataFrame(table) for table in tables.values()]).sort_values("Time [ns]", kind="stable")
+    joined = pd.concat([pd.DataFrame(table) for table in tables.values()]).sort_values(
+        "Time [ns]", kind="stable"
+    )
     joined.to_csv(tmp_path / "all.csv", index=False)
-    found = {setting.key: setting.value for setting in propose_settings(tmp_path / "all.csv", Config()).settings}
+    found = {
+        setting.key: setting.value
+        for setting in propose_settings(tmp_path / "all.csv", Config()).settings
+    }
     assert {found[f"{role}.topic"] for role in ("imu", "dvl", "reference")} == {"all.csv"}
-    fields = [found[key] for key in ("imu.specific_force", "imu.angular_rate", "dvl.velocity", "reference.velocity_n")]
+    fields = [
+        found[key]
+        for key in (
+            "imu.specific_force",
+            "imu.angular_rate",
+            "dvl.velocity",
+            "reference.velocity_n",
+        )
+    ]
     assert fields == [
         "acc_x, acc_y, acc_z",
         "gyro_x, gyro_y, gyro_z",
@@ -97,7 +120,11 @@ def test_one_table_may_have_the_columns_of_all_sensors(tmp_path: Path) -> None:
 def test_faults_of_a_recorded_dive_are_found() -> None:
     """Its README tells what they are, to some 5 ms."""
     found = {setting.key: setting for setting in propose_settings(AKIT, Config()).settings}
-    assert [found[f"{role}.stamp"].value for role in ("imu", "dvl", "reference")] == ["100 Hz", "1 Hz", "1 Hz"]
+    assert [found[f"{role}.stamp"].value for role in ("imu", "dvl", "reference")] == [
+        "100 Hz",
+        "1 Hz",
+        "1 Hz",
+    ]
     assert "0.25 % too slow" in found["dvl.stamp"].seen
     assert found["reference.latency_s"].value == pytest.approx(0.416, abs=0.01)
     assert found["dvl.latency_s"].value == pytest.approx(-1.018, abs=0.02)

@@ -42,14 +42,19 @@ def straight() -> Dive:
 def assert_same_tables(found: Tables, expected: Tables) -> None:
     for name, table in frames(expected).items():
         columns = [column for column in table.columns if column != "log"]
-        pd.testing.assert_frame_equal(frames(found)[name][columns], table[columns], rtol=1e-6, atol=1e-9)
+        pd.testing.assert_frame_equal(
+            frames(found)[name][columns], table[columns], rtol=1e-6, atol=1e-9
+        )
 
 
 @pytest.mark.parametrize(
     ("write", "answers"),
     [
         (unknown_logs.nested_cdr, {"imu.angular_rate_unit": '"rad/s"'}),
-        (unknown_logs.bare_json, {"imu.angular_rate_unit": '"deg/s"', "imu.axes": '"flu"', "dvl.axes": '"frd"'}),
+        (
+            unknown_logs.bare_json,
+            {"imu.angular_rate_unit": '"deg/s"', "imu.axes": '"flu"', "dvl.axes": '"frd"'},
+        ),
         (unknown_logs.protobuf, {"imu.angular_rate_unit": '"rad/s"', "dvl.axes": '"frd"'}),
     ],
 )
@@ -93,7 +98,11 @@ def test_trials_find_units_axes_and_scale(
     scaled = replace(turning.imu, angular_rate_b=scale * turning.imu.angular_rate_b)
     unknown_logs.turned(log, replace(turning, imu=scaled), turn)
     config = find_settings([[log]], Given(load_config())).config
-    assert (config.imu.axes, config.imu.angular_rate_unit, config.imu.specific_force_unit) == (axes, "deg/s", "g")
+    assert (config.imu.axes, config.imu.angular_rate_unit, config.imu.specific_force_unit) == (
+        axes,
+        "deg/s",
+        "g",
+    )
     assert config.imu.angular_rate_scale == pytest.approx(scale, abs=0.01)
     assert (config.dvl.velocity_unit, config.dvl.stamp) == ("mm/s", "stamp_ms")
     read, known = replay_log(log, config).velocities, tmp_path / "known.mcap"
@@ -104,12 +113,19 @@ def test_trials_find_units_axes_and_scale(
     np.testing.assert_allclose(read.velocity_b[-count:, 0], truth.velocity_b[-count:, 0], atol=0.02)
 
 
-def test_fields_without_telling_names_are_listed_with_what_they_hold(straight: Dive, tmp_path: Path) -> None:
+def test_fields_without_telling_names_are_listed_with_what_they_hold(
+    straight: Dive, tmp_path: Path
+) -> None:
     """Three single numbers that nothing is known of: the list and the comma form lead to a replay."""
     log, file = tmp_path / "unknown.mcap", tmp_path / "vehicle.toml"
     unknown_logs.nameless_json(log, straight)
     inventory = inspect_log(log, load_config())
-    for field in ('"one", 15001 messages', '"alpha", median', '"epsilon", median -9.8', '"east", median'):
+    for field in (
+        '"one", 15001 messages',
+        '"alpha", median',
+        '"epsilon", median -9.8',
+        '"east", median',
+    ):
         assert re.search(rf"#   +{field}", inventory.configuration)
     fields = {
         "imu.topic": '"one"', "imu.specific_force": '"gamma, delta, epsilon"', "imu.angular_rate": '"zeta, eta, alpha"',
@@ -144,7 +160,12 @@ def test_proposal_follows_the_topic_that_is_named(straight: Dive, tmp_path: Path
 def test_what_is_set_already_is_not_proposed_again(straight: Dive, tmp_path: Path) -> None:
     log = tmp_path / "unknown.mcap"
     unknown_logs.nested_cdr(log, straight)
-    known = ['dvl.velocity="v, u, w"', "dvl.velocity_unit=cm/s", "dvl.axes=flu", "dvl.lever_arm_m=[1.0, 0.0, 0.0]"]
+    known = [
+        'dvl.velocity="v, u, w"',
+        "dvl.velocity_unit=cm/s",
+        "dvl.axes=flu",
+        "dvl.lever_arm_m=[1.0, 0.0, 0.0]",
+    ]
     dvl = inspect_log(log, load_config(overrides=known)).configuration.partition("[dvl]")[2]
     assert 'topic = "/dvl/track"' in dvl
     assert not re.search(r"(?m)^(velocity|velocity_unit|axes|lever_arm_m) =", dvl)
@@ -157,7 +178,9 @@ def test_forces_alone_are_no_imu(tmp_path: Path) -> None:
         writer.start()
         channel = writer.register_channel("shake", "json", 0)
         for i in range(100):
-            writer.add_message(channel, i, b'{"accel": [0.0, 0.0, 9.8], "raw_accel": [0.0, 0.0, 1.0]}', i)
+            writer.add_message(
+                channel, i, b'{"accel": [0.0, 0.0, 9.8], "raw_accel": [0.0, 0.0, 1.0]}', i
+            )
         writer.finish()
     configuration = inspect_log(log, load_config()).configuration
     assert '"shake", 100 messages' in configuration
@@ -168,7 +191,9 @@ def test_flags_of_good_pings_are_proposed_by_name(straight: Dive, tmp_path: Path
     log = tmp_path / "unknown.mcap"
     unknown_logs.nested_cdr(log, straight)
     inventory = inspect_log(log, load_config())
-    assert re.search(r"# 'lock' is named so and marks 0 of \d+ pings\nvalid = \"lock\"", inventory.configuration)
+    assert re.search(
+        r"# 'lock' is named so and marks 0 of \d+ pings\nvalid = \"lock\"", inventory.configuration
+    )
 
 
 @pytest.mark.parametrize(
@@ -179,10 +204,17 @@ def test_flags_of_good_pings_are_proposed_by_name(straight: Dive, tmp_path: Path
         ("imu.angular_rate=name", "'name' .*text"),
     ],
 )
-def test_errors_about_fields_list_those_there_are(setting: str, named: str, straight: Dive, tmp_path: Path) -> None:
+def test_errors_about_fields_list_those_there_are(
+    setting: str, named: str, straight: Dive, tmp_path: Path
+) -> None:
     log = tmp_path / "unknown.mcap"
     unknown_logs.nameless_json(log, straight)
-    known = ['imu.topic="one"', 'imu.specific_force="gamma, delta, epsilon"', "dvl.topic=two", "dvl.velocity=east"]
+    known = [
+        'imu.topic="one"',
+        'imu.specific_force="gamma, delta, epsilon"',
+        "dvl.topic=two",
+        "dvl.velocity=east",
+    ]
     with pytest.raises(LogError, match=named) as raised:
         read_dive(log, load_config(overrides=[*known, setting]))
     assert "gamma (number), delta (number), epsilon (number), zeta (number)" in raised.value.hint
@@ -191,7 +223,10 @@ def test_errors_about_fields_list_those_there_are(setting: str, named: str, stra
 
 
 def test_of_many_fields_those_named_alike_are_listed() -> None:
-    known = {f"temperature_{i}": "float32" for i in range(100)} | {"gyro_rate": "float64", "note": "string"}
+    known = {f"temperature_{i}": "float32" for i in range(100)} | {
+        "gyro_rate": "float64",
+        "note": "string",
+    }
     with pytest.raises(LogError) as raised:
         check_path("gyro", known, "acme/msg/Imu")
     assert "'gyro_rate'" in raised.value.hint
@@ -199,7 +234,9 @@ def test_of_many_fields_those_named_alike_are_listed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "unit"), [(9.8, "m/s2"), (1.01, "g"), (990.0, "mg"), (3.0, ""), (0.0, "")], ids=lambda value: str(value)
+    ("size", "unit"),
+    [(9.8, "m/s2"), (1.01, "g"), (990.0, "mg"), (3.0, ""), (0.0, "")],
+    ids=lambda value: str(value),
 )
 def test_a_vector_of_the_size_of_gravity_has_a_unit(size: float, unit: str) -> None:
     median = np.array([0.0, 0.0, -size])

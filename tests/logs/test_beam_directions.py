@@ -15,7 +15,9 @@ from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.beam_directions import BeamVelocities, agreeing_directions
 
 TIMES = 0.2 * np.arange(60)
-TRUE_D = np.stack([1.0 + 0.2 * np.sin(TIMES), 0.06 * np.cos(2.0 * TIMES), 0.04 * np.sin(3.0 * TIMES)], axis=1)
+TRUE_D = np.stack(
+    [1.0 + 0.2 * np.sin(TIMES), 0.06 * np.cos(2.0 * TIMES), 0.04 * np.sin(3.0 * TIMES)], axis=1
+)
 A50 = beam_vectors(22.5, (135.0, 225.0, 315.0, 45.0))
 JANUS = beam_vectors(30.0)
 APL = "marine_acoustic_msgs/msg/Dvl"
@@ -37,13 +39,24 @@ def message(i: int, true: Floats, told: Floats) -> dict[str, Any]:
 
 
 def water_linked(i: int, true: Floats) -> dict[str, Any]:
-    beams = [{"id": n, "velocity": true[n] @ TRUE_D[i], "distance": 4.3, "valid": True} for n in range(4)]
-    return {"velocity": xyz(TRUE_D[i]), "velocity_valid": True, "beams": beams, **validity("dvl_msgs/msg/DVL", i)}
+    beams = [
+        {"id": n, "velocity": true[n] @ TRUE_D[i], "distance": 4.3, "valid": True} for n in range(4)
+    ]
+    return {
+        "velocity": xyz(TRUE_D[i]),
+        "velocity_valid": True,
+        "beams": beams,
+        **validity("dvl_msgs/msg/DVL", i),
+    }
 
 
 def validity(type_name: str, i: int) -> dict[str, Any]:
     """Give the time of validity, us, to the type that has one."""
-    return {"time_of_validity": START_NS // 1000 + round(TIMES[i] * 1e6)} if type_name == "dvl_msgs/msg/DVL" else {}
+    return (
+        {"time_of_validity": START_NS // 1000 + round(TIMES[i] * 1e6)}
+        if type_name == "dvl_msgs/msg/DVL"
+        else {}
+    )
 
 
 def written(folder: Path, type_name: str, pings: list[dict[str, Any]], **settings: Any) -> Dive:
@@ -80,7 +93,9 @@ def velocities(dive: Dive) -> Floats:
     ],
     ids=["tilt", "x and y", "order", "mirrored", "2.5 deg", "minus one", "all down"],
 )
-def test_velocity_is_right_whatever_directions_the_messages_tell(true: Floats, told: Floats, tmp_path: Path) -> None:
+def test_velocity_is_right_whatever_directions_the_messages_tell(
+    true: Floats, told: Floats, tmp_path: Path
+) -> None:
     dive = written(tmp_path, APL, [message(i, true, told) for i in range(len(TIMES))])
     np.testing.assert_allclose(velocities(dive), TRUE_D, atol=2e-3)
     assert codes(dive) & {"dvl_beam_geometry", "dvl_beam_directions", "dvl_beams_unused"}
@@ -94,7 +109,11 @@ def test_swapped_sine_and_cosine_keep_the_beams(tmp_path: Path) -> None:
 
 
 def test_order_of_a_type_that_tells_no_directions_is_found_or_not_needed(tmp_path: Path) -> None:
-    dive = written(tmp_path, "dvl_msgs/msg/DVL", [water_linked(i, A50[[2, 3, 0, 1]]) for i in range(len(TIMES))])
+    dive = written(
+        tmp_path,
+        "dvl_msgs/msg/DVL",
+        [water_linked(i, A50[[2, 3, 0, 1]]) for i in range(len(TIMES))],
+    )
     np.testing.assert_allclose(velocities(dive), TRUE_D, atol=1e-6)
     odd = beam_vectors(28.0, (10.0, 100.0, 200.0, 290.0))
     dive = written(tmp_path, "dvl_msgs/msg/DVL", [water_linked(i, odd) for i in range(len(TIMES))])
@@ -103,8 +122,15 @@ def test_order_of_a_type_that_tells_no_directions_is_found_or_not_needed(tmp_pat
 
 
 def test_directions_that_a_person_gives_stay(tmp_path: Path) -> None:
-    dive = written(tmp_path, "dvl_msgs/msg/DVL", [water_linked(i, A50) for i in range(len(TIMES))], beam_tilt_deg=30.0)
-    np.testing.assert_allclose(dive.dvl.beam_vectors_d, beam_vectors(30.0, (135.0, 225.0, 315.0, 45.0)), atol=1e-12)
+    dive = written(
+        tmp_path,
+        "dvl_msgs/msg/DVL",
+        [water_linked(i, A50) for i in range(len(TIMES))],
+        beam_tilt_deg=30.0,
+    )
+    np.testing.assert_allclose(
+        dive.dvl.beam_vectors_d, beam_vectors(30.0, (135.0, 225.0, 315.0, 45.0)), atol=1e-12
+    )
     assert "dvl_beam_contradiction" in codes(dive)
 
 
@@ -155,7 +181,9 @@ def without(i: int, n: int, **values: float) -> dict[str, Any]:
     ids=["-1", "0", "NaN", "three good", "stale"],
 )
 def test_lost_beam_of_velocity_zero_is_missing(lost: dict[str, float], tmp_path: Path) -> None:
-    pings = [without(i, i % 4, **lost) if i % 5 == 0 else message(i, A50, A50) for i in range(len(TIMES))]
+    pings = [
+        without(i, i % 4, **lost) if i % 5 == 0 else message(i, A50, A50) for i in range(len(TIMES))
+    ]
     dive = written(tmp_path, APL, pings)
     assert dive.dvl.beam_velocity_mps is not None
     missing = np.argwhere(np.isnan(dive.dvl.beam_velocity_mps)).tolist()
@@ -166,11 +194,15 @@ def test_lost_beam_of_velocity_zero_is_missing(lost: dict[str, float], tmp_path:
 
 
 def test_ranges_that_are_not_measured_lose_no_beam(tmp_path: Path) -> None:
-    dive = written(tmp_path, APL, [message(i, A50, A50) | {"range": np.zeros(4)} for i in range(len(TIMES))])
+    dive = written(
+        tmp_path, APL, [message(i, A50, A50) | {"range": np.zeros(4)} for i in range(len(TIMES))]
+    )
     assert np.isfinite(dive.dvl.beam_velocity_mps).all()
 
 
-@pytest.mark.parametrize("name", ["dvl_msgs/msg/DVL", "waterlinked_a50_ros_driver/msg/DVL", "stonefish_ros2/msg/DVL"])
+@pytest.mark.parametrize(
+    "name", ["dvl_msgs/msg/DVL", "waterlinked_a50_ros_driver/msg/DVL", "stonefish_ros2/msg/DVL"]
+)
 def test_beams_without_echo_of_other_types_are_missing(name: str, tmp_path: Path) -> None:
     key = "range" if name.startswith("stonefish") else "distance"
     pings = []
@@ -185,5 +217,7 @@ def test_beams_without_echo_of_other_types_are_missing(name: str, tmp_path: Path
     settings = {"beam_tilt_deg": 22.5, "beam_azimuth_deg": (135.0, 225.0, 315.0, 45.0)}
     dive = written(tmp_path, name, pings, **settings)
     assert dive.dvl.beam_velocity_mps is not None
-    assert np.argwhere(np.isnan(dive.dvl.beam_velocity_mps)).tolist() == [[i, 2] for i in range(0, len(TIMES), 7)]
+    assert np.argwhere(np.isnan(dive.dvl.beam_velocity_mps)).tolist() == [
+        [i, 2] for i in range(0, len(TIMES), 7)
+    ]
     np.testing.assert_allclose(velocities(dive), TRUE_D, atol=1e-6)

@@ -28,7 +28,10 @@ def serialised(pings: list[dict]) -> list[bytes]:
                 ping_type(
                     label=ping["label"],
                     mode=ping["mode"],
-                    beams=[beam_type(id=i, velocity=velocity) for i, velocity in enumerate(ping["beams"])],
+                    beams=[
+                        beam_type(id=i, velocity=velocity)
+                        for i, velocity in enumerate(ping["beams"])
+                    ],
                     stamp=ping["stamp"],
                     fixed=np.array(ping["fixed"], np.float32),
                     free=np.array(ping["free"], np.float64),
@@ -63,7 +66,16 @@ def random_pings(count: int, labels: list[str], beams: list[int]) -> list[dict]:
 
 def test_columns_equal_what_was_serialised() -> None:
     pings = random_pings(50, ["", "a", "abcdefgh", "xyz"], [4])
-    paths = ["mode", "beams[*].velocity", "beams[2].velocity", "stamp", "fixed", "fixed[1]", "free[*]", "good"]
+    paths = [
+        "mode",
+        "beams[*].velocity",
+        "beams[2].velocity",
+        "stamp",
+        "fixed",
+        "fixed[1]",
+        "free[*]",
+        "good",
+    ]
     columns = reader(*paths).columns(block_of(serialised(pings)))
     beams = np.array([ping["beams"] for ping in pings])
     np.testing.assert_array_equal(columns["beams[*].velocity"], beams)
@@ -115,7 +127,19 @@ def test_message_that_does_not_fit_its_schema_is_refused() -> None:
 
 
 def test_numbers_of_every_kind_are_read_as_by_struct_wherever_they_are() -> None:
-    names = ["int8", "uint8", "byte", "char", "int16", "uint16", "int32", "uint32", "int64", "float32", "float64"]
+    names = [
+        "int8",
+        "uint8",
+        "byte",
+        "char",
+        "int16",
+        "uint16",
+        "int32",
+        "uint32",
+        "int64",
+        "float32",
+        "float64",
+    ]
     kinds = list(zip(names, "bBBBhHiIqfd", strict=True))
     text = "".join(f"{name} {name}_near\n{name}[40] {name}_row\n" for name, _ in kinds)
     paths = [f"{name}_{end}" for name, _ in kinds for end in ("near", "row", "row[7]")]
@@ -141,6 +165,8 @@ def test_a_bool_of_another_byte_is_one_and_an_empty_sequence_of_floats_is_none()
     columns = reader("good", "free").columns(block_of(broken))
     assert columns["good"].tolist() == [[1], [1]]
     assert columns["good"].dtype == np.int64
-    empty = reader("free").columns(block_of(serialised([{**random_pings(1, ["a"], [1])[0], "free": []}])))
+    empty = reader("free").columns(
+        block_of(serialised([{**random_pings(1, ["a"], [1])[0], "free": []}]))
+    )
     assert empty["free"].shape == (1, 0)
     assert empty["free"].dtype == np.float64

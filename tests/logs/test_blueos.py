@@ -29,12 +29,16 @@ def blueos(path: Path, *, with_imu: bool) -> Path:
         writer = Writer(stream)
         writer.start()
         for name in NAMES:
-            topics = {f"mavlink/1/1/{name}": b'{"header": {"system_id": 1}, "message": {"xacc": NaN}}'}
+            topics = {
+                f"mavlink/1/1/{name}": b'{"header": {"system_id": 1}, "message": {"xacc": NaN}}'
+            }
             topics |= {f"mavlink/1/1/{name}/{field}": b"5" for field in FIELDS}
             for topic, data in topics.items():
                 channel = writer.register_channel(topic, "json", 0)
                 for i in range(3):
-                    writer.add_message(channel, START_NS + 500_000_000 * i, data, START_NS + 500_000_000 * i)
+                    writer.add_message(
+                        channel, START_NS + 500_000_000 * i, data, START_NS + 500_000_000 * i
+                    )
         if with_imu:
             schema = writer.register_schema(IMU_TYPE, "ros2msg", BARE.encode())
             channel = writer.register_channel("imu", "cdr", schema)
@@ -47,7 +51,10 @@ def blueos(path: Path, *, with_imu: bool) -> Path:
         for i in range(20):
             stamp = {"sec": START_NS // 10**9, "nanosec": 100_000_000 * i % 10**9}
             stamp["sec"] += i // 10
-            ping = {"header": {"stamp": stamp}, "twist": {"linear": {"x": 1.0 + 0.01 * i, "y": 0.0, "z": 0.0}}}
+            ping = {
+                "header": {"stamp": stamp},
+                "twist": {"linear": {"x": 1.0 + 0.01 * i, "y": 0.0, "z": 0.0}},
+            }
             time_ns = START_NS + 100_000_000 * i
             writer.add_message(channel, time_ns, json.dumps(ping).encode(), time_ns)
         writer.finish()
@@ -67,7 +74,9 @@ def test_types_that_a_schema_lacks_are_those_of_the_program(tmp_path: Path) -> N
 @pytest.mark.parametrize("text", ["", IMU_TYPE, "sensor_msgs/Imu\n", f"MSG: {IMU_TYPE}"])
 @pytest.mark.parametrize("language", ["ros2msg", "ros2idl"])
 def test_schema_that_holds_its_name_alone_is_that_of_the_program(text: str, language: str) -> None:
-    assert definitions_of(IMU_TYPE, text, "cdr", language) == definitions_of(IMU_TYPE, definition_text(IMU_TYPE), "cdr")
+    assert definitions_of(IMU_TYPE, text, "cdr", language) == definitions_of(
+        IMU_TYPE, definition_text(IMU_TYPE), "cdr"
+    )
 
 
 def test_type_that_nobody_defines_is_still_refused(tmp_path: Path) -> None:
@@ -101,8 +110,17 @@ def vision(i: int, velocity: tuple[float, float, float]) -> dict[str, bytes]:
     """Give what the DVL's extension of BlueOS sends, by its templates."""
     time_us, confidence = (125_000 + 1000 * i, 0.0 if i == 5 else 97.5)
     way = [speed * time_us * 1e-6 for speed in velocity]
-    delta = {"type": "VISION_POSITION_DELTA", "time_usec": 0, "time_delta_usec": time_us, "angle_delta": [0, 0, 0.01]}
-    speed = {"type": "VISION_SPEED_ESTIMATE", "usec": 1000 * i, **dict(zip("xyz", velocity, strict=True))}
+    delta = {
+        "type": "VISION_POSITION_DELTA",
+        "time_usec": 0,
+        "time_delta_usec": time_us,
+        "angle_delta": [0, 0, 0.01],
+    }
+    speed = {
+        "type": "VISION_SPEED_ESTIMATE",
+        "usec": 1000 * i,
+        **dict(zip("xyz", velocity, strict=True)),
+    }
     found = {}
     for message in (delta | {"position_delta": way, "confidence": confidence}, speed):
         topic = f"mavlink/255/0/{message['type']}"
@@ -117,20 +135,28 @@ def test_ways_of_a_dvl_in_mavlink_are_velocities(tmp_path: Path) -> None:
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
-        channel = writer.register_channel("imu", "cdr", writer.register_schema(IMU_TYPE, "ros2msg", BARE.encode()))
+        channel = writer.register_channel(
+            "imu", "cdr", writer.register_schema(IMU_TYPE, "ros2msg", BARE.encode())
+        )
         store = store_with({})
         for _, _, time_s, values in imu_messages():
             time_ns = START_NS + round(time_s * 1e9)
             writer.add_message(channel, time_ns, serialised(store, IMU_TYPE, values), time_ns)
-        ids = {topic: writer.register_channel(topic, "json", 0) for topic in vision(0, velocities[0])}
+        ids = {
+            topic: writer.register_channel(topic, "json", 0) for topic in vision(0, velocities[0])
+        }
         for i, velocity in enumerate(velocities):
             for topic, data in vision(i, velocity).items():
-                writer.add_message(ids[topic], START_NS + 100_000_000 * i, data, START_NS + 100_000_000 * i)
+                writer.add_message(
+                    ids[topic], START_NS + 100_000_000 * i, data, START_NS + 100_000_000 * i
+                )
         writer.finish()
     dive = read_dive(path, Config())
     kept = [i for i in range(20) if i != 5]
     assert dive.dvl.velocity_d is not None
-    np.testing.assert_allclose(dive.dvl.velocity_d, np.array(velocities)[kept], rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(
+        dive.dvl.velocity_d, np.array(velocities)[kept], rtol=1e-12, atol=1e-15
+    )
     np.testing.assert_array_equal(dive.dvl.time_ns, START_NS + 100_000_000 * np.array(kept))
     assert {note.code: note.count for note in dive.notes}["dvl_invalid"] == 1
     named = read_dive(path, Config(dvl=Dvl(topic="mavlink/255/0/VISION_SPEED_ESTIMATE")))

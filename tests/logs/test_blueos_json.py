@@ -16,7 +16,11 @@ def test_columns_of_what_blueos_records() -> None:
         "properties": {
             "message": {
                 "type": "object",
-                "properties": {"type": {"type": "string"}, "x": {"type": "null"}, "y": {"type": "integer"}},
+                "properties": {
+                    "type": {"type": "string"},
+                    "x": {"type": "null"},
+                    "y": {"type": "integer"},
+                },
             },
             "ranges": {"type": "array", "items": {}},
         },
@@ -27,7 +31,9 @@ def test_columns_of_what_blueos_records() -> None:
         '{"message": {"type": "NaN, ", "x": 0.25, "y": -Infinity}, "ranges": [NaN, 4]}',
     ]
     block = block_of([text.encode() for text in texts])
-    found = JsonReader("M", json.dumps(schema).encode(), ["message.x", "message.y", "ranges"]).columns(block)
+    found = JsonReader(
+        "M", json.dumps(schema).encode(), ["message.x", "message.y", "ranges"]
+    ).columns(block)
     np.testing.assert_array_equal(found["message.x"][:, 0], [math.nan, math.nan, 0.25])
     np.testing.assert_array_equal(found["message.y"][:, 0], [1.0, 1.5, math.nan])
     np.testing.assert_array_equal(found["ranges"], [[math.nan] * 2, [1.0, 2.5], [math.nan, 4.0]])
@@ -35,7 +41,12 @@ def test_columns_of_what_blueos_records() -> None:
 
 def test_messages_of_many_types_in_one_topic() -> None:
     """As ``mavlink/out`` has them: what another type lacks is NaN."""
-    texts = ['{"message":{"type":"RAW_IMU","xacc":5}}', '{"message":{"type":"ATTITUDE","roll":0.5}}'] * 60
-    found = JsonReader("M", b"", ["message.xacc", "message.roll"]).columns(block_of([t.encode() for t in texts]))
+    texts = [
+        '{"message":{"type":"RAW_IMU","xacc":5}}',
+        '{"message":{"type":"ATTITUDE","roll":0.5}}',
+    ] * 60
+    found = JsonReader("M", b"", ["message.xacc", "message.roll"]).columns(
+        block_of([t.encode() for t in texts])
+    )
     np.testing.assert_array_equal(found["message.xacc"][:, 0], [5.0, math.nan] * 60)
     np.testing.assert_array_equal(found["message.roll"][:, 0], [math.nan, 0.5] * 60)

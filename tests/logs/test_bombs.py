@@ -17,7 +17,19 @@ import numpy as np
 import pytest
 import small_logs
 import zstandard
-from bombs import START_NS, channel, chunk, index, log, lz4_zeros, message, record, schema, write, zstd_zeros
+from bombs import (
+    START_NS,
+    channel,
+    chunk,
+    index,
+    log,
+    lz4_zeros,
+    message,
+    record,
+    schema,
+    write,
+    zstd_zeros,
+)
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -62,7 +74,9 @@ def takes_less_than(limit_s: float) -> Iterator[None]:
 
 def cut(body: bytes) -> bytes:
     """Give a log whose last chunk lacks its end, and all that would stand behind it."""
-    return log(b"")[: -len(log(b"")) + log(b"").rindex(record(bombs.DATA_END, bytes(4)))] + body[:-10]
+    return (
+        log(b"")[: -len(log(b"")) + log(b"").rindex(record(bombs.DATA_END, bytes(4)))] + body[:-10]
+    )
 
 
 @pytest.mark.parametrize("kind", ["whole", pytest.param("cut", marks=pytest.mark.nightly)])
@@ -97,7 +111,8 @@ def test_a_file_opens_to_no_more_than_its_size_allows(tmp_path: Path) -> None:
     zeros = zstd_zeros(64 * MB)
     path = write(tmp_path / "many.mcap", log(chunk(zeros, 64 * MB, "zstd") * 17))
     with pytest.raises(
-        LogError, match=r"the chunks up to here open to 1140850688 bytes, where a file of \d+ may hold 1073741824"
+        LogError,
+        match=r"the chunks up to here open to 1140850688 bytes, where a file of \d+ may hold 1073741824",
     ):
         open_recording(path)
 
@@ -130,7 +145,9 @@ def _many_imus(count: int, beside: int) -> bytes:
 
 def nested(width: int, depth: int) -> str:
     """Give a type of as many levels, each of which holds the next one many times."""
-    sections = ["\n".join(f"p/T{level + 1} f{i}" for i in range(width)) for level in range(depth)] + ["float64 x"]
+    sections = [
+        "\n".join(f"p/T{level + 1} f{i}" for i in range(width)) for level in range(depth)
+    ] + ["float64 x"]
     return "".join(
         f"{'=' * 80}\nMSG: p/T{level}\n{section}\n" if level else f"{section}\n"
         for level, section in enumerate(sections)
@@ -139,7 +156,9 @@ def nested(width: int, depth: int) -> str:
 
 def test_a_type_that_means_too_many_fields_is_refused_unseen() -> None:
     for width, depth in ((10, 30), (1, 3000)):
-        with pytest.raises(LogError, match="means more than 65536 fields, or more than 64 within each other"):
+        with pytest.raises(
+            LogError, match="means more than 65536 fields, or more than 64 within each other"
+        ):
             parse_definitions("p/msg/T0", nested(width, depth))
     assert len(parse_definitions("p/msg/T0", nested(1, 60))) == 61
     assert len(parse_definitions("p/msg/T0", nested(10, 3))) == 4
@@ -147,15 +166,21 @@ def test_a_type_that_means_too_many_fields_is_refused_unseen() -> None:
 
 def test_an_array_of_impossible_length_is_refused() -> None:
     for length in ("0", "4294967296", "9" * 5000):
-        with pytest.raises(LogError, match=r"has an array 'float64\[\d{1,12}\]', which is none or too long"):
+        with pytest.raises(
+            LogError, match=r"has an array 'float64\[\d{1,12}\]', which is none or too long"
+        ):
             parse_definitions("p/msg/T", f"float64[{length}] x\n")
 
 
 def test_an_array_is_held_against_the_message_before_its_elements_are_named() -> None:
-    definitions = parse_definitions("p/msg/T", f"p/V[{2**32 - 1}] v\n{'=' * 80}\nMSG: p/V\nfloat64 x\n")
+    definitions = parse_definitions(
+        "p/msg/T", f"p/V[{2**32 - 1}] v\n{'=' * 80}\nMSG: p/V\nfloat64 x\n"
+    )
 
     def refuse() -> None:
-        with pytest.raises(LogError, match="a message of 404 bytes is shorter than its schema and lengths say"):
+        with pytest.raises(
+            LogError, match="a message of 404 bytes is shorter than its schema and lengths say"
+        ):
             message_layout(definitions, "p/msg/T", b"\0\1\0\0" + bytes(400))
 
     assert peak_mb(refuse) < 1
@@ -170,7 +195,9 @@ def test_a_message_holds_a_limited_number_of_fields() -> None:
 @pytest.mark.parametrize(
     ("count", "links"),
     [
-        pytest.param(12, lambda i: [other for other in range(12) if other != i], id="each holds all others"),
+        pytest.param(
+            12, lambda i: [other for other in range(12) if other != i], id="each holds all others"
+        ),
         pytest.param(1000, lambda i: [i + 1] if i < 999 else [], id="a thousand levels"),
     ],
 )
@@ -180,7 +207,9 @@ def test_protobuf_types_are_refused_likewise(count: int, links: Callable[[int], 
     for i in range(count):
         kind = file.message_type.add(name=f"M{i}")
         for number, other in enumerate(links(i), 1):
-            kind.field.add(name=f"f{other}", number=number, label=1, type=11, type_name=f".p.M{other}")
+            kind.field.add(
+                name=f"f{other}", number=number, label=1, type=11, type_name=f".p.M{other}"
+            )
     bomb = LogChannel(1, "/imu", "p.M0", "protobuf", "protobuf", 1, files.SerializeToString())
     with pytest.raises(LogError, match="the schema means more than 65536 fields"):
         channel_paths(bomb)
@@ -213,7 +242,9 @@ def test_a_field_that_no_message_has_is_looked_for_in_a_limited_number_of_them()
     assert "absent" in reader.known
 
 
-def test_topics_beyond_what_is_looked_at_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_topics_beyond_what_is_looked_at_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from insdvl_replay.inspection import dry_run
 
     monkeypatch.setattr(dry_run, "_MOST_WORK_OF_ALL", 1)
@@ -258,7 +289,9 @@ def test_a_clock_that_is_set_takes_no_memory_and_is_reported(tmp_path: Path) -> 
 
     def until_set(columns: Any) -> Any:
         time_ns = columns.time_ns
-        return replace(columns, time_ns=np.where(time_ns < middle_ns, time_ns - earlier_ns, time_ns))
+        return replace(
+            columns, time_ns=np.where(time_ns < middle_ns, time_ns - earlier_ns, time_ns)
+        )
 
     path = tmp_path / "set.mcap"
     parts = {name: until_set(getattr(dive, name)) for name in ("imu", "dvl", "reference")}
@@ -291,4 +324,7 @@ def test_legs_begin_where_a_grid_in_time_would_begin_them() -> None:
 
 def test_want_of_memory_is_no_error_of_the_program(capsys: pytest.CaptureFixture[str]) -> None:
     assert log_failure(MemoryError("Unable to allocate 8 GiB"), 0) == 3
-    assert "error: there is not enough memory: Unable to allocate 8 GiB; hint:" in capsys.readouterr().err
+    assert (
+        "error: there is not enough memory: Unable to allocate 8 GiB; hint:"
+        in capsys.readouterr().err
+    )

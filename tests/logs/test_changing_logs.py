@@ -74,7 +74,9 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
-def changing(change: Callable[[Path], None], path: Path, work: Callable[..., Any]) -> Callable[..., Any]:
+def changing(
+    change: Callable[[Path], None], path: Path, work: Callable[..., Any]
+) -> Callable[..., Any]:
     def changed(*arguments: Any, **options: Any) -> Any:
         change(path)
         return work(*arguments, **options)
@@ -84,7 +86,11 @@ def changing(change: Callable[[Path], None], path: Path, work: Callable[..., Any
 
 @pytest.mark.parametrize(("change", "allow_damaged", "sentence"), CHANGES)
 def test_a_log_that_changes_before_its_messages_are_read_is_refused(
-    log: Path, change: Callable[[Path], None], allow_damaged: bool, sentence: str, monkeypatch: pytest.MonkeyPatch
+    log: Path,
+    change: Callable[[Path], None],
+    allow_damaged: bool,
+    sentence: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(read, "read_tables", changing(change, log, read.read_tables))
     with pytest.raises(LogError, match=rf"dive\.mcap: {sentence} while it was read") as refusal:
@@ -92,13 +98,17 @@ def test_a_log_that_changes_before_its_messages_are_read_is_refused(
     assert "copy" in refusal.value.hint
 
 
-def test_a_part_of_a_bag_that_changes_is_refused(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_part_of_a_bag_that_changes_is_refused(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(read, "read_tables", changing(append, log, read.read_tables))
     with pytest.raises(LogError, match=r"dive\.mcap: grew"):
         read_dive(log.parent, Config())
 
 
-def test_a_log_that_changes_while_it_is_inspected_is_refused(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_that_changes_while_it_is_inspected_is_refused(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     log.write_bytes(small_log("no chunks"))
     monkeypatch.setattr(survey, "find_roles", changing(cut, log, survey.find_roles))
     with pytest.raises(LogError, match="while it was read"):

@@ -19,13 +19,18 @@ def noted(cleaner: Cleaner) -> list[tuple[str, int, Severity]]:
     return [(note.code, note.count, note.severity) for note in cleaner.notes]
 
 
-@pytest.mark.parametrize(("count", "size", "few"), [(1, 1, True), (1, 3, True), (2, 39, False), (2, 40, True)])
+@pytest.mark.parametrize(
+    ("count", "size", "few"), [(1, 1, True), (1, 3, True), (2, 39, False), (2, 40, True)]
+)
 def test_a_few_are_one_or_a_twentieth(count: int, size: int, few: bool) -> None:
     assert is_few(count, size) == few
 
 
 def test_missing_numbers_are_the_same_as_missing_ones() -> None:
-    one, other = np.array([[1.0, NAN], [1.0, NAN], [NAN, NAN]]), np.array([[1.0, NAN], [1.0, 2.0], [NAN, NAN]])
+    one, other = (
+        np.array([[1.0, NAN], [1.0, NAN], [NAN, NAN]]),
+        np.array([[1.0, NAN], [1.0, 2.0], [NAN, NAN]]),
+    )
     assert same_rows(one, other).tolist() == [True, False, True]
 
 
@@ -54,7 +59,9 @@ def test_rows_without_a_finite_number_are_dropped_from_every_column() -> None:
     ("lost", "severity"),
     [([1, 3], Severity.INFO), ([1, 2], Severity.WARNING), ([*range(0, 40, 2)], Severity.WARNING)],
 )
-def test_numbers_that_are_expected_may_be_missing_here_and_there(lost: list[int], severity: Severity) -> None:
+def test_numbers_that_are_expected_may_be_missing_here_and_there(
+    lost: list[int], severity: Severity
+) -> None:
     cleaner, values = small_cleaner(range(60)), np.ones((60, 1))
     values[lost] = NAN
     cleaner.keep_finite(values, hint="look at the cable")
@@ -78,7 +85,9 @@ def test_impossible_rows_are_dropped_unless_most_are_and_differ_so_that_the_unit
     by_row.keep_possible(np.arange(10) >= count, readings, "messages are impossible", "imu.unit")
     by_reading = small_cleaner(range(10))
     values = column(*readings, *[1.0] * (10 - count))
-    left = by_reading.without_impossible(values, np.abs(values) > 20.0, "readings are impossible", "imu.unit")
+    left = by_reading.without_impossible(
+        values, np.abs(values) > 20.0, "readings are impossible", "imu.unit"
+    )
     assert (by_row.rows.size, np.isfinite(left).sum()) == (kept, kept)
     for cleaner in (by_row, by_reading):
         assert noted(cleaner) == ([("imu_impossible", count, Severity.WARNING)] if said else [])
@@ -101,7 +110,9 @@ def test_several_stamped_together_are_a_warning() -> None:
 
 def test_a_topic_that_is_mostly_stamped_together_is_refused() -> None:
     cleaner = small_cleaner([0.0, 0.0, 0.0, 1.0, 1.0])
-    with pytest.raises(LogError, match="3 of 5 messages have the time of the one before") as refused:
+    with pytest.raises(
+        LogError, match="3 of 5 messages have the time of the one before"
+    ) as refused:
         cleaner.drop_repeated_times(column(*range(5)))
     assert 'imu.stamp = "log_time"' in refused.value.hint
 
@@ -113,8 +124,12 @@ def test_repeated_values_are_dropped_where_they_follow_each_other() -> None:
     assert noted(cleaner) == [("imu_same_values", 2, Severity.INFO)]
 
 
-@pytest.mark.parametrize(("values", "missing"), [((NAN, 1.0, NAN), 2), ((NAN, NAN, NAN), 0), ((1.0, 1.0, 1.0), 0)])
-def test_what_some_rows_lack_is_counted_and_what_all_lack_is_not(values: tuple[float, ...], missing: int) -> None:
+@pytest.mark.parametrize(
+    ("values", "missing"), [((NAN, 1.0, NAN), 2), ((NAN, NAN, NAN), 0), ((1.0, 1.0, 1.0), 0)]
+)
+def test_what_some_rows_lack_is_counted_and_what_all_lack_is_not(
+    values: tuple[float, ...], missing: int
+) -> None:
     cleaner = small_cleaner(range(3))
     cleaner.note_missing("velocities", column(*values))
     assert sum(note.count for note in cleaner.notes) == missing
@@ -124,7 +139,10 @@ def test_what_some_rows_lack_is_counted_and_what_all_lack_is_not(values: tuple[f
 def test_a_role_of_which_nothing_stays_is_refused_with_the_reasons() -> None:
     cleaner = small_cleaner(range(2))
     cleaner.keep_finite(column(NAN, NAN))
-    with pytest.raises(LogError, match="no message of 2 can be used: imu: 2 messages hold a number that is not finite"):
+    with pytest.raises(
+        LogError,
+        match="no message of 2 can be used: imu: 2 messages hold a number that is not finite",
+    ):
         cleaner.require_rows()
 
 

@@ -79,7 +79,9 @@ def test_offset_of_decades_keeps_its_nanoseconds() -> None:
 
 @pytest.mark.parametrize("other", ["dvl", "reference"])
 def test_clocks_that_have_nothing_in_common_are_refused(other: str) -> None:
-    with pytest.raises(LogError, match=rf"a\.mcap: /imu and /{other} are stamped by different clocks") as refusal:
+    with pytest.raises(
+        LogError, match=rf"a\.mcap: /imu and /{other} are stamped by different clocks"
+    ) as refusal:
         clock_notes("a.mcap", [clock("imu", 0.0), clock(other, 5.96 * DAY_S)], 1.0)
     assert f"--set imu.stamp=log_time --set {other}.stamp=log_time" in refusal.value.hint
     assert "514944.000 s" in refusal.value.message
@@ -87,8 +89,13 @@ def test_clocks_that_have_nothing_in_common_are_refused(other: str) -> None:
 
 def test_one_topic_with_two_roles_and_clocks_is_reported_by_its_roles() -> None:
     """The attitude of an IMU that is stamped by the recorder: only one key is left to be set."""
-    imu, heading = replace(clock("imu", 0.0), stamp="log_time"), replace(clock("heading", 1e9), topic="/imu")
-    with pytest.raises(LogError, match=r"imu and heading of /imu are stamped by different clocks") as refusal:
+    imu, heading = (
+        replace(clock("imu", 0.0), stamp="log_time"),
+        replace(clock("heading", 1e9), topic="/imu"),
+    )
+    with pytest.raises(
+        LogError, match=r"imu and heading of /imu are stamped by different clocks"
+    ) as refusal:
         clock_notes("a.mcap", [imu, heading], 1.0)
     assert "both: --set heading.stamp=log_time; " in refusal.value.hint
 
@@ -102,11 +109,16 @@ def test_spread_of_both_excuses_an_offset() -> None:
 
 def test_what_the_configuration_allows_is_reported() -> None:
     notes = clock_notes("a.mcap", [clock("imu", 0.0), clock("dvl", 30.0)], 60.0)
-    assert [(note.code, note.severity) for note in notes] == [("dvl_clock_offset", "info"), ("clocks_apart", "warning")]
+    assert [(note.code, note.severity) for note in notes] == [
+        ("dvl_clock_offset", "info"),
+        ("clocks_apart", "warning"),
+    ]
 
 
 def test_common_clock_that_is_not_the_recorders_is_reported_and_used() -> None:
-    notes = clock_notes("a.mcap", [clock("imu", 5.96 * DAY_S), clock("dvl", 5.96 * DAY_S + 0.2)], 1.0)
+    notes = clock_notes(
+        "a.mcap", [clock("imu", 5.96 * DAY_S), clock("dvl", 5.96 * DAY_S + 0.2)], 1.0
+    )
     assert [note.code for note in notes] == ["imu_clock_offset", "dvl_clock_offset"]
 
 
@@ -130,7 +142,9 @@ def test_unit_of_a_number_is_reported_by_how_it_runs(factor: float, unit: str) -
     """Since zero, power-up, half an hour and 1970."""
     at_s = np.arange(200) * 0.05
     for since_s in (0.0, 3.0, 2000.0, 1.7e9):
-        assert stamp_unit((since_s + at_s) * factor, ns(at_s)) == (round(1e9 / factor), unit), since_s
+        assert stamp_unit((since_s + at_s) * factor, ns(at_s)) == (round(1e9 / factor), unit), (
+            since_s
+        )
 
 
 @pytest.mark.parametrize(("factor", "unit"), UNITS)
@@ -150,7 +164,9 @@ def write(path: Path, imu_behind_s: float, dvl_behind_s: float) -> Path:
     imu_type, dvl_type = "sensor_msgs/msg/Imu", "geometry_msgs/msg/TwistStamped"
     with path.open("wb") as stream:
         writer = Writer(stream)
-        imu, dvl = (writer.register_msgdef(name, definition_text(name)) for name in (imu_type, dvl_type))
+        imu, dvl = (
+            writer.register_msgdef(name, definition_text(name)) for name in (imu_type, dvl_type)
+        )
         for i in range(100):
             log_ns = START_NS + 10_000_000 * i
             message: dict[str, Any] = {
@@ -189,7 +205,10 @@ def test_configured_latency_puts_two_clocks_right(tmp_path: Path) -> None:
 
 
 def test_what_is_stamped_seconds_late_is_on_the_same_clock(tmp_path: Path) -> None:
-    dive = read_dive(write(tmp_path / "dive.mcap", imu_behind_s=0.0, dvl_behind_s=0.0), Config(dvl=Dvl(latency_s=3.0)))
+    dive = read_dive(
+        write(tmp_path / "dive.mcap", imu_behind_s=0.0, dvl_behind_s=0.0),
+        Config(dvl=Dvl(latency_s=3.0)),
+    )
     assert dive.dvl.time_ns[0] == dive.imu.time_ns[0] - 3 * 10**9
     assert not dive.notes
 
@@ -199,8 +218,12 @@ def test_an_offset_is_reported_as_the_log_has_it(tmp_path: Path) -> None:
     path = write(tmp_path / "dive.mcap", imu_behind_s=40.0, dvl_behind_s=40.0)
     settings = Config(dvl=Dvl(latency_s=3.0), clocks=Clocks(max_disagreement_s=100.0))
     told = {note.code: note.text for note in read_dive(path, settings).notes}
-    assert told["imu_clock_offset"].startswith("/imu: log time minus stamp 'header' is 40.000 s (median; 0.000 s")
-    assert told["dvl_clock_offset"].startswith("/dvl: log time minus stamp 'header' is 40.000 s (median; 0.000 s")
+    assert told["imu_clock_offset"].startswith(
+        "/imu: log time minus stamp 'header' is 40.000 s (median; 0.000 s"
+    )
+    assert told["dvl_clock_offset"].startswith(
+        "/dvl: log time minus stamp 'header' is 40.000 s (median; 0.000 s"
+    )
     assert told["dvl_clock_offset"].endswith("; dvl.latency_s subtracts 3 s from the stamps")
     assert "latency" not in told["imu_clock_offset"]
 
@@ -214,5 +237,8 @@ def test_two_clocks_are_reported_as_the_log_has_them(tmp_path: Path) -> None:
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs ../shared/data (real logs)")
 def test_uptime_and_unix_time_of_a_real_log_are_not_mixed() -> None:
     config = Config(dvl=Dvl(topic="/dvl", velocity="velocity.mean", kind="velocity"))
-    with pytest.raises(LogError, match=r"/imu and /dvl are stamped by different clocks: .* 17403835\d\d\.\d+ s and "):
+    with pytest.raises(
+        LogError,
+        match=r"/imu and /dvl are stamped by different clocks: .* 17403835\d\d\.\d+ s and ",
+    ):
         read_dive(DATA / "stanford_auv" / "rotation_z_1.mcap", config)

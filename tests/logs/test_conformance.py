@@ -14,7 +14,9 @@ from insdvl_replay.logs.formats.recording import Recording, open_recording
 SUITE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "mcap_conformance"
 FILES = 416
 
-pytestmark = pytest.mark.skipif(not SUITE.is_dir(), reason="the conformance suite in ../shared/data is not here")
+pytestmark = pytest.mark.skipif(
+    not SUITE.is_dir(), reason="the conformance suite in ../shared/data is not here"
+)
 
 
 def expected_records(path: Path) -> dict[str, list[dict[str, Any]]]:
@@ -28,7 +30,9 @@ def numbers(texts: list[str]) -> bytes:
     return bytes(int(text) for text in texts)
 
 
-@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.nightly, id="all"), pytest.param(29, id="few")])
+@pytest.mark.parametrize(
+    "every", [pytest.param(1, marks=pytest.mark.nightly, id="all"), pytest.param(29, id="few")]
+)
 def test_every_file_gives_the_expected_records(every: int) -> None:
     paths = sorted(SUITE.glob("*/*.mcap"))
     assert len(paths) == FILES
@@ -43,13 +47,23 @@ def test_every_file_gives_the_expected_records(every: int) -> None:
 
 
 def assert_definitions(log: McapFile, expected: dict[str, list[dict[str, Any]]]) -> None:
-    schemas = {int(s["id"]): (s["name"], s["encoding"], numbers(s["data"])) for s in expected.get("Schema", [])}
+    schemas = {
+        int(s["id"]): (s["name"], s["encoding"], numbers(s["data"]))
+        for s in expected.get("Schema", [])
+    }
     assert {i: (s.name, s.encoding, s.data) for i, s in log.schemas.items()} == schemas
     channels = {
-        int(c["id"]): (c["topic"], c["message_encoding"], schemas.get(int(c["schema_id"]), ("", "", b"")))
+        int(c["id"]): (
+            c["topic"],
+            c["message_encoding"],
+            schemas.get(int(c["schema_id"]), ("", "", b"")),
+        )
         for c in expected.get("Channel", [])
     }
-    found = {c.id: (c.topic, c.encoding, (c.type_name, c.schema_encoding, c.schema_data)) for c in log.channels}
+    found = {
+        c.id: (c.topic, c.encoding, (c.type_name, c.schema_encoding, c.schema_data))
+        for c in log.channels
+    }
     assert found == channels
     assert {c.id: c.metadata for c in log.channels} == {
         int(c["id"]): c["metadata"] for c in expected.get("Channel", [])
@@ -67,7 +81,9 @@ def assert_messages(log: Recording, expected: dict[str, list[dict[str, Any]]]) -
             (block.channel_id, *values, bytes(block.buffer[offset : offset + size]))
             for offset, size, *values in zip(*columns, strict=True)
         ]
-    assert found == [(*(int(message[name]) for name in fields), numbers(message["data"])) for message in messages]
+    assert found == [
+        (*(int(message[name]) for name in fields), numbers(message["data"])) for message in messages
+    ]
     assert sum(channel.messages for channel in log.channels) == len(messages)
 
 
@@ -79,6 +95,12 @@ def assert_files(log: McapFile, expected: dict[str, list[dict[str, Any]]]) -> No
         for a in expected.get("Attachment", [])
     ]
     assert [
-        (a.name, a.media_type, a.log_time, a.create_time, bytes(log.file.read(a.offset, a.offset + a.length)))
+        (
+            a.name,
+            a.media_type,
+            a.log_time,
+            a.create_time,
+            bytes(log.file.read(a.offset, a.offset + a.length)),
+        )
         for a in log.attachments
     ] == attachments

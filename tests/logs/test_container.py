@@ -35,13 +35,20 @@ def test_every_kind_of_container_gives_the_same_messages(kind: str, path: Path) 
     assert (len(found), set(found)) == (MESSAGES, true_messages())
     assert log.sha256() == hashlib.sha256(path.read_bytes()).hexdigest()
     assert log.notes == ()
-    assert {topic: sum(c.messages for c in log.channels if c.topic == topic) for topic in ("/imu", "/dvl")} == {
+    assert {
+        topic: sum(c.messages for c in log.channels if c.topic == topic)
+        for topic in ("/imu", "/dvl")
+    } == {
         "/imu": IMU_MESSAGES,
         "/dvl": MESSAGES - IMU_MESSAGES,
     }
     (part,) = log.parts
     [attachment], [metadata] = part.attachments, part.metadata
-    assert (attachment.name, attachment.media_type, attachment.data_size) == ("notes.txt", "text/plain", 8)
+    assert (attachment.name, attachment.media_type, attachment.data_size) == (
+        "notes.txt",
+        "text/plain",
+        8,
+    )
     assert (metadata.name, metadata.metadata) == ("vehicle", {"name": "unknown"})
     assert part.profile == "ros2"
     assert "tests" in part.library
@@ -58,7 +65,9 @@ def test_chunks_without_wanted_messages_stay_closed(path: Path) -> None:
     assert list(log.blocks({999})) == []
 
 
-def test_who_leaves_does_not_wait_for_a_chunk_that_is_opened(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_leaves_does_not_wait_for_a_chunk_that_is_opened(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path.write_bytes(small_log("zstd"))
     log, is_left, opened = open_recording(path), Event(), []
 
@@ -79,7 +88,10 @@ def test_who_leaves_does_not_wait_for_a_chunk_that_is_opened(path: Path, monkeyp
 
 def test_records_of_other_kinds_between_messages_are_counted_and_make_no_chunks(path: Path) -> None:
     data = small_log("no chunks, no checksums")
-    foreign, header_end = b"\xf0" + (4).to_bytes(8, "little") + b"mine", 8 + 9 + int.from_bytes(data[9:17], "little")
+    foreign, header_end = (
+        b"\xf0" + (4).to_bytes(8, "little") + b"mine",
+        8 + 9 + int.from_bytes(data[9:17], "little"),
+    )
     parts, place = [data[:header_end]], header_end
     while data[place] != 0x0F:
         stop = place + 9 + int.from_bytes(data[place + 1 : place + 9], "little")
@@ -100,8 +112,15 @@ def _without_summary(data: bytes) -> bytes:
 
 
 def test_what_is_no_log_is_refused_by_name(path: Path, tmp_path: Path) -> None:
-    cases = {b"": r"empty \(0 bytes\)", b"SQLite format 3\0....": "where its header says 0", b"hello world": "68 65 6c"}
-    cases |= {b"a": r"only 1 byte, too few for a log", b"1234567": r"only 7 bytes, too few for a log"}
+    cases = {
+        b"": r"empty \(0 bytes\)",
+        b"SQLite format 3\0....": "where its header says 0",
+        b"hello world": "68 65 6c",
+    }
+    cases |= {
+        b"a": r"only 1 byte, too few for a log",
+        b"1234567": r"only 7 bytes, too few for a log",
+    }
     for content, sentence in cases.items():
         path.write_bytes(content)
         with pytest.raises(LogError, match=sentence) as raised:
@@ -137,4 +156,8 @@ def test_records_are_found_as_one_by_one(data: bytes) -> None:
     known = [row for row in expected if row[0] < 128]
     known = known[:-1] if place < len(data) and known and known[-1][0] == 5 else known
     assert [tuple(row) for row in found.tolist()] == known
-    assert (others, stop, is_broken) == (sum(row[0] >= 128 for row in expected), place, place < len(data))
+    assert (others, stop, is_broken) == (
+        sum(row[0] >= 128 for row in expected),
+        place,
+        place < len(data),
+    )

@@ -11,7 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_logs import MESSAGES, Message, changed, flipped, messages, records, small_log, true_messages
+from small_logs import (
+    MESSAGES,
+    Message,
+    changed,
+    flipped,
+    messages,
+    records,
+    small_log,
+    true_messages,
+)
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
@@ -136,21 +145,37 @@ MATRIX = {
     "cut in the middle": Case("zstd", partial(cut_at, 0.5), "closing bytes are missing", 330, 200),
     "cut in an lz4 chunk": Case("lz4", cut_chunk, "closing bytes are missing", 330, 200),
     "cut in an open chunk": Case("bare", cut_chunk, "closing bytes are missing", 330, 200),
-    "cut without chunks": Case("no chunks", partial(cut_at, 0.5), "closing bytes are missing", 330, 200),
-    "zeros at the start": Case("zstd", partial(changed, place=0, new=bytes(9_000)), "the opening bytes", 180, 20),
+    "cut without chunks": Case(
+        "no chunks", partial(cut_at, 0.5), "closing bytes are missing", 330, 200
+    ),
+    "zeros at the start": Case(
+        "zstd", partial(changed, place=0, new=bytes(9_000)), "the opening bytes", 180, 20
+    ),
     "closing bytes missing": Case("zstd", lambda data: data[:-8], "closing bytes are missing", 0),
-    "cut behind the start": Case("zstd", nothing_but_a_start, "closing bytes are missing", MESSAGES, MESSAGES),
+    "cut behind the start": Case(
+        "zstd", nothing_but_a_start, "closing bytes are missing", MESSAGES, MESSAGES
+    ),
     "zero tail": Case("zstd", zero_tail, "closing bytes are missing", 330, 200),
     "zeros inside": Case("zstd", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
     "zeros inside, without chunks": Case("no chunks", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
     "zeros appended": Case("zstd", zeros_appended, "closing bytes are missing", 0),
     "flip in a zstd chunk": Case("zstd", flip_payload, "chunk", CHUNKFUL, 20),
     "flip in an lz4 chunk": Case("lz4", flip_payload, "chunk", CHUNKFUL, 20),
-    "flip in an open chunk": Case("uncompressed", flip_payload, "checksum of a chunk", CHUNKFUL, 20),
-    "flip in a chunk's kind": Case("zstd", partial(flip_in, CHUNK, 3, 0), "an index does not follow a chunk", CHUNKFUL),
-    ALTERED: Case("no chunks", partial(flip_in, MESSAGE, 30, 200), "checksum of all messages", MESSAGES, 0),
+    "flip in an open chunk": Case(
+        "uncompressed", flip_payload, "checksum of a chunk", CHUNKFUL, 20
+    ),
+    "flip in a chunk's kind": Case(
+        "zstd", partial(flip_in, CHUNK, 3, 0), "an index does not follow a chunk", CHUNKFUL
+    ),
+    ALTERED: Case(
+        "no chunks", partial(flip_in, MESSAGE, 30, 200), "checksum of all messages", MESSAGES, 0
+    ),
     "unknown compression": Case(
-        "zstd", partial(in_record, CHUNK, 2, INSIDE - 4, b"brot"), "compressed with 'brot'", CHUNKFUL, 20
+        "zstd",
+        partial(in_record, CHUNK, 2, INSIDE - 4, b"brot"),
+        "compressed with 'brot'",
+        CHUNKFUL,
+        20,
     ),
     "chunk length too long": Case(
         "zstd", partial(in_record, CHUNK, 2, 1, b"\xff\xff"), "kind|summary has a chunk", CHUNKFUL
@@ -158,25 +183,43 @@ MATRIX = {
     "chunk length too long, no summary": Case(
         "no summary", partial(in_record, CHUNK, 2, 1, b"\xff\xff"), "bytes", CHUNKFUL
     ),
-    "chunk says it is huge, no summary": Case("no summary", partial(lying_size, 1 << 40), "says it opens", CHUNKFUL),
-    "chunk says it is small": Case("zstd", partial(lying_size, 10), "opens to more than 10 bytes", CHUNKFUL, 20),
-    "flip in an index's channel": Case("zstd", partial(flip_in, INDEX, 4, 9), "do not agree with its messages", 0),
-    "flip in an index's length": Case("zstd", partial(flip_in, INDEX, 4, 11), "says it has 344 bytes", 0),
-    "index points elsewhere": Case("zstd", partial(flip_in, INDEX, 4, 24), "do not agree with its messages", 0),
-    "flip in the chunk index": Case("zstd", partial(flip_in, CHUNK_INDEX, 2, 30), "checksum of the summary", 0),
+    "chunk says it is huge, no summary": Case(
+        "no summary", partial(lying_size, 1 << 40), "says it opens", CHUNKFUL
+    ),
+    "chunk says it is small": Case(
+        "zstd", partial(lying_size, 10), "opens to more than 10 bytes", CHUNKFUL, 20
+    ),
+    "flip in an index's channel": Case(
+        "zstd", partial(flip_in, INDEX, 4, 9), "do not agree with its messages", 0
+    ),
+    "flip in an index's length": Case(
+        "zstd", partial(flip_in, INDEX, 4, 11), "says it has 344 bytes", 0
+    ),
+    "index points elsewhere": Case(
+        "zstd", partial(flip_in, INDEX, 4, 24), "do not agree with its messages", 0
+    ),
+    "flip in the chunk index": Case(
+        "zstd", partial(flip_in, CHUNK_INDEX, 2, 30), "checksum of the summary", 0
+    ),
     "chunk index points elsewhere": Case(
         "zstd",
         partial(with_right_checksum, partial(flip_in, CHUNK_INDEX, 2, 9 + 16)),
         "summary has a chunk here, but there is none",
         0,
     ),
-    "footer of another kind": Case("zstd", partial(flip_in, FOOTER, 0, 0), "kind 10 are no record", 0),
+    "footer of another kind": Case(
+        "zstd", partial(flip_in, FOOTER, 0, 0), "kind 10 are no record", 0
+    ),
     "summary starts beyond the end": Case(
         "zstd", partial(in_record, FOOTER, 0, 9, b"\xff" * 8), "summary starts at byte 1844674", 0
     ),
-    "end of messages of another kind": Case("zstd", partial(flip_in, DATA_END, 0, 0), "kind 7 are no record", 0),
+    "end of messages of another kind": Case(
+        "zstd", partial(flip_in, DATA_END, 0, 0), "kind 7 are no record", 0
+    ),
     "chunk taken out": Case("zstd", chunk_taken_out, "summary", CHUNKFUL, 20),
-    "message of an unknown channel": Case("bare", foreign_channel, "do not agree with its messages of channel 999", 1),
+    "message of an unknown channel": Case(
+        "bare", foreign_channel, "do not agree with its messages of channel 999", 1
+    ),
     "message of an unknown channel, without chunks": Case(
         "no chunks, no checksums",
         partial(in_record, MESSAGE, 40, 9, struct.pack("<H", 999)),
@@ -184,18 +227,34 @@ MATRIX = {
         1,
         1,
     ),
-    "message too long in a chunk": Case("bare", partial(wrong_length_in_chunk, 400), "in the chunk", 2, 1),
-    "messages of no known kind in a chunk": Case("bare", of_no_known_kind, "do not agree with its messages", 2, 2),
+    "message too long in a chunk": Case(
+        "bare", partial(wrong_length_in_chunk, 400), "in the chunk", 2, 1
+    ),
+    "messages of no known kind in a chunk": Case(
+        "bare", of_no_known_kind, "do not agree with its messages", 2, 2
+    ),
     "channel that cannot be parsed": Case(
-        "no chunks, no checksums", partial(in_record, CHANNEL, 0, 9 + 4, b"\xff" * 4), "cannot be parsed", 0
+        "no chunks, no checksums",
+        partial(in_record, CHANNEL, 0, 9 + 4, b"\xff" * 4),
+        "cannot be parsed",
+        0,
     ),
     "statistics among the messages": Case(
-        "zstd", partial(in_record, INDEX, 4, 0, bytes([STATISTICS])), "a record of kind 11 is among", 0
+        "zstd",
+        partial(in_record, INDEX, 4, 0, bytes([STATISTICS])),
+        "a record of kind 11 is among",
+        0,
     ),
     "message too short": Case(
-        "no chunks, no checksums", partial(in_record, MESSAGE, 40, 1, b"\x05\x00"), "kind|record", 2, 1
+        "no chunks, no checksums",
+        partial(in_record, MESSAGE, 40, 1, b"\x05\x00"),
+        "kind|record",
+        2,
+        1,
     ),
-    "flip in an attachment": Case("zstd", partial(flip_in, ATTACHMENT, 0, -6), "checksum of an attachment", 0),
+    "flip in an attachment": Case(
+        "zstd", partial(flip_in, ATTACHMENT, 0, -6), "checksum of an attachment", 0
+    ),
 }
 
 
@@ -203,7 +262,9 @@ MATRIX = {
 def test_damage_is_refused_with_its_place_and_the_rest_is_saved(name: str, tmp_path: Path) -> None:
     case, path = MATRIX[name], tmp_path / "dive.mcap"
     path.write_bytes(case.harm(small_log(case.kind, extras=True)))
-    with pytest.raises(LogError, match=rf"dive\.mcap: is damaged at byte \d+: .*(?:{case.sentence})") as refused:
+    with pytest.raises(
+        LogError, match=rf"dive\.mcap: is damaged at byte \d+: .*(?:{case.sentence})"
+    ) as refused:
         everything(path, allow_damaged=False)
     log, found = everything(path, allow_damaged=True)
     lost = MESSAGES - len(found)
@@ -226,11 +287,17 @@ LOST = re.compile(r"(at least )?(\d+) messages? of (/\w+) \((\d+\.\d+) s\)")
 
 def assert_loss_is_told(text: str, gone: set[Message]) -> None:
     """Hold what is said of the loss against what was lost: exact, or at least so much."""
-    lost = {topic: sorted(time_ns for other, time_ns, _ in gone if other == topic) for topic in ("/imu", "/dvl")}
+    lost = {
+        topic: sorted(time_ns for other, time_ns, _ in gone if other == topic)
+        for topic in ("/imu", "/dvl")
+    }
     if "no messages are lost" in text:
         assert not gone
         return
-    told = {topic: (bool(least), int(count), float(span_s)) for least, count, topic, span_s in LOST.findall(text)}
+    told = {
+        topic: (bool(least), int(count), float(span_s))
+        for least, count, topic, span_s in LOST.findall(text)
+    }
     assert told or "an unknown number of messages (at least " in text
     for topic, (at_least, count, reported_s) in told.items():
         assert 0 < count <= len(lost[topic])
@@ -240,7 +307,9 @@ def assert_loss_is_told(text: str, gone: set[Message]) -> None:
             assert reported_s <= span_s + CHUNK_S + 0.4
 
 
-def everything(path: Path, *, allow_damaged: bool) -> tuple[Recording, list[tuple[str, int, bytes]]]:
+def everything(
+    path: Path, *, allow_damaged: bool
+) -> tuple[Recording, list[tuple[str, int, bytes]]]:
     log = open_recording(path, allow_damaged=allow_damaged)
     found = messages(log)
     log.sha256()
@@ -255,7 +324,9 @@ def assert_hint(error: LogError, saved: int) -> None:
         assert "no message in it can be read" in error.hint
 
 
-def test_a_log_that_is_wrong_in_two_ways_is_always_refused_in_the_same_words(tmp_path: Path) -> None:
+def test_a_log_that_is_wrong_in_two_ways_is_always_refused_in_the_same_words(
+    tmp_path: Path,
+) -> None:
     """The checksum of a chunk and that of all messages are wrong, which are found at the same time."""
     path, said = tmp_path / "dive.mcap", set()
     path.write_bytes(flip_payload(small_log("all checksums")))
@@ -266,7 +337,9 @@ def test_a_log_that_is_wrong_in_two_ways_is_always_refused_in_the_same_words(tmp
     assert len(said) == 1
 
 
-def test_a_chunk_is_reported_once_however_many_channels_its_indexes_leave_out(tmp_path: Path) -> None:
+def test_a_chunk_is_reported_once_however_many_channels_its_indexes_leave_out(
+    tmp_path: Path,
+) -> None:
     path, data = tmp_path / "dive.mcap", small_log("zstd")
     for which in (3, 2):  # the last ones behind the first chunk become records of somebody else
         data = in_record(INDEX, which, 0, b"\x90", data)
@@ -284,7 +357,9 @@ def test_loss_is_reported_by_topic_in_messages_and_seconds(tmp_path: Path) -> No
     log, found = everything(path, allow_damaged=True)
     [note] = log.notes
     gone = true_messages() - set(found)
-    told = {topic: (int(count), float(span_s)) for _, count, topic, span_s in LOST.findall(note.text)}
+    told = {
+        topic: (int(count), float(span_s)) for _, count, topic, span_s in LOST.findall(note.text)
+    }
     for topic, (count, span_s) in told.items():
         times = sorted(time_ns for other, time_ns, _ in gone if other == topic)
         kept = np.array(sorted(time_ns for other, time_ns, _ in found if other == topic))
@@ -295,7 +370,15 @@ def test_loss_is_reported_by_topic_in_messages_and_seconds(tmp_path: Path) -> No
 
 # Mutations
 
-CHECKED = ("zstd", "lz4", "uncompressed", "no message index", "no chunk index", "no summary", "no chunks")
+CHECKED = (
+    "zstd",
+    "lz4",
+    "uncompressed",
+    "no message index",
+    "no chunk index",
+    "no summary",
+    "no chunks",
+)
 """Kinds of containers of which every byte that matters has a checksum, so that no change can go unnoticed."""
 
 
@@ -329,7 +412,10 @@ def assert_told(original: Dive, path: Path) -> bool:
             refused = False
             if not same_columns(original, dive):
                 assert dive.notes != original.notes
-                assert any(note.severity == "warning" or note.code == "unknown_records" for note in dive.notes)
+                assert any(
+                    note.severity == "warning" or note.code == "unknown_records"
+                    for note in dive.notes
+                )
         assert time.monotonic() - start_s < 5.0
         if not allow_damaged:
             first = refused
@@ -354,7 +440,9 @@ def memory_kb(kind: str) -> int:
     """Of this process, now (VmRSS) or at most since `forget_peak` (VmHWM); 0 where the system does not tell."""
     if not STATUS.is_file():
         return 0
-    return next(int(line.split()[1]) for line in STATUS.read_text().splitlines() if line.startswith(kind))
+    return next(
+        int(line.split()[1]) for line in STATUS.read_text().splitlines() if line.startswith(kind)
+    )
 
 
 def forget_peak() -> None:
@@ -366,9 +454,12 @@ def forget_peak() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seed", "count"), [(1, 70), *(pytest.param(seed, 620, marks=pytest.mark.nightly) for seed in (2, 3, 4))]
+    ("seed", "count"),
+    [(1, 70), *(pytest.param(seed, 620, marks=pytest.mark.nightly) for seed in (2, 3, 4))],
 )
-def test_no_mutation_brings_a_traceback_a_hang_or_silent_change(seed: int, count: int, tmp_path: Path) -> None:
+def test_no_mutation_brings_a_traceback_a_hang_or_silent_change(
+    seed: int, count: int, tmp_path: Path
+) -> None:
     rng, path = np.random.default_rng(seed), tmp_path / "dive.mcap"
     refused, before_kb = 0, memory_kb("VmRSS")
     forget_peak()
@@ -384,7 +475,9 @@ def test_no_mutation_brings_a_traceback_a_hang_or_silent_change(seed: int, count
             error.add_note(f"mutation {i} of a log with container '{CHECKED[i % len(CHECKED)]}'")
             raise
     assert refused > 0.8 * count
-    assert memory_kb("VmHWM") - before_kb < 350 * 1024, "beside the 150 MB of a program that has read nothing"
+    assert memory_kb("VmHWM") - before_kb < 350 * 1024, (
+        "beside the 150 MB of a program that has read nothing"
+    )
 
 
 def test_without_checksums_no_mutation_brings_a_traceback(tmp_path: Path) -> None:

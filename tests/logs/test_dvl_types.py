@@ -6,7 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pb2 import (
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from mcap.writer import Writer
@@ -32,7 +36,9 @@ from insdvl_replay.logs.columns.topics import TYPES
 from insdvl_replay.logs.formats.definitions import definition_text
 
 TIMES = 0.1 * np.arange(20)
-TRUE_D = np.stack([1.0 + 0.1 * np.sin(TIMES), 0.1 * np.cos(2.0 * TIMES) + 0.2, 0.05 * np.cos(TIMES)], axis=1)
+TRUE_D = np.stack(
+    [1.0 + 0.1 * np.sin(TIMES), 0.1 * np.cos(2.0 * TIMES) + 0.2, 0.05 * np.cos(TIMES)], axis=1
+)
 """Velocities forward-starboard-down at the times of the pings."""
 JANUS = frames.beam_vectors(30.0, (45.0, 135.0, 225.0, 315.0))
 A50 = frames.beam_vectors(22.5, (135.0, 225.0, 315.0, 45.0))
@@ -42,9 +48,12 @@ Ping = Callable[[int], dict[str, Any]]
 
 @pytest.fixture
 def read(tmp_path: Path) -> Callable[..., Dive]:
-    def read_pings(type_name: str, ping: Ping, schema_name: str | None = None, **settings: Any) -> Dive:
+    def read_pings(
+        type_name: str, ping: Ping, schema_name: str | None = None, **settings: Any
+    ) -> Dive:
         pings = [
-            ("/dvl", type_name, float(TIMES[i]), {"header": header(TIMES[i])} | ping(i)) for i in range(len(TIMES))
+            ("/dvl", type_name, float(TIMES[i]), {"header": header(TIMES[i])} | ping(i))
+            for i in range(len(TIMES))
         ]
         path = write_log(tmp_path / "dive.mcap", [*imu_messages(), *pings], schema_name)
         return read_dive(path, Config(dvl=Dvl(**settings)))
@@ -85,11 +94,15 @@ def a50(i: int) -> dict[str, Any]:
         "velocity": xyz(TRUE_D[i]),
         "velocity_valid": True,
         "fom": 0.002,
-        "beams": [{"id": n, "velocity": speeds[n], "valid": not (i == 3 and n == 1)} for n in range(4)],
+        "beams": [
+            {"id": n, "velocity": speeds[n], "valid": not (i == 3 and n == 1)} for n in range(4)
+        ],
     }
 
 
-@pytest.mark.parametrize("name", ["acoustic_msgs/msg/Dvl", "acoustic_msgs/Dvl", "marine_acoustic_msgs/Dvl"])
+@pytest.mark.parametrize(
+    "name", ["acoustic_msgs/msg/Dvl", "acoustic_msgs/Dvl", "marine_acoustic_msgs/Dvl"]
+)
 def test_alias_with_and_without_msg_in_its_name(name: str, read: Any) -> None:
     dive = read("acoustic_msgs/msg/Dvl", apl, name)
     np.testing.assert_allclose(by_beams(dive), np.delete(TRUE_D, 3, axis=0), atol=1e-6)
@@ -100,17 +113,26 @@ def test_water_linked(read: Any) -> None:
     dive = read("waterlinked_a50_ros_driver/msg/DVL", a50, "waterlinked_a50_ros_driver/DVL")
     np.testing.assert_allclose(by_beams(dive), TRUE_D, atol=1e-12)
     np.testing.assert_array_equal(np.argwhere(np.isnan(dive.dvl.beam_velocity_mps)), [[3, 1]])
-    np.testing.assert_array_equal(dive.dvl.time_ns, START_NS + np.rint(TIMES * 1e9).astype(np.int64))
+    np.testing.assert_array_equal(
+        dive.dvl.time_ns, START_NS + np.rint(TIMES * 1e9).astype(np.int64)
+    )
 
 
 def test_early_water_linked_without_beams_and_figure_of_merit(tmp_path: Path) -> None:
     name = "waterlinked_a50_ros_driver/msg/DVL"
     early = definition_text(name).replace("DVLBeam[] beams\n", "").replace("float64 fom\n", "")
     pings = [
-        ("/dvl", name, time_s, {"header": header(time_s), "velocity": xyz(TRUE_D[i]), "velocity_valid": i != 4})
+        (
+            "/dvl",
+            name,
+            time_s,
+            {"header": header(time_s), "velocity": xyz(TRUE_D[i]), "velocity_valid": i != 4},
+        )
         for i, time_s in enumerate(TIMES.tolist())
     ]
-    dive = read_dive(write_log(tmp_path / "early.mcap", [*imu_messages(), *pings], texts={name: early}), Config())
+    dive = read_dive(
+        write_log(tmp_path / "early.mcap", [*imu_messages(), *pings], texts={name: early}), Config()
+    )
     np.testing.assert_allclose(by_velocity(dive), np.delete(TRUE_D, 4, axis=0), atol=1e-12)
     assert codes(dive)["dvl_invalid"] == 1
 
@@ -166,7 +188,9 @@ def test_family_has_its_names() -> None:
 @pytest.mark.parametrize("name", [name for name in UUV if not name.startswith("dvl1000")])
 def test_beams_of_the_family_point_where_their_poses_say(name: str, read: Any) -> None:
     """Beams are unlike any default: tilted by 30, 25, 20 and 30 deg at odd azimuths, so that only poses can tell."""
-    vectors = np.concatenate([frames.beam_vectors(30.0 - 5.0 * n, (10.0 + 90.0 * n,)) for n in range(3)] + [JANUS[3:]])
+    vectors = np.concatenate(
+        [frames.beam_vectors(30.0 - 5.0 * n, (10.0 + 90.0 * n,)) for n in range(3)] + [JANUS[3:]]
+    )
     dive = read(name, lambda i: uuv(i, vectors))
     np.testing.assert_allclose(dive.dvl.beam_vectors_d, vectors, atol=1e-12)
     np.testing.assert_allclose(by_beams(dive), np.delete(TRUE_D, [5, 6], axis=0), atol=1e-12)
@@ -217,7 +241,11 @@ def test_link_that_looks_down_with_its_x_axis_is_noticed_and_can_be_reported(rea
 def test_labust(read: Any) -> None:
     dive = read(
         "uuv_sensor_msgs/msg/DVL",
-        lambda i: {"velocity": xyz(TRUE_D[i]), "velocity_reference": 2 if i == 4 else 3, "beam_ranges": [1.0] * 4},
+        lambda i: {
+            "velocity": xyz(TRUE_D[i]),
+            "velocity_reference": 2 if i == 4 else 3,
+            "beam_ranges": [1.0] * 4,
+        },
     )
     np.testing.assert_allclose(by_velocity(dive), np.delete(TRUE_D, 4, axis=0), atol=1e-12)
     assert codes(dive)["dvl_water_track"] == 1
@@ -252,13 +280,18 @@ def test_dave(read: Any) -> None:
 def test_dave_at_rest_reports_no_directions(read: Any) -> None:
     dive = read(
         "dave_interfaces/msg/DVL",
-        lambda i: {"velocity": {"twist": {"linear": xyz(1e-3 * TRUE_D[i] * FLU)}}, "beams": [{"locked": True}] * 4},
+        lambda i: {
+            "velocity": {"twist": {"linear": xyz(1e-3 * TRUE_D[i] * FLU)}},
+            "beams": [{"locked": True}] * 4,
+        },
     )
     np.testing.assert_allclose(by_velocity(dive), 1e-3 * TRUE_D, atol=1e-12)
 
 
 @pytest.mark.parametrize("number", [np.nan, -np.inf, 1e300])
-def test_numbers_of_a_damaged_log_are_lost_or_refused_and_never_a_traceback(number: float, read: Any) -> None:
+def test_numbers_of_a_damaged_log_are_lost_or_refused_and_never_a_traceback(
+    number: float, read: Any
+) -> None:
     def damaged_dave(i: int) -> dict[str, Any]:
         values = dave(i)
         if i == 6:
@@ -284,7 +317,10 @@ def test_mil(read: Any) -> None:
         speeds = JANUS @ TRUE_D[i]
         return {
             "velocity_measurements": [
-                {"direction": xyz(JANUS[n] * FLU), "velocity": np.nan if (i, n) == (3, 2) else float(speeds[n])}
+                {
+                    "direction": xyz(JANUS[n] * FLU),
+                    "velocity": np.nan if (i, n) == (3, 2) else float(speeds[n]),
+                }
                 for n in range(4)
             ]
         }
@@ -296,7 +332,11 @@ def test_mil(read: Any) -> None:
 
 @pytest.mark.parametrize(
     ("name", "field"),
-    [("nortek_dvl/msg/Dvl", "velocity"), ("riptide_msgs/msg/Dvl", "velocity"), ("nortek_dvl/msg/ButtomTrack", "speed")],
+    [
+        ("nortek_dvl/msg/Dvl", "velocity"),
+        ("riptide_msgs/msg/Dvl", "velocity"),
+        ("nortek_dvl/msg/ButtomTrack", "speed"),
+    ],
 )
 def test_nortek_by_sentences(name: str, field: str, read: Any) -> None:
     dive = read(name, lambda i: {field: xyz([-32.768] * 3 if i in (2, 3, 9) else TRUE_D[i])})
@@ -317,7 +357,11 @@ def test_the_least_16_bits_in_mm_per_s_stand_for_no_velocity(read: Any) -> None:
 def df21(i: int) -> dict[str, Any]:
     beam_bits, xyz_bits = (0b1011 if i == 2 else 0b1111), (0b0101 if i == 3 else 0b0111)
     values = dict(zip(("velX", "velY", "velZ1", "velZ2"), [*TRUE_D[i].tolist(), 9.0], strict=True))
-    return values | {"status": xyz_bits << 12 | beam_bits, "velBeam": JANUS @ TRUE_D[i], "good_beams": 4}
+    return values | {
+        "status": xyz_bits << 12 | beam_bits,
+        "velBeam": JANUS @ TRUE_D[i],
+        "good_beams": 4,
+    }
 
 
 def test_nortek_df21_by_the_bits_of_its_status(read: Any) -> None:
@@ -337,7 +381,9 @@ def test_type_that_is_none_names_those_that_are(read: Any) -> None:
 
 def test_every_type_has_a_definition_for_logs_without() -> None:
     for name in {**TYPES["dvl_beams"], **TYPES["dvl_velocity"], **TYPES["dvl_if_named"]}:
-        is_of_logs_alone = name.partition("/")[0] in (*UUV_COPIES, "dvl1000_ros") or name in OF_LOGS_ALONE
+        is_of_logs_alone = (
+            name.partition("/")[0] in (*UUV_COPIES, "dvl1000_ros") or name in OF_LOGS_ALONE
+        )
         assert "/" not in name or is_of_logs_alone or definition_text(name)
 
 
@@ -346,10 +392,23 @@ def test_every_type_has_a_definition_for_logs_without() -> None:
 GZ: dict[str, dict[str, Any]] = {
     "Time": {"sec": (2, "INT64"), "nsec": (3, "INT32")},
     "Header": {"stamp": (1, "Time")},
-    "Vector3d": {"header": (1, "Header"), "x": (2, "DOUBLE"), "y": (3, "DOUBLE"), "z": (4, "DOUBLE")},
-    "DVLKinematicEstimate": {"reference": (1, "INT32"), "mean": (2, "Vector3d"), "covariance": (3, "DOUBLE*")},
+    "Vector3d": {
+        "header": (1, "Header"),
+        "x": (2, "DOUBLE"),
+        "y": (3, "DOUBLE"),
+        "z": (4, "DOUBLE"),
+    },
+    "DVLKinematicEstimate": {
+        "reference": (1, "INT32"),
+        "mean": (2, "Vector3d"),
+        "covariance": (3, "DOUBLE*"),
+    },
     "DVLRangeEstimate": {"mean": (1, "DOUBLE"), "variance": (2, "DOUBLE")},
-    "DVLTrackingTarget": {"type": (1, "INT32"), "range": (2, "DVLRangeEstimate"), "position": (3, "Vector3d")},
+    "DVLTrackingTarget": {
+        "type": (1, "INT32"),
+        "range": (2, "DVLRangeEstimate"),
+        "position": (3, "Vector3d"),
+    },
     "DVLBeamState": {
         "id": (1, "INT32"),
         "velocity": (2, "DVLKinematicEstimate"),
@@ -375,7 +434,10 @@ def test_gazebos_message_of_stanford(read: Any) -> None:
         return {
             "target": {"type": 2 if i == 4 else 1, "range_mean": 3.0},
             "velocity": {"mean": xyz(TRUE_D[i]), "covariance": np.full(9, 0.1)},
-            "beams": [{"id": n, "locked": True, "velocity": {"mean": xyz((0.1, 0.1, 0.1))}} for n in range(4)],
+            "beams": [
+                {"id": n, "locked": True, "velocity": {"mean": xyz((0.1, 0.1, 0.1))}}
+                for n in range(4)
+            ],
         }
 
     dive = read("msgs/msg/DVLData", ping)
@@ -404,7 +466,11 @@ def gazebo_file() -> FileDescriptorProto:
         message = described.message_type.add(name=name)
         for field, (number, kind) in fields.items():
             one = kind.rstrip("*")
-            repeated = FieldDescriptorProto.LABEL_REPEATED if kind != one else FieldDescriptorProto.LABEL_OPTIONAL
+            repeated = (
+                FieldDescriptorProto.LABEL_REPEATED
+                if kind != one
+                else FieldDescriptorProto.LABEL_OPTIONAL
+            )
             is_message = one in GZ
             message.field.add(
                 name=field,
@@ -427,9 +493,13 @@ def test_gazebo_in_protobuf(tmp_path: Path) -> None:
         imu_type = "sensor_msgs/msg/Imu"
         store = store_with({})
         imu_id = writer.register_channel(
-            "/imu", "cdr", writer.register_schema(imu_type, "ros2msg", definition_text(imu_type).encode())
+            "/imu",
+            "cdr",
+            writer.register_schema(imu_type, "ros2msg", definition_text(imu_type).encode()),
         )
-        schema = writer.register_schema(name, "protobuf", FileDescriptorSet(file=[file]).SerializeToString())
+        schema = writer.register_schema(
+            name, "protobuf", FileDescriptorSet(file=[file]).SerializeToString()
+        )
         dvl_id = writer.register_channel("/dvl", "protobuf", schema)
         for _, type_name, time_s, values in imu_messages():
             time_ns = START_NS + round(time_s * 1e9)

@@ -10,7 +10,9 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs.formats.recording import bag_parts, open_recording
 
-needs_devices = pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs /dev/zero (not Windows)")
+needs_devices = pytest.mark.skipif(
+    not Path("/dev/zero").exists(), reason="needs /dev/zero (not Windows)"
+)
 
 
 @needs_devices
@@ -47,7 +49,10 @@ def test_a_log_that_links_to_itself_is_reported_as_one_that_cannot_be_read(tmp_p
 
 WRONG = [
     ("a: [b", "lists no files"),
-    (f"rosbag2_bagfile_information: {{relative_file_paths: [{'a' * 5000}]}}", "lists a+, which is not there"),
+    (
+        f"rosbag2_bagfile_information: {{relative_file_paths: [{'a' * 5000}]}}",
+        "lists a+, which is not there",
+    ),
 ]
 
 

@@ -20,8 +20,15 @@ CODES = [str(int(not bad)) for bad in BAD]
 def velocities(how: str) -> np.ndarray:
     """Velocities of which every fifth is wrong in a way."""
     time_s = np.arange(COUNT)
-    true = np.column_stack([1.0 + 0.1 * np.sin(0.1 * time_s), 0.1 * np.cos(0.1 * time_s), 0.01 * np.sin(time_s)])
-    wrong = {"missing": np.nan, "zero": 0.0, "sentinel": -32.768, "scattered": true[BAD] + [0.15, -0.1, 0.0]}
+    true = np.column_stack(
+        [1.0 + 0.1 * np.sin(0.1 * time_s), 0.1 * np.cos(0.1 * time_s), 0.01 * np.sin(time_s)]
+    )
+    wrong = {
+        "missing": np.nan,
+        "zero": 0.0,
+        "sentinel": -32.768,
+        "scattered": true[BAD] + [0.15, -0.1, 0.0],
+    }
     true[BAD] = wrong.get(how, true[BAD])
     return true
 
@@ -30,7 +37,9 @@ def dive(folder: Path, title: str, cells: list[str], how: str = "scattered") -> 
     """Write a folder of tables whose DVL has a column beside its velocity."""
     folder.mkdir(exist_ok=True)
     rng = np.random.default_rng(2)
-    imu = np.column_stack([0.02 * np.arange(3000), rng.normal([0, 0, -9.8, 0, 0, 0], 0.01, (3000, 6))])
+    imu = np.column_stack(
+        [0.02 * np.arange(3000), rng.normal([0, 0, -9.8, 0, 0, 0], 0.01, (3000, 6))]
+    )
     np.savetxt(folder / "imu.csv", imu, "%.6f", ",", header="time,ax,ay,az,gx,gy,gz", comments="")
     rows = zip(range(COUNT), velocities(how).tolist(), cells, strict=True)
     lines = [f"{i},{v[0]},{v[1]},{v[2]},{cell}".replace("nan", "") for i, v, cell in rows]
@@ -82,12 +91,16 @@ def test_a_flag_says_nothing_where_all_pings_have_the_same() -> None:
         ("status", [{"1": "A", "0": "V"}[code] for code in CODES], "valid"),
     ],
 )
-def test_flags_are_proposed_and_leave_their_pings_out(tmp_path: Path, title: str, cells: list[str], key: str) -> None:
+def test_flags_are_proposed_and_leave_their_pings_out(
+    tmp_path: Path, title: str, cells: list[str], key: str
+) -> None:
     folder = dive(tmp_path / "dive", title, cells)
     name = title.lower().replace(" ", "_")
     found = {setting.key: setting.value for setting in propose_settings(folder, Config()).settings}
     assert found[f"dvl.{key}"] == name
-    read = read_dive(folder, Config(imu=IMU, dvl=Dvl(topic="dvl.csv", velocity="vx, vy, vz", **{key: name})))
+    read = read_dive(
+        folder, Config(imu=IMU, dvl=Dvl(topic="dvl.csv", velocity="vx, vy, vz", **{key: name}))
+    )
     np.testing.assert_array_equal(read.dvl.time_ns, 10**9 * np.flatnonzero(~BAD))
     assert "dvl_unused_flag" not in {note.code for note in read.notes}
 
@@ -96,7 +109,9 @@ def test_flags_are_proposed_and_leave_their_pings_out(tmp_path: Path, title: str
 def test_a_flag_that_no_setting_names_is_a_warning(tmp_path: Path, title: str) -> None:
     (note,) = (
         note
-        for note in read_dive(dive(tmp_path / "dive", title, CODES, "none"), Config(imu=IMU, dvl=DVL)).notes
+        for note in read_dive(
+            dive(tmp_path / "dive", title, CODES, "none"), Config(imu=IMU, dvl=DVL)
+        ).notes
         if note.code == "dvl_unused_flag"
     )
     assert (note.count, note.severity) == (np.count_nonzero(BAD), "warning")

@@ -35,14 +35,19 @@ USUAL = {
 }
 
 
-def dive_with(folder: Path, table: str, column: int, rows: NDArray[np.int64], values: list[float]) -> Dive:
+def dive_with(
+    folder: Path, table: str, column: int, rows: NDArray[np.int64], values: list[float]
+) -> Dive:
     """Read a dive of tables in which some cells are replaced."""
     rng = np.random.default_rng(1)
     for name, usual in USUAL.items():
         cells = rng.normal(usual, 0.001, (ROWS, len(usual)))
         if name == table:
             cells[rows, column] = np.resize(values, len(rows))
-        lines = [",".join([f"{0.1 * row:.1f}", *map(repr, numbers)]) for row, numbers in enumerate(cells.tolist())]
+        lines = [
+            ",".join([f"{0.1 * row:.1f}", *map(repr, numbers)])
+            for row, numbers in enumerate(cells.tolist())
+        ]
         (folder / f"{name}.csv").write_text("\n".join([TITLES[name], *lines, ""]))
     return read_dive(folder, CONFIG)
 
@@ -52,10 +57,22 @@ def dive_with(folder: Path, table: str, column: int, rows: NDArray[np.int64], va
     [
         ("dvl", 0, 999.999, "dvl_impossible", "above 20 m/s (999.999)"),
         ("dvl", 2, -327.68, "dvl_impossible", "above 20 m/s (327.68)"),
-        ("imu", 2, -9999.0, "imu_impossible", "above 50 g or 2000 deg/s, or zero in all six readings (9999)"),
+        (
+            "imu",
+            2,
+            -9999.0,
+            "imu_impossible",
+            "above 50 g or 2000 deg/s, or zero in all six readings (9999)",
+        ),
         ("fix", 0, 91.0, "reference_impossible", "beyond the poles, in degrees (91)"),
         ("fix", 1, -999.0, "reference_impossible", "stand for none (999)"),
-        ("fix", 2, -9999.0, "reference_impossible", "heights are of no water on Earth, in metres (9999)"),
+        (
+            "fix",
+            2,
+            -9999.0,
+            "reference_impossible",
+            "heights are of no water on Earth, in metres (9999)",
+        ),
         ("fix", 4, 99.99, "reference_impossible", "above 20 m/s (99.99)"),
         ("fix", 8, 9999.0, "reference_impossible", "stand for none (9999)"),
         ("fix", 9, 99999.0, "depth_impossible", "of no water on Earth, in metres (99999)"),

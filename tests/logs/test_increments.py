@@ -26,10 +26,16 @@ def dive(folder: Path, factor: float, units: tuple[str, str] = ("", ""), dt: str
     """Write tables of readings times a factor, which may have the column of an interval."""
     folder.mkdir(exist_ok=True)
     time_s = STEP_S * np.arange(COUNT)
-    titles = ",".join(["t", *(f"a{x}{units[0]}" for x in "xyz"), *(f"g{x}{units[1]}" for x in "xyz")])
-    columns = [time_s, readings() * factor, np.full(COUNT, STEP_S * (1e3 if "ms" in dt else 1.0))][: 3 if dt else 2]
+    titles = ",".join(
+        ["t", *(f"a{x}{units[0]}" for x in "xyz"), *(f"g{x}{units[1]}" for x in "xyz")]
+    )
+    columns = [time_s, readings() * factor, np.full(COUNT, STEP_S * (1e3 if "ms" in dt else 1.0))][
+        : 3 if dt else 2
+    ]
     form = {"fmt": "%.17g", "delimiter": ",", "comments": ""}
-    np.savetxt(folder / "imu.csv", np.column_stack(columns), header=f"{titles},{dt}".strip(","), **form)  # type: ignore[call-overload]
+    np.savetxt(
+        folder / "imu.csv", np.column_stack(columns), header=f"{titles},{dt}".strip(","), **form
+    )  # type: ignore[call-overload]
     rng = np.random.default_rng(6)
     pings = np.column_stack([time_s[::20], rng.normal([1.0, 0.0, 0.0], 0.1, (COUNT // 20, 3))])
     np.savetxt(folder / "dvl.csv", pings, header="t,vx,vy,vz", **form)  # type: ignore[call-overload]
@@ -49,7 +55,9 @@ def imu(**settings: Any) -> Imu:
         (("", ""), "dt [ms]", "dt"),
     ],
 )
-def test_increments_are_the_rates(tmp_path: Path, units: tuple[str, str], dt: str, increment_s: float | str) -> None:
+def test_increments_are_the_rates(
+    tmp_path: Path, units: tuple[str, str], dt: str, increment_s: float | str
+) -> None:
     rates = read_dive(dive(tmp_path / "rates", 1.0), Config(imu=imu(), dvl=DVL)).imu
     folder = dive(tmp_path / "increments", STEP_S, units, dt)
     found = read_dive(folder, Config(imu=imu(increment_s=increment_s), dvl=DVL)).imu
@@ -73,7 +81,11 @@ def test_a_unit_of_increments_names_the_key_of_their_interval(tmp_path: Path) ->
 def test_increments_that_are_read_as_rates_are_named(tmp_path: Path) -> None:
     folder = dive(tmp_path / "dive", STEP_S)
     found = read_dive(folder, Config(imu=imu(), dvl=DVL)).imu
-    hints = [remark.hint for remark in imu_remarks("dive", found, None, imu()) if isinstance(remark, LogError)]
+    hints = [
+        remark.hint
+        for remark in imu_remarks("dive", found, None, imu())
+        if isinstance(remark, LogError)
+    ]
     assert hints == ["it is 0.02 times gravity: increments over 0.02 s? imu.increment_s = 0.02"]
 
 

@@ -44,7 +44,9 @@ def test_whole_numbers_stay_whole_until_others_come() -> None:
     large = np.full((3, 1), 2**62 + 1)
     assert filled(large, large).dtype == np.int64
     assert filled(large, large).tolist() == [[2**62 + 1]] * 6
-    np.testing.assert_array_equal(filled(np.ones((2, 1), np.int64), np.ones((2, 1))), np.ones((4, 1)))
+    np.testing.assert_array_equal(
+        filled(np.ones((2, 1), np.int64), np.ones((2, 1))), np.ones((4, 1))
+    )
     assert filled(np.ones((2, 1), np.int64), np.ones((2, 1))).dtype == np.float64
 
 
@@ -52,4 +54,6 @@ def test_shorter_rows_are_filled_up() -> None:
     one, two = np.ones((2, 1)), np.full((2, 2), 2.0)
     expected = [[1.0, np.nan], [1.0, np.nan], [2.0, 2.0], [2.0, 2.0], [1.0, np.nan], [1.0, np.nan]]
     np.testing.assert_array_equal(filled(one, two, one), expected)
-    np.testing.assert_array_equal(filled(two, np.ones((1, 1), np.int64)), [[2.0, 2.0], [2.0, 2.0], [1.0, np.nan]])
+    np.testing.assert_array_equal(
+        filled(two, np.ones((1, 1), np.int64)), [[2.0, 2.0], [2.0, 2.0], [1.0, np.nan]]
+    )

@@ -23,14 +23,20 @@ SCHEMA = json.dumps(
             "label": {"type": "string"},
             "count": {"type": "integer"},
             "rate": VECTOR,
-            "beams": {"type": "array", "items": {"type": "object", "properties": {"velocity": {"type": "number"}}}},
+            "beams": {
+                "type": "array",
+                "items": {"type": "object", "properties": {"velocity": {"type": "number"}}},
+            },
         },
     }
 ).encode()
 
 
 def columns(messages: list[Any], *paths: str, schema: bytes = b"") -> dict[str, Any]:
-    texts = [message if isinstance(message, bytes) else json.dumps(message).encode() for message in messages]
+    texts = [
+        message if isinstance(message, bytes) else json.dumps(message).encode()
+        for message in messages
+    ]
     return JsonReader("Ping", schema, paths).columns(block_of(texts))
 
 
@@ -51,17 +57,32 @@ def test_columns_equal_what_was_serialised() -> None:
     messages = random_messages(30)
     beams = [[beam["velocity"] for beam in message["beams"]] for message in messages]
     for schema in (b"", SCHEMA):
-        found = columns(messages, "count", "rate", "rate.y", "beams[*].velocity", "beams[1].velocity", schema=schema)
-        np.testing.assert_array_equal(found["count"][:, 0], [message["count"] for message in messages])
+        found = columns(
+            messages,
+            "count",
+            "rate",
+            "rate.y",
+            "beams[*].velocity",
+            "beams[1].velocity",
+            schema=schema,
+        )
+        np.testing.assert_array_equal(
+            found["count"][:, 0], [message["count"] for message in messages]
+        )
         assert found["count"].dtype == np.int64
-        np.testing.assert_array_equal(found["rate"], [list(message["rate"].values()) for message in messages])
+        np.testing.assert_array_equal(
+            found["rate"], [list(message["rate"].values()) for message in messages]
+        )
         np.testing.assert_array_equal(found["rate.y"], found["rate"][:, 1:2])
         np.testing.assert_array_equal(found["beams[*].velocity"], beams)
         np.testing.assert_array_equal(found["beams[1].velocity"][:, 0], [row[1] for row in beams])
 
 
 def test_the_order_of_members_says_nothing() -> None:
-    messages = [{"t": {"nanosec": 2, "sec": 1}, "v": {"z": 3.0, "x": 1.0, "y": 2.0}}, {"v": {"y": 5, "z": 6, "x": 4}}]
+    messages = [
+        {"t": {"nanosec": 2, "sec": 1}, "v": {"z": 3.0, "x": 1.0, "y": 2.0}},
+        {"v": {"y": 5, "z": 6, "x": 4}},
+    ]
     found = columns(messages, "v", "t")
     np.testing.assert_array_equal(found["v"], [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     np.testing.assert_array_equal(found["t"], [[1.0, 2.0], [np.nan, np.nan]])
@@ -87,7 +108,9 @@ def test_whole_numbers_of_any_size_are_read() -> None:
 
 def test_nonsense_is_refused_or_missing_but_never_a_traceback() -> None:
     schema = b'{"type": "object", "properties": [1], "items": 3}'
-    np.testing.assert_array_equal(columns([{"v": 1.5}, [1], "v", None], "v", schema=schema)["v"][:2], [[1.5], [np.nan]])
+    np.testing.assert_array_equal(
+        columns([{"v": 1.5}, [1], "v", None], "v", schema=schema)["v"][:2], [[1.5], [np.nan]]
+    )
     for levels, sentence in ((400, "is text|has no field"), (100_000, "not JSON")):
         with pytest.raises(LogError, match=rf"{sentence}"):
             columns([b'{"v":' * levels + b"1" + b"}" * levels], ".".join("v" * 40))
@@ -109,7 +132,9 @@ def test_unknown_path_names_the_nearest_field_and_text_is_no_number() -> None:
         columns(random_messages(2), "label")
 
 
-def test_a_reader_of_other_fields_looks_at_no_message_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_of_other_fields_looks_at_no_message_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     block = block_of([b'{"a": 1, "b": {"c": [2, 3]}}', b'{"a": 4, "b": {"c": [5, 6]}}'])
     first = JsonReader("", b"", ())
     first.columns(block)
@@ -136,7 +161,10 @@ def test_a_dive_of_json_messages_is_read_by_field_paths(tmp_path: Path) -> None:
             reading = {"f": {"x": 0.0, "y": 0.0, "z": -1.0}, "w": [0.0, 0.0, i * 1e-3]}
             writer.add_message(imu, START_NS + i * 10**7, json.dumps(reading).encode(), 0)
         for i in range(10):
-            ping = {"time_ms": START_NS // 10**6 + 200 * i, "beams": [{"v": 0.1 * i, "ok": j != i} for j in range(4)]}
+            ping = {
+                "time_ms": START_NS // 10**6 + 200 * i,
+                "beams": [{"v": 0.1 * i, "ok": j != i} for j in range(4)],
+            }
             writer.add_message(dvl, START_NS + i * 2 * 10**8, json.dumps(ping).encode(), 0)
         writer.finish()
     config = Config(
@@ -144,7 +172,9 @@ def test_a_dive_of_json_messages_is_read_by_field_paths(tmp_path: Path) -> None:
         dvl=Dvl(topic="dvl", beam_velocity="beams[*].v", beam_valid="beams[*].ok", stamp="time_ms"),
     )
     dive = read_dive(path, config)
-    np.testing.assert_allclose(dive.imu.specific_force_b, np.tile([0.0, 0.0, -9.80665], (200, 1)), rtol=1e-15)
+    np.testing.assert_allclose(
+        dive.imu.specific_force_b, np.tile([0.0, 0.0, -9.80665], (200, 1)), rtol=1e-15
+    )
     np.testing.assert_array_equal(dive.imu.angular_rate_b[:, 2], np.arange(200) * 1e-3)
     assert dive.dvl.beam_velocity_mps is not None
     np.testing.assert_array_equal(np.isnan(dive.dvl.beam_velocity_mps), np.eye(10, 4, dtype=bool))
@@ -160,13 +190,22 @@ def test_a_message_without_its_stamp_is_left_out_wherever_it_is(tmp_path: Path) 
         imu, dvl = (writer.register_channel(topic, "json", 0) for topic in ("imu", "dvl"))
         for i, at_ns in enumerate(time_ns.tolist()):
             stamp = dict(zip(("sec", "nanosec"), divmod(at_ns, 10**9), strict=True))
-            reading = {"t": None if i in missing else stamp, "f": [0.0, 0.0, -9.8], "w": [0.0, 0.0, i * 1e-3]}
+            reading = {
+                "t": None if i in missing else stamp,
+                "f": [0.0, 0.0, -9.8],
+                "w": [0.0, 0.0, i * 1e-3],
+            }
             writer.add_message(imu, at_ns, json.dumps(reading).encode(), at_ns)
-            writer.add_message(dvl, at_ns, json.dumps({"v": [1.0 + i * 1e-3, 0.0, 0.0]}).encode(), at_ns)
+            writer.add_message(
+                dvl, at_ns, json.dumps({"v": [1.0 + i * 1e-3, 0.0, 0.0]}).encode(), at_ns
+            )
         writer.finish()
     config = Config(
-        imu=Imu(topic="imu", specific_force="f", angular_rate="w", stamp="t"), dvl=Dvl(topic="dvl", velocity="v")
+        imu=Imu(topic="imu", specific_force="f", angular_rate="w", stamp="t"),
+        dvl=Dvl(topic="dvl", velocity="v"),
     )
     dive = read_dive(path, config)
     assert [note.count for note in dive.notes if note.code == "imu_wrong_stamps"] == [3]
-    np.testing.assert_allclose(dive.imu.time_ns, np.delete(time_ns, missing), rtol=0.0, atol=256.0)  # of a float64
+    np.testing.assert_allclose(
+        dive.imu.time_ns, np.delete(time_ns, missing), rtol=0.0, atol=256.0
+    )  # of a float64

@@ -33,7 +33,9 @@ def entries(name: str) -> list[KnownType]:
 
 def made(store: Typestore, name: str, rng: np.random.Generator) -> Any:
     """Make a message with some number in every field, three elements in every list, and texts of several lengths."""
-    return store.types[name](**{field: value(store, kind, rng) for field, kind in store.get_msgdef(name).fields})
+    return store.types[name](
+        **{field: value(store, kind, rng) for field, kind in store.get_msgdef(name).fields}
+    )
 
 
 def value(store: Typestore, kind: Any, rng: np.random.Generator) -> Any:
@@ -44,7 +46,9 @@ def value(store: Typestore, kind: Any, rng: np.random.Generator) -> Any:
         return made(store, argument, rng)
     inner, length = argument
     values = [value(store, inner, rng) for _ in range(length or 3)]
-    return np.array(values, inner[1][0]) if int(inner[0]) == 1 and inner[1][0] != "string" else values
+    return (
+        np.array(values, inner[1][0]) if int(inner[0]) == 1 and inner[1][0] != "string" else values
+    )
 
 
 def primitive(name: str, rng: np.random.Generator) -> Any:
@@ -77,7 +81,10 @@ def at_path(item: Any, path: str) -> Any:
         assert match
         item = getattr(item, match[1])
         if match[2] == "*":
-            return [at_path(one, ".".join(parts[number + 1 :])) if parts[number + 1 :] else one for one in item]
+            return [
+                at_path(one, ".".join(parts[number + 1 :])) if parts[number + 1 :] else one
+                for one in item
+            ]
         item = item if match[2] is None else item[int(match[2])]
     return item
 
@@ -100,9 +107,13 @@ def assert_numbers_are_read(name: str, encoding: str, tmp_path: Path) -> None:
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="ros2")
-        channel_id = writer.register_channel("/it", "cdr", writer.register_schema(name, "ros2msg", text.encode()))
+        channel_id = writer.register_channel(
+            "/it", "cdr", writer.register_schema(name, "ros2msg", text.encode())
+        )
         for i, message in enumerate(messages):
-            writer.add_message(channel_id, START_NS + i, bytes(store.serialize_cdr(message, name)), START_NS + i)
+            writer.add_message(
+                channel_id, START_NS + i, bytes(store.serialize_cdr(message, name)), START_NS + i
+            )
         writer.finish()
     if encoding == "ros1":
         path = other_bags.ros1_mcap(tmp_path / "ros1.mcap", path.read_bytes())
@@ -110,7 +121,12 @@ def assert_numbers_are_read(name: str, encoding: str, tmp_path: Path) -> None:
     [channel] = log.channels
     assert channel.encoding == encoding
     known = channel_paths(channel)
-    named = {one for entry in entries(name) for fields in entry.fields.values() for one in split_paths(fields)}
+    named = {
+        one
+        for entry in entries(name)
+        for fields in entry.fields.values()
+        for one in split_paths(fields)
+    }
     stamps = {entry.stamp for entry in entries(name)} | {"header.stamp"}
     lacking = {one for one in named if not find_path(one, known)}
     paths = sorted((named - lacking) | {one for one in stamps if find_path(one, known)})

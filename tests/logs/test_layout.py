@@ -41,7 +41,9 @@ uint16[] counts
 """
 DEFINITIONS = parse_definitions(TYPE, TEXT)
 
-words = st.text(st.characters(codec="utf-8", exclude_characters="\0", exclude_categories=("Cs",)), max_size=7)
+words = st.text(
+    st.characters(codec="utf-8", exclude_characters="\0", exclude_categories=("Cs",)), max_size=7
+)
 numbers = st.floats(allow_nan=False)
 nested = st.fixed_dictionaries(
     {
@@ -98,7 +100,9 @@ def test_layout_finds_and_fills_every_field_as_mcap_ros2_support(message: dict[s
     layout = message_layout(DEFINITIONS, TYPE, data)
     lengths = layout.lengths
     assert layout.size == layout.dtype.itemsize == len(data)
-    assert [int.from_bytes(data[start : start + 4], "little") for start in layout.length_offsets] == list(lengths)
+    assert [
+        int.from_bytes(data[start : start + 4], "little") for start in layout.length_offsets
+    ] == list(lengths)
     [row] = np.frombuffer(data, layout.dtype)
     values = flat("", message) | {"empty.structure_needs_at_least_one_member": 0}
     assert set(layout.dtype.names or ()) == set(values)
@@ -118,7 +122,12 @@ def test_an_empty_sequence_is_not_aligned_as_rosbags_writes_it() -> None:
         data = bytes(store.serialize_cdr(message, TYPE))
         layout = message_layout(definitions, TYPE, data)
         [row] = np.frombuffer(data, layout.dtype, count=1)
-        assert (row["between"], row["word"], row["number"], row["values"].tolist()) == (9, b"abc", 0.25, values)
+        assert (row["between"], row["word"], row["number"], row["values"].tolist()) == (
+            9,
+            b"abc",
+            0.25,
+            values,
+        )
 
 
 def test_layout_for_texts_makes_room_for_them() -> None:

@@ -20,20 +20,37 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay import __version__
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, TruthColumns
+from insdvl_replay.core.dive_columns import (
+    Dive,
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    TimeNs,
+    TruthColumns,
+)
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG, MRAD
 from insdvl_replay.core.tables import ConsistencyRow, ImprovementRow, Tables
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.formats.definitions import definition_text
-from insdvl_replay.logs.write import ANGLE_DIGITS, VELOCITY_DIGITS, Batch, stamp, write_dive, write_log, write_replay
+from insdvl_replay.logs.write import (
+    ANGLE_DIGITS,
+    VELOCITY_DIGITS,
+    Batch,
+    stamp,
+    write_dive,
+    write_log,
+    write_replay,
+)
 
 START_NS = 1_654_675_200_123_456_789
 S = 1_000_000_000
 TILT, AZIMUTHS = 30.0 * DEG, np.array([45.0, 135.0, 225.0, 315.0]) * DEG
 BEAMS_D = np.stack(
-    [np.cos(AZIMUTHS) * np.sin(TILT), np.sin(AZIMUTHS) * np.sin(TILT), np.full(4, np.cos(TILT))], axis=-1
+    [np.cos(AZIMUTHS) * np.sin(TILT), np.sin(AZIMUTHS) * np.sin(TILT), np.full(4, np.cos(TILT))],
+    axis=-1,
 )
 
 
@@ -115,11 +132,28 @@ TABLES = Tables(
     convergence=[],
     reference_error=[],
     consistency=[
-        ConsistencyRow("Nordsee ü", "aided", "velocity", 3, 424, 2, 2.9, 2.77, 3.24, "consistent", 0.01, 0.1, "white")
+        ConsistencyRow(
+            "Nordsee ü",
+            "aided",
+            "velocity",
+            3,
+            424,
+            2,
+            2.9,
+            2.77,
+            3.24,
+            "consistent",
+            0.01,
+            0.1,
+            "white",
+        )
     ],
 )
 NO_TABLES = Tables([], [], [], [])
-NOTES = (Note("imu_gaps", "2 gaps, the longest 0.7 s", 2, "warning", "--set imu.max_gap_s=1"), Note("x", "y"))
+NOTES = (
+    Note("imu_gaps", "2 gaps, the longest 0.7 s", 2, "warning", "--set imu.max_gap_s=1"),
+    Note("x", "y"),
+)
 DVL = {
     "velocity": (START_NS + np.arange(4) * S, np.arange(12.0).reshape(4, 3)),
     "acceleration": (np.array([START_NS]), np.ones((1, 3))),
@@ -194,7 +228,9 @@ def column(messages: list[Any], *names: str) -> Floats:
 # --- Any written log.
 
 
-@pytest.mark.parametrize("write", [lambda path: write_dive(path, DIVE), write_example], ids=["dive", "replay"])
+@pytest.mark.parametrize(
+    "write", [lambda path: write_dive(path, DIVE), write_example], ids=["dive", "replay"]
+)
 def test_same_input_gives_the_same_bytes(write: Callable[[Path], None], tmp_path: Path) -> None:
     digests = set()
     for name in ("one.mcap", "two.mcap"):
@@ -208,12 +244,24 @@ def test_file_has_the_bytes_of_the_official_writer(tmp_path: Path) -> None:
     """Chunks, indexes, summary and checksums: all that is put together here by columns, several chunks of it."""
     rng = np.random.default_rng(11)
     batches = [
-        Batch("/slow", "sensor_msgs/msg/NavSatFix", np.arange(0, 900, 3), {"altitude": rng.normal(size=300)}),
+        Batch(
+            "/slow",
+            "sensor_msgs/msg/NavSatFix",
+            np.arange(0, 900, 3),
+            {"altitude": rng.normal(size=300)},
+        ),
         Batch("/fast", "sensor_msgs/msg/Imu", np.arange(9000) // 10, {"header.frame_id": "imu"}),
-        Batch("/slow", "sensor_msgs/msg/NavSatFix", np.arange(5, 800, 5), {"header.frame_id": "a longer name"}),
+        Batch(
+            "/slow",
+            "sensor_msgs/msg/NavSatFix",
+            np.arange(5, 800, 5),
+            {"header.frame_id": "a longer name"},
+        ),
         Batch("/never", "sensor_msgs/msg/Imu", np.empty(0, dtype=np.int64), {}),
     ]
-    write_log(tmp_path / "ours.mcap", batches, {"key": "value"}, {"note.txt": ("text/plain", b"attached")})
+    write_log(
+        tmp_path / "ours.mcap", batches, {"key": "value"}, {"note.txt": ("text/plain", b"attached")}
+    )
     ours = (tmp_path / "ours.mcap").read_bytes()
     assert make_reader(io.BytesIO(ours)).get_summary().statistics.chunk_count > 3
 
@@ -229,7 +277,9 @@ def test_file_has_the_bytes_of_the_official_writer(tmp_path: Path) -> None:
         if channel.schema_id not in registered:
             schema = summary.schemas[channel.schema_id]
             registered.add(writer.register_schema(schema.name, schema.encoding, schema.data))
-        writer.register_channel(channel.topic, channel.message_encoding, channel.schema_id, channel.metadata)
+        writer.register_channel(
+            channel.topic, channel.message_encoding, channel.schema_id, channel.metadata
+        )
     for _, channel, message in reader.iter_messages():
         writer.add_message(channel.id, message.log_time, message.data, message.publish_time)
     writer.flush()
@@ -288,8 +338,15 @@ def test_logs_carry_all_that_viewers_need(log: str, request: pytest.FixtureReque
     assert (header.profile, header.library) == ("ros2", "insdvl-replay")
     assert summary is not None
     assert summary.statistics is not None
-    assert summary.statistics.message_count == sum(summary.statistics.channel_message_counts.values()) > 0
-    assert all(index.compression == "zstd" and index.message_index_offsets for index in summary.chunk_indexes)
+    assert (
+        summary.statistics.message_count
+        == sum(summary.statistics.channel_message_counts.values())
+        > 0
+    )
+    assert all(
+        index.compression == "zstd" and index.message_index_offsets
+        for index in summary.chunk_indexes
+    )
     for channel in summary.channels.values():
         assert channel.message_encoding == "cdr"
         assert "offered_qos_profiles" in channel.metadata
@@ -308,7 +365,9 @@ def test_a_log_that_cannot_be_written_is_reported_to_the_caller(tmp_path: Path) 
 
 def test_a_failed_log_leaves_nothing_behind(tmp_path: Path) -> None:
     times = np.array([START_NS])
-    batch = Batch("/x", "std_msgs/msg/Header", times, {**stamp("stamp", times), "no_such_field": 1.0})
+    batch = Batch(
+        "/x", "std_msgs/msg/Header", times, {**stamp("stamp", times), "no_such_field": 1.0}
+    )
     with pytest.raises(ValueError, match="no_such_field"):
         write_log(tmp_path / "x.mcap", [batch], {})
     assert not list(tmp_path.iterdir())
@@ -318,13 +377,21 @@ def test_times_that_ros_cannot_hold_are_refused(tmp_path: Path) -> None:
     for seconds in (-1, 2**31):
         times = np.array([seconds * S])
         with pytest.raises(LogError, match="does not fit a ROS stamp"):
-            write_log(tmp_path / "x.mcap", [Batch("/x", "std_msgs/msg/Header", times, stamp("stamp", times))], {})
+            write_log(
+                tmp_path / "x.mcap",
+                [Batch("/x", "std_msgs/msg/Header", times, stamp("stamp", times))],
+                {},
+            )
 
 
 def test_decreasing_times_are_refused(tmp_path: Path) -> None:
     times = np.array([S, 2 * S, S])
     with pytest.raises(ValueError, match="decrease"):
-        write_log(tmp_path / "x.mcap", [Batch("/x", "std_msgs/msg/Header", times, stamp("stamp", times))], {})
+        write_log(
+            tmp_path / "x.mcap",
+            [Batch("/x", "std_msgs/msg/Header", times, stamp("stamp", times))],
+            {},
+        )
 
 
 # --- A dive.
@@ -334,7 +401,9 @@ def test_imu_messages_hold_the_columns(dive_messages: Decoded) -> None:
     imu, messages = DIVE.imu, dive_messages["/imu"]
     np.testing.assert_array_equal(vectors(messages, "linear_acceleration"), imu.specific_force_b)
     np.testing.assert_array_equal(vectors(messages, "angular_velocity"), imu.angular_rate_b)
-    np.testing.assert_array_equal([m.header.stamp.sec * S + m.header.stamp.nanosec for m in messages], imu.time_ns)
+    np.testing.assert_array_equal(
+        [m.header.stamp.sec * S + m.header.stamp.nanosec for m in messages], imu.time_ns
+    )
     assert {m.header.frame_id for m in messages} == {"imu"}
     assert {m.orientation_covariance[0] for m in messages} == {-1.0}
 
@@ -342,7 +411,9 @@ def test_imu_messages_hold_the_columns(dive_messages: Decoded) -> None:
 def test_dvl_messages_hold_the_beams(dive_messages: Decoded) -> None:
     dvl, messages = DIVE.dvl, dive_messages["/dvl"]
     assert dvl.beam_velocity_mps is not None
-    np.testing.assert_allclose(column(messages, "beam_velocity")[:, 0], dvl.beam_velocity_mps, rtol=1e-7)
+    np.testing.assert_allclose(
+        column(messages, "beam_velocity")[:, 0], dvl.beam_velocity_mps, rtol=1e-7
+    )
     np.testing.assert_array_equal([[b.x, b.y, b.z] for b in messages[0].beam_unit_vec], BEAMS_D)
     assert [m.num_good_beams for m in messages[:7]] == [4, 4, 4, 3, 2, 0, 4]
     assert [m.beam_velocities_valid for m in messages[4:7]] == [True, False, True]
@@ -373,8 +444,12 @@ def test_reference_messages_hold_the_solution(dive_messages: Decoded) -> None:
     np.testing.assert_allclose(position, reference.position, rtol=1e-15)
     assert np.isnan(position[7]).all()
     np.testing.assert_array_equal(vectors(messages, "velocity_ned_mps"), reference.velocity_n)
-    rotation = Rotation.from_euler("ZYX", column(messages, "heading_deg", "pitch_deg", "roll_deg"), degrees=True)
-    np.testing.assert_allclose(rotation.as_matrix(), reference.mat_nb, rtol=0.0, atol=2.0 * 10.0**-ANGLE_DIGITS)
+    rotation = Rotation.from_euler(
+        "ZYX", column(messages, "heading_deg", "pitch_deg", "roll_deg"), degrees=True
+    )
+    np.testing.assert_allclose(
+        rotation.as_matrix(), reference.mat_nb, rtol=0.0, atol=2.0 * 10.0**-ANGLE_DIGITS
+    )
 
 
 def test_truth_messages_hold_the_biases(dive_messages: Decoded) -> None:
@@ -386,7 +461,9 @@ def test_truth_messages_hold_the_biases(dive_messages: Decoded) -> None:
 
 def test_velocities_become_twists(tmp_path: Path) -> None:
     velocity_d = np.array([[1.0, 2.0, 3.0], [np.nan] * 3])
-    dive = Dive("x", DIVE.imu, DvlColumns(np.array([START_NS, START_NS + S]), velocity_d=velocity_d))
+    dive = Dive(
+        "x", DIVE.imu, DvlColumns(np.array([START_NS, START_NS + S]), velocity_d=velocity_d)
+    )
     write_dive(tmp_path / "x.mcap", dive)
     messages = decode(tmp_path / "x.mcap")
     assert messages.keys() == {"/imu", "/dvl"}
@@ -450,15 +527,25 @@ def test_states_and_sigmas_are_in_shown_units(history: History, replay_messages:
     position = column(states, "latitude_deg", "longitude_deg", "height_m") * [DEG, DEG, 1.0]
     np.testing.assert_allclose(position, history.position, rtol=1e-15)
     np.testing.assert_array_equal(vectors(states, "velocity_ned_mps"), history.velocity_n)
-    np.testing.assert_allclose(vectors(states, "accel_bias_mg") * MG, history.accel_bias_b, rtol=1e-15)
-    np.testing.assert_allclose(vectors(states, "gyro_bias_degph") * DEG_PER_HOUR, history.gyro_bias_b, rtol=1e-15)
-    rotation = Rotation.from_euler("ZYX", column(states, "heading_deg", "pitch_deg", "roll_deg"), degrees=True)
+    np.testing.assert_allclose(
+        vectors(states, "accel_bias_mg") * MG, history.accel_bias_b, rtol=1e-15
+    )
+    np.testing.assert_allclose(
+        vectors(states, "gyro_bias_degph") * DEG_PER_HOUR, history.gyro_bias_b, rtol=1e-15
+    )
+    rotation = Rotation.from_euler(
+        "ZYX", column(states, "heading_deg", "pitch_deg", "roll_deg"), degrees=True
+    )
     np.testing.assert_allclose(rotation.as_matrix(), history.mat_nb, atol=1e-14)
     sigmas = replay_messages[f"/insdvl/{history.filter}/sigma"]
     np.testing.assert_allclose(column(sigmas, "dv_n_mps")[:, 0], history.sd[:, 0], rtol=1e-15)
-    np.testing.assert_allclose(column(sigmas, "phi_d_mrad")[:, 0] * MRAD, history.sd[:, 5], rtol=1e-15)
+    np.testing.assert_allclose(
+        column(sigmas, "phi_d_mrad")[:, 0] * MRAD, history.sd[:, 5], rtol=1e-15
+    )
     np.testing.assert_allclose(column(sigmas, "ba_y_mg")[:, 0] * MG, history.sd[:, 7], rtol=1e-15)
-    np.testing.assert_allclose(column(sigmas, "bg_z_degph")[:, 0] * DEG_PER_HOUR, history.sd[:, 11], rtol=1e-15)
+    np.testing.assert_allclose(
+        column(sigmas, "bg_z_degph")[:, 0] * DEG_PER_HOUR, history.sd[:, 11], rtol=1e-15
+    )
 
 
 def test_errors_and_innovations_hold_the_columns(replay_messages: Decoded) -> None:
@@ -478,7 +565,9 @@ def test_errors_and_innovations_hold_the_columns(replay_messages: Decoded) -> No
 
 
 def test_derived_velocity_and_acceleration_hold_the_columns(replay_messages: Decoded) -> None:
-    np.testing.assert_array_equal(vectors(replay_messages["/insdvl/dvl/velocity"], "velocity_mps"), DVL["velocity"][1])
+    np.testing.assert_array_equal(
+        vectors(replay_messages["/insdvl/dvl/velocity"], "velocity_mps"), DVL["velocity"][1]
+    )
     np.testing.assert_array_equal(
         vectors(replay_messages["/insdvl/dvl/acceleration"], "acceleration_mps2"), [[1, 1, 1]]
     )
@@ -498,7 +587,15 @@ def test_odometry_is_east_north_up_and_forward_port_up(tmp_path: Path) -> None:
         sd=np.ones((2, 12)),
         innovations=(),
     )
-    write_replay(tmp_path / "x.mcap", histories=[history], dvl={}, errors={}, tables=NO_TABLES, notes=(), **ORIGIN)
+    write_replay(
+        tmp_path / "x.mcap",
+        histories=[history],
+        dvl={},
+        errors={},
+        tables=NO_TABLES,
+        notes=(),
+        **ORIGIN,
+    )
     messages = decode(tmp_path / "x.mcap")["/insdvl/baseline/odometry"]
     position = vectors(messages, "pose.pose.position")
     north, east, _ = lla_to_ned(lla, lla[0])[1]
@@ -506,22 +603,36 @@ def test_odometry_is_east_north_up_and_forward_port_up(tmp_path: Path) -> None:
     q = messages[0].pose.pose.orientation
     enu_flu = Rotation.from_quat([q.x, q.y, q.z, q.w])
     np.testing.assert_allclose(enu_flu.apply([1.0, 0.0, 0.0]), [1.0, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(enu_flu.apply([0.0, 1.0, 0.0]), [0.0, np.cos(0.1), np.sin(0.1)], atol=1e-12)
+    np.testing.assert_allclose(
+        enu_flu.apply([0.0, 1.0, 0.0]), [0.0, np.cos(0.1), np.sin(0.1)], atol=1e-12
+    )
     velocity_flu = vectors(messages, "twist.twist.linear")
     np.testing.assert_allclose(enu_flu.apply(velocity_flu), [[2.0, 0.5, -0.1]] * 2, atol=1e-12)
     assert (messages[0].header.frame_id, messages[0].child_frame_id) == ("odom", "base_link")
 
 
-def test_a_dvl_measurement_without_a_message_type_is_written_as_innovations_alone(tmp_path: Path) -> None:
+def test_a_dvl_measurement_without_a_message_type_is_written_as_innovations_alone(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "x.mcap"
     write_replay(
-        path, histories=HISTORIES, dvl={"beams": DVL["velocity"]}, errors={}, tables=NO_TABLES, notes=(), **ORIGIN
+        path,
+        histories=HISTORIES,
+        dvl={"beams": DVL["velocity"]},
+        errors={},
+        tables=NO_TABLES,
+        notes=(),
+        **ORIGIN,
     )
     assert not [topic for topic in decode(path) if topic.startswith("/insdvl/dvl/")]
 
 
 def test_fix_holds_the_position(replay_messages: Decoded) -> None:
-    position = column(replay_messages["/insdvl/aided/fix"], "latitude", "longitude", "altitude") * [DEG, DEG, 1.0]
+    position = column(replay_messages["/insdvl/aided/fix"], "latitude", "longitude", "altitude") * [
+        DEG,
+        DEG,
+        1.0,
+    ]
     np.testing.assert_allclose(position, HISTORIES[1].position, rtol=1e-15)
 
 
@@ -529,7 +640,9 @@ def test_rows_hold_the_tables(replay_messages: Decoded) -> None:
     for name in ("improvement", "consistency"):
         table = frames(TABLES)[name]
         messages = replay_messages[f"/insdvl/table/{name}"]
-        decoded = pd.DataFrame([[getattr(m, c) for c in table.columns] for m in messages], columns=table.columns)
+        decoded = pd.DataFrame(
+            [[getattr(m, c) for c in table.columns] for m in messages], columns=table.columns
+        )
         texts = table.select_dtypes(exclude="number").columns
         expected = table.fillna(dict.fromkeys(texts, ""))
         pd.testing.assert_frame_equal(decoded, expected, check_dtype=False)

@@ -30,7 +30,9 @@ class Stamps:
         self.times = np.sort(self.times.astype(np.int64))
         self.rows = np.arange(self.times.size)
 
-    def note(self, code: str, text: str, count: int, severity: Any, hint: str, first: np.ndarray) -> None:
+    def note(
+        self, code: str, text: str, count: int, severity: Any, hint: str, first: np.ndarray
+    ) -> None:
         self.notes.append(Note(code, text, count, severity, hint))
 
 
@@ -55,17 +57,27 @@ def dive() -> Dive:
 def some(columns: Any, share: float) -> Any:
     keep = kept(columns.time_ns.size, share)
     arrays = {name: value for name, value in vars(columns).items() if isinstance(value, np.ndarray)}
-    return replace(columns, **{name: value[keep] for name, value in arrays.items() if len(value) == keep.size})
+    return replace(
+        columns, **{name: value[keep] for name, value in arrays.items() if len(value) == keep.size}
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
 def test_losses_of_each_role_are_counted(share: float, dive: Dive, tmp_path: Path) -> None:
     assert dive.reference is not None
     fewer = replace(
-        dive, imu=some(dive.imu, share), dvl=some(dive.dvl, share), reference=some(dive.reference, share), truth=None
+        dive,
+        imu=some(dive.imu, share),
+        dvl=some(dive.dvl, share),
+        reference=some(dive.reference, share),
+        truth=None,
     )
     write_dive(tmp_path / "dive.mcap", fewer)
-    notes = {note.code: note for note in read_dive(tmp_path / "dive.mcap", Config()).notes if "lost_s" in note.code}
+    notes = {
+        note.code: note
+        for note in read_dive(tmp_path / "dive.mcap", Config()).notes
+        if "lost_s" in note.code
+    }
     if not share:
         assert not notes
         return
@@ -73,10 +85,15 @@ def test_losses_of_each_role_are_counted(share: float, dive: Dive, tmp_path: Pat
         before, after = (getattr(whole, role).time_ns.size for whole in (dive, fewer))
         note = notes[f"{role}_lost_samples"]
         assert (note.count, note.severity) == (before - after, "warning")
-        assert f"{note.count} samples, {100.0 * note.count / before:.2g} % of all, are missing" in note.text
+        assert (
+            f"{note.count} samples, {100.0 * note.count / before:.2g} % of all, are missing"
+            in note.text
+        )
 
 
-@pytest.mark.parametrize(("share", "jitter"), [(0.005, 0.02), (0.01, 0.0), (0.2, 0.02), (0.6, 0.0), (0.6, 0.02)])
+@pytest.mark.parametrize(
+    ("share", "jitter"), [(0.005, 0.02), (0.01, 0.0), (0.2, 0.02), (0.6, 0.0), (0.6, 0.02)]
+)
 def test_all_losses_are_found_up_to_long_pauses(share: float, jitter: float) -> None:
     keep = kept(COUNT, share)
     (note,) = told((REGULAR + np.random.default_rng(2).normal(0.0, jitter * STEP_NS, COUNT))[keep])

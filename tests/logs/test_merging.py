@@ -25,19 +25,25 @@ def test_one_channel_is_given_back_as_it_is() -> None:
 
 
 def test_channels_are_aligned_together_by_log_time() -> None:
-    merged, channel_ids, rows = merge_channels(columns([1, 3, 2, 4], [1.0, 3.0, 2.0, 4.0]), [(1, 2), (2, 2)])
+    merged, channel_ids, rows = merge_channels(
+        columns([1, 3, 2, 4], [1.0, 3.0, 2.0, 4.0]), [(1, 2), (2, 2)]
+    )
     assert merged["x"].ravel().tolist() == [1.0, 2.0, 3.0, 4.0]
     assert rows is not None
     assert (channel_ids.tolist(), rows.tolist()) == ([1, 2, 1, 2], [0, 2, 1, 3])
 
 
 def test_a_channel_stays_in_its_own_order() -> None:
-    merged, channel_ids, _ = merge_channels(columns([1, 5, 2, 4], [1.0, 5.0, 2.0, 4.0]), [(1, 3), (2, 1)])
+    merged, channel_ids, _ = merge_channels(
+        columns([1, 5, 2, 4], [1.0, 5.0, 2.0, 4.0]), [(1, 3), (2, 1)]
+    )
     assert merged["x"].ravel()[channel_ids == 1].tolist() == [1.0, 5.0, 2.0]
 
 
 def test_what_another_channel_holds_too_is_left_out_once() -> None:
-    merged, channel_ids, rows = merge_channels(columns([1, 2, 1, 2], [1.0, NAN, 1.0, NAN]), [(1, 2), (2, 2)])
+    merged, channel_ids, rows = merge_channels(
+        columns([1, 2, 1, 2], [1.0, NAN, 1.0, NAN]), [(1, 2), (2, 2)]
+    )
     assert merged["log_time"].ravel().tolist() == [1, 2]
     assert rows is not None
     assert (channel_ids.tolist(), rows.tolist()) == ([1, 1], [0, 1])
@@ -77,6 +83,7 @@ def test_files_whose_messages_are_among_each_other_are_two_dives() -> None:
     times = [0.0, 1.0, 2.0, 3.0, 4.0, 0.5, 1.5, 2.5, 3.5, 4.5]
     table = replace(small_table(times), files=np.repeat([0, 1], 5))
     with pytest.raises(
-        LogError, match=r"in the 3\.500 s in which the files overlap, one has 4 messages and the others 4"
+        LogError,
+        match=r"in the 3\.500 s in which the files overlap, one has 4 messages and the others 4",
     ):
         raise_if_two_dives(table, nanoseconds(times))

@@ -108,7 +108,9 @@ def test_as_few_stamps_as_possible_are_wrong(seed: int) -> None:
     table = np.zeros((61, 61), np.int64)
     for i, stamp in enumerate(stamps):
         for j, other in enumerate(ordered):
-            table[i + 1, j + 1] = table[i, j] + 1 if stamp == other else max(table[i, j + 1], table[i + 1, j])
+            table[i + 1, j + 1] = (
+                table[i, j] + 1 if stamp == other else max(table[i, j + 1], table[i + 1, j])
+            )
     assert find_order(stamps, steps(60)).rows.size == table[-1, -1]
 
 
@@ -117,29 +119,43 @@ def test_as_few_stamps_as_possible_are_wrong(seed: int) -> None:
 
 def write(path: Path, stamps_ns: TimeNs, log_times_ns: TimeNs, dvl: int = 10) -> Path:
     def stamp(time_ns: int) -> dict[str, Any]:
-        return {"stamp": {"sec": time_ns // SECOND_NS, "nanosec": time_ns % SECOND_NS}, "frame_id": ""}
+        return {
+            "stamp": {"sec": time_ns // SECOND_NS, "nanosec": time_ns % SECOND_NS},
+            "frame_id": "",
+        }
 
     imu_type, dvl_type = "sensor_msgs/msg/Imu", "geometry_msgs/msg/TwistStamped"
     with path.open("wb") as stream:
         writer = Writer(stream)
-        imu, twist = (writer.register_msgdef(name, definition_text(name)) for name in (imu_type, dvl_type))
-        for i, (stamp_ns, log_ns) in enumerate(zip(stamps_ns.tolist(), log_times_ns.tolist(), strict=True)):
+        imu, twist = (
+            writer.register_msgdef(name, definition_text(name)) for name in (imu_type, dvl_type)
+        )
+        for i, (stamp_ns, log_ns) in enumerate(
+            zip(stamps_ns.tolist(), log_times_ns.tolist(), strict=True)
+        ):
             message: dict[str, Any] = {
                 "header": stamp(START_NS + stamp_ns),
                 "linear_acceleration": {"x": 0.001 * i, "y": 0.0, "z": -9.8},
                 "angular_velocity": {"x": 0.0, "y": 1e-5 * i, "z": 0.01},
             }
-            writer.write_message("/imu", imu, message, log_time=START_NS + log_ns, publish_time=START_NS + log_ns)
+            writer.write_message(
+                "/imu", imu, message, log_time=START_NS + log_ns, publish_time=START_NS + log_ns
+            )
         for i in range(dvl):
             log_ns = START_NS + 10 * STEP_NS * i
-            message = {"header": stamp(log_ns), "twist": {"linear": {"x": 1.0 + 0.01 * i, "y": 0.0, "z": 0.0}}}
+            message = {
+                "header": stamp(log_ns),
+                "twist": {"linear": {"x": 1.0 + 0.01 * i, "y": 0.0, "z": 0.0}},
+            }
             writer.write_message("/dvl", twist, message, log_time=log_ns, publish_time=log_ns)
         writer.finish()
     return path
 
 
 def read(path: Path, stamps_ns: TimeNs, config: Config | None = None) -> Dive:
-    return read_dive(write(path / "dive.mcap", stamps_ns, steps(len(stamps_ns))), config or Config())
+    return read_dive(
+        write(path / "dive.mcap", stamps_ns, steps(len(stamps_ns))), config or Config()
+    )
 
 
 def note_of(dive: Dive, code: str) -> Note:
@@ -155,7 +171,10 @@ def test_single_wrong_stamps_are_dropped_with_a_warning_and_the_key(tmp_path: Pa
     assert (note.count, note.severity, note.hint) == (3, "warning", 'imu.stamp = "log_time"')
     assert "the first 1.200 s after the first message; dropped" in note.text
     np.testing.assert_allclose(
-        dive.imu.specific_force_b[:, 0], 0.001 * np.delete(np.arange(200), [120, 121, 122]), rtol=0, atol=1e-12
+        dive.imu.specific_force_b[:, 0],
+        0.001 * np.delete(np.arange(200), [120, 121, 122]),
+        rtol=0,
+        atol=1e-12,
     )
     by_log = read(tmp_path, stamps, Config(imu=Imu(stamp="log_time")))
     assert "imu_wrong_stamps" not in {note.code for note in by_log.notes}
@@ -183,7 +202,9 @@ def test_stamps_from_before_the_clock_was_set_are_dropped(tmp_path: Path) -> Non
 def test_stamps_that_are_wrong_all_the_time_are_refused(tmp_path: Path) -> None:
     stamps = steps(200)
     stamps[5::10] -= 2 * SECOND_NS
-    with pytest.raises(LogError, match=r"/imu: 20 of 200 messages have stamps 'header' that jump while"):
+    with pytest.raises(
+        LogError, match=r"/imu: 20 of 200 messages have stamps 'header' that jump while"
+    ):
         read(tmp_path, stamps)
 
 
@@ -206,7 +227,9 @@ def test_samples_that_share_a_stamp_are_reported_from_repeats(tmp_path: Path) ->
 
 
 def test_stamps_that_most_samples_share_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"/imu: 150 of 200 messages have the time of the one before") as refused:
+    with pytest.raises(
+        LogError, match=r"/imu: 150 of 200 messages have the time of the one before"
+    ) as refused:
         read(tmp_path, steps(200) // (4 * STEP_NS) * (4 * STEP_NS))
     assert 'imu.stamp = "log_time"' in refused.value.hint
 

@@ -5,7 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_logs import DVL_MESSAGES, IMU_MESSAGES, START_NS, changed, flipped, records, small_log, written
+from small_logs import (
+    DVL_MESSAGES,
+    IMU_MESSAGES,
+    START_NS,
+    changed,
+    flipped,
+    records,
+    small_log,
+    written,
+)
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
@@ -51,16 +60,23 @@ def whole(tmp_path: Path) -> Dive:
 
 
 @pytest.mark.parametrize("harm", [big_endian, long_text, longer_text])
-def test_messages_that_do_not_fit_are_refused_or_left_out(harm: Harm, tmp_path: Path, whole: Dive) -> None:
+def test_messages_that_do_not_fit_are_refused_or_left_out(
+    harm: Harm, tmp_path: Path, whole: Dive
+) -> None:
     path = tmp_path / "dive.mcap"
     path.write_bytes(harmed(harm))
     with pytest.raises(LogError, match=rf"{path}: /imu: .* \(2 more messages\)") as raised:
         read_dive(path, Config())
-    assert raised.value.hint == f"--allow-damaged uses the 5.0 s and {IMU_MESSAGES - 3} messages that can be read"
+    assert (
+        raised.value.hint
+        == f"--allow-damaged uses the 5.0 s and {IMU_MESSAGES - 3} messages that can be read"
+    )
     dive = read_dive(path, Config(), allow_damaged=True)
     rows = np.flatnonzero(~np.isin(whole.imu.time_ns, dive.imu.time_ns))
     assert rows.size == 3
-    np.testing.assert_array_equal(dive.imu.specific_force_b, np.delete(whole.imu.specific_force_b, rows, axis=0))
+    np.testing.assert_array_equal(
+        dive.imu.specific_force_b, np.delete(whole.imu.specific_force_b, rows, axis=0)
+    )
     assert len(dive.dvl.time_ns) == DVL_MESSAGES
     [note] = [note for note in dive.notes if note.severity == "warning"]
     assert (note.code, note.count) == ("messages_unreadable", 3)
@@ -73,7 +89,10 @@ def test_inspect_says_that_a_replay_would_stop(tmp_path: Path) -> None:
     path.write_bytes(harmed(big_endian))
     inventory = inspect_log(path, Config(), deep=True)
     [blocker] = [one for one in inventory.blockers if "big-endian" in one.message]
-    assert blocker.hint == f"--allow-damaged uses the 5.0 s and {IMU_MESSAGES - 3} messages that can be read"
+    assert (
+        blocker.hint
+        == f"--allow-damaged uses the 5.0 s and {IMU_MESSAGES - 3} messages that can be read"
+    )
     assert "messages_unreadable" in {note.code for note in inventory.notes}
 
 

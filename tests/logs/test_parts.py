@@ -81,13 +81,21 @@ def test_a_bag_is_one_dive_however_its_parts_are_listed(bag: Path, whole: Dive) 
 
 def test_a_bag_that_is_not_whole_is_refused(bag: Path) -> None:
     describe(bag, "\n  - b.mcap\n  - lost.mcap")
-    with pytest.raises(LogError, match=r"metadata\.yaml: lists lost\.mcap, which is not there") as raised:
+    with pytest.raises(
+        LogError, match=r"metadata\.yaml: lists lost\.mcap, which is not there"
+    ) as raised:
         read_dive(bag, Config())
     assert f"{bag}/*.mcap --one-dive" in raised.value.hint
     describe(bag, "\n  - a.mcap\n  - b.mcap")
-    with pytest.raises(LogError, match=r"metadata\.yaml: does not list c\.mcap, which is in the folder"):
+    with pytest.raises(
+        LogError, match=r"metadata\.yaml: does not list c\.mcap, which is in the folder"
+    ):
         read_dive(bag, Config())
-    for text in ("something: else\n", "[1, 2]", "rosbag2_bagfile_information: {relative_file_paths: []}"):
+    for text in (
+        "something: else\n",
+        "[1, 2]",
+        "rosbag2_bagfile_information: {relative_file_paths: []}",
+    ):
         (bag / "metadata.yaml").write_text(text)
         with pytest.raises(LogError, match=r"metadata\.yaml: lists no files"):
             read_dive(bag, Config())
@@ -103,7 +111,9 @@ def test_names_in_a_list_may_be_quoted_or_json(tmp_path: Path) -> None:
     ):
         describe(tmp_path, listed)
         assert [part.name for part in bag_parts(tmp_path)] == names
-    (tmp_path / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": names}}))
+    (tmp_path / "metadata.yaml").write_text(
+        json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": names}})
+    )
     assert [part.name for part in bag_parts(tmp_path)] == names
 
 
@@ -112,7 +122,9 @@ def test_a_part_that_is_compressed_as_a_whole_is_named(bag: Path, whole: Dive) -
     packed.write_bytes(b"\x28\xb5\x2f\xfd" + bytes(20))
     plain = (bag / "c.mcap").rename(bag / "aside")
     for _ in ("without metadata", "with metadata"):
-        with pytest.raises(LogError, match=r"c\.mcap\.zstd: is compressed as a whole with zstd") as raised:
+        with pytest.raises(
+            LogError, match=r"c\.mcap\.zstd: is compressed as a whole with zstd"
+        ) as raised:
             read_dive(bag, Config())
         assert raised.value.hint == f"unpack it: `zstd -d {packed}`"
         describe(bag, "\n  - b.mcap\n  - a.mcap\n  - c.mcap.zstd")
@@ -184,7 +196,11 @@ def test_messages_in_two_files_are_used_once_and_counted(tmp_path: Path, whole: 
     second = write_part(tmp_path / "second.mcap", between(2.0, 9.0))
     dive = read_dive([second, first], Config())
     assert_same(dive, whole)
-    repeated = {note.text.split(":")[0]: note.count for note in dive.notes if note.code == "messages_repeated"}
+    repeated = {
+        note.text.split(":")[0]: note.count
+        for note in dive.notes
+        if note.code == "messages_repeated"
+    }
     assert repeated == {"/imu": 100, "/dvl": 5}
     assert "imu_out_of_order" not in counts(dive)
     [overlap] = [note for note in dive.notes if note.code == "files_overlap"]
@@ -194,17 +210,26 @@ def test_messages_in_two_files_are_used_once_and_counted(tmp_path: Path, whole: 
 def test_two_dives_at_the_same_time_are_not_read_as_one(tmp_path: Path, whole: Dive) -> None:
     first = write_part(tmp_path / "first.mcap", between(0.0, 9.0))
     for shift_ns in (0, 5_000_000, 3_000_000_000):
-        imu, dvl = (replace(columns, time_ns=columns.time_ns + shift_ns) for columns in (whole.imu, whole.dvl))
+        imu, dvl = (
+            replace(columns, time_ns=columns.time_ns + shift_ns)
+            for columns in (whole.imu, whole.dvl)
+        )
         other = tmp_path / f"other_{shift_ns}.mcap"
-        write_dive(other, replace(whole, imu=replace(imu, angular_rate_b=-imu.angular_rate_b), dvl=dvl))
-        with pytest.raises(LogError, match=r"/imu: in the \d\.\d{3} s in which the files overlap") as raised:
+        write_dive(
+            other, replace(whole, imu=replace(imu, angular_rate_b=-imu.angular_rate_b), dvl=dvl)
+        )
+        with pytest.raises(
+            LogError, match=r"/imu: in the \d\.\d{3} s in which the files overlap"
+        ) as raised:
             read_dive([first, other], Config())
         assert "without --one-dive" in raised.value.hint
 
 
 def test_schemas_may_differ_from_file_to_file(tmp_path: Path, whole: Dive) -> None:
     older = write_part(tmp_path / "older.mcap", between(0.0, 2.5))
-    newer = write_part(tmp_path / "newer.mcap", between(2.5, 9.0), b"# as of a later release\nuint8 MORE=1\n")
+    newer = write_part(
+        tmp_path / "newer.mcap", between(2.5, 9.0), b"# as of a later release\nuint8 MORE=1\n"
+    )
     assert_same(read_dive([newer, older], Config()), whole)
 
 
@@ -217,7 +242,9 @@ def test_run_replays_files_as_one_dive(bag: Path, tmp_path: Path) -> None:
     level = ["initial.source=level", "initial.heading_deg=0", "initial.latitude_deg=60"]
     settings = [word for setting in level for word in ("--set", setting)]
     files = [str(bag / name) for name in ("c.mcap", "a.mcap", "b.mcap")]
-    assert run_command_line(["run", *files, "--one-dive", "-o", str(tmp_path / "out"), *settings]) == 0
+    assert (
+        run_command_line(["run", *files, "--one-dive", "-o", str(tmp_path / "out"), *settings]) == 0
+    )
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["a"]
     report = json.loads((tmp_path / "out" / "a" / "report.json").read_text())
     assert report["log"]["sha256"] == open_recording(bag).sha256()
@@ -228,7 +255,9 @@ def test_run_replays_files_as_one_dive(bag: Path, tmp_path: Path) -> None:
 # Channels
 
 
-def test_channels_of_one_topic_are_merged_before_their_order_is_evaluated(tmp_path: Path, whole: Dive) -> None:
+def test_channels_of_one_topic_are_merged_before_their_order_is_evaluated(
+    tmp_path: Path, whole: Dive
+) -> None:
     path = tmp_path / "dive.mcap"
     path.write_bytes(small_log("zstd"))
     dive = read_dive(path, Config())
@@ -247,7 +276,9 @@ def test_damage_in_a_chunk_that_no_role_needs_is_found(tmp_path: Path) -> None:
     camera = writer.register_channel(
         "/camera", "cdr", writer.register_schema("a/msg/Image", "ros2msg", b"uint8[] data")
     )
-    writer.add_message(camera, START_NS, b"\0\1\0\0" + b"dim and green, as the sea is" * 40, START_NS)
+    writer.add_message(
+        camera, START_NS, b"\0\1\0\0" + b"dim and green, as the sea is" * 40, START_NS
+    )
     ids = dict[str, int]()
     for schema, channel, message in make_reader(BytesIO(written())).iter_messages():
         assert schema

@@ -43,7 +43,11 @@ def test_where_all_pauses_are_longer_than_allowed_each_is_a_gap() -> None:
 
 @pytest.mark.parametrize(("step_s", "count"), [(DAY_S, 0), (DAY_S + 1.0, 1)])
 def test_a_step_of_more_than_a_day_is_a_clock_that_was_set(step_s: float, count: int) -> None:
-    notes = [note for note in notes_of(note_gaps, [1.0, step_s, 1.0], 10.0) if note.code == "imu_clock_set"]
+    notes = [
+        note
+        for note in notes_of(note_gaps, [1.0, step_s, 1.0], 10.0)
+        if note.code == "imu_clock_set"
+    ]
     assert [note.code for note in notes] == ["imu_clock_set"] * count
     assert all("from 1970-01-01T00:00:01 to 1970-01-02T00:00:02 UTC" in note.text for note in notes)
 

@@ -5,7 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 from blocks import block_of
-from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pb2 import (
+    DescriptorProto,
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
@@ -16,7 +21,13 @@ TYPE = "test.Ping"
 OPTIONAL, REPEATED = FieldDescriptorProto.LABEL_OPTIONAL, FieldDescriptorProto.LABEL_REPEATED
 
 
-def add(message: DescriptorProto, name: str, kind: str, label: int = OPTIONAL, type_name: str | None = None) -> None:
+def add(
+    message: DescriptorProto,
+    name: str,
+    kind: str,
+    label: int = OPTIONAL,
+    type_name: str | None = None,
+) -> None:
     message.field.add(
         name=name,
         number=len(message.field) + 1,
@@ -73,9 +84,13 @@ def random_pings(count: int, beams: list[int]) -> list[Any]:
 
 def test_columns_equal_what_was_serialised() -> None:
     pings = random_pings(40, [4])
-    found = columns(pings, "stamp_us", "velocity", "beams[*].velocity", "beams[2].velocity", "powers[1]", "good")
+    found = columns(
+        pings, "stamp_us", "velocity", "beams[*].velocity", "beams[2].velocity", "powers[1]", "good"
+    )
     np.testing.assert_array_equal(found["stamp_us"][:, 0], [ping.stamp_us for ping in pings])
-    np.testing.assert_array_equal(found["velocity"], [[getattr(p.velocity, axis) for axis in "xyz"] for p in pings])
+    np.testing.assert_array_equal(
+        found["velocity"], [[getattr(p.velocity, axis) for axis in "xyz"] for p in pings]
+    )
     beams = np.array([[beam.velocity for beam in ping.beams] for ping in pings])
     np.testing.assert_array_equal(found["beams[*].velocity"], beams)
     np.testing.assert_array_equal(found["beams[2].velocity"], beams[:, 2:3])
@@ -86,7 +101,9 @@ def test_columns_equal_what_was_serialised() -> None:
 
 def test_structure_means_all_numbers_in_it() -> None:
     pings = random_pings(3, [2])
-    expected = [[number for beam in ping.beams for number in (beam.id, beam.velocity)] for ping in pings]
+    expected = [
+        [number for beam in ping.beams for number in (beam.id, beam.velocity)] for ping in pings
+    ]
     np.testing.assert_array_equal(columns(pings, "beams")["beams"], expected)
 
 
@@ -117,7 +134,12 @@ def test_message_that_is_none_is_refused() -> None:
 def test_schema_that_is_none_or_lacks_a_file_is_refused() -> None:
     broken = file()
     broken.dependency.append("other.proto")
-    sets = [FileDescriptorSet(file=[one]).SerializeToString() for one in (FileDescriptorProto(name="a"), broken)]
+    sets = [
+        FileDescriptorSet(file=[one]).SerializeToString()
+        for one in (FileDescriptorProto(name="a"), broken)
+    ]
     for schema in (b"", b"\xff\xff", *sets):
-        with pytest.raises(LogError, match=r"the schema of test\.Ping is no complete protobuf FileDescriptorSet"):
+        with pytest.raises(
+            LogError, match=r"the schema of test\.Ping is no complete protobuf FileDescriptorSet"
+        ):
             protobuf_reader(TYPE, schema, ["stamp_us"])

@@ -17,11 +17,15 @@ from insdvl_replay.logs.formats.log_file import Block, LogChannel
 from insdvl_replay.logs.formats.recording import open_recording
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-LOGS = sorted(path for path in DATA.rglob("*.mcap") if not {"mcap_conformance", "ros1"} & set(path.parts))
+LOGS = sorted(
+    path for path in DATA.rglob("*.mcap") if not {"mcap_conformance", "ros1"} & set(path.parts)
+)
 ONE_OF_EACH = ("snapir_01", "run_1", "car_left_back_json", "no_messages", "evo_nav2_turtlebot")
 """A log of each encoding and program."""
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the real logs in ../shared/data are not here")
+pytestmark = pytest.mark.skipif(
+    not DATA.is_dir(), reason="the real logs in ../shared/data are not here"
+)
 
 
 def number_paths(channel: LogChannel) -> list[str]:
@@ -47,7 +51,9 @@ def numbers_of(value: Any, path: str) -> list[float]:
     name, _, rest = path.partition(".")
     if not name.endswith("[*]"):
         inner = value[name] if isinstance(value, dict) else getattr(value, name)
-        absent = hasattr(value, "HasField") and hasattr(inner, "DESCRIPTOR") and not value.HasField(name)
+        absent = (
+            hasattr(value, "HasField") and hasattr(inner, "DESCRIPTOR") and not value.HasField(name)
+        )
         return [np.nan] if absent else numbers_of(inner, rest)
     items = value[name[:-3]] if isinstance(value, dict) else getattr(value, name[:-3])
     return [number for item in items for number in numbers_of(item, rest)]
@@ -69,8 +75,15 @@ def compare(block: Block, columns: Columns, decode: Callable[[bytes], Any], ever
 @pytest.mark.parametrize(
     ("path", "every"),
     [
-        *(pytest.param(path, 5, marks=pytest.mark.nightly, id=f"{path.stem}-many") for path in LOGS),
-        *(pytest.param(path, 197, id=f"{path.stem}-few") for path in LOGS if path.stem in ONE_OF_EACH),
+        *(
+            pytest.param(path, 5, marks=pytest.mark.nightly, id=f"{path.stem}-many")
+            for path in LOGS
+        ),
+        *(
+            pytest.param(path, 197, id=f"{path.stem}-few")
+            for path in LOGS
+            if path.stem in ONE_OF_EACH
+        ),
     ],
 )
 def test_fields_equal_those_of_the_official_decoders(path: Path, every: int) -> None:

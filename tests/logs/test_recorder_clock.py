@@ -16,7 +16,9 @@ DAY_NS = 86_400 * 10**9
 
 def steps(*parts: tuple[int, int, int]) -> np.ndarray:
     """Make log times of parts: first and last second, and by how many seconds the clock is ahead."""
-    return np.concatenate([(np.arange(10 * first, 10 * last) + 10 * ahead) * 10**8 for first, last, ahead in parts])
+    return np.concatenate(
+        [(np.arange(10 * first, 10 * last) + 10 * ahead) * 10**8 for first, last, ahead in parts]
+    )
 
 
 @pytest.mark.parametrize(
@@ -24,16 +26,24 @@ def steps(*parts: tuple[int, int, int]) -> np.ndarray:
     [
         (steps((0, 90, 0), (90, 300, 10**9)), (10**9 + 90.0, 10**9 + 299.9), 89.9),
         (steps((0, 200, 10**9), (200, 300, 0)), (10**9, 10**9 + 199.9), 199.9),
-        (steps((0, 10, 0), (10, 200, 10**6), (200, 300, 10**9)), (10**6 + 10.0, 10**6 + 199.9), 9.9),
+        (
+            steps((0, 10, 0), (10, 200, 10**6), (200, 300, 10**9)),
+            (10**6 + 10.0, 10**6 + 199.9),
+            9.9,
+        ),
     ],
     ids=["forward", "back", "twice"],
 )
-def test_the_longest_side_of_a_step_is_found(times: np.ndarray, span_s: tuple[float, float], set_s: float) -> None:
+def test_the_longest_side_of_a_step_is_found(
+    times: np.ndarray, span_s: tuple[float, float], set_s: float
+) -> None:
     found = one_clock([times, times[::5]])
     assert found is not None
     assert (found.first_ns * 1e-9, found.last_ns * 1e-9) == pytest.approx(span_s, abs=1e-6)
     assert found.set_s == pytest.approx(set_s, abs=1e-6)
-    assert found.unused == np.count_nonzero(~found.holds(times)) + np.count_nonzero(~found.holds(times[::5]))
+    assert found.unused == np.count_nonzero(~found.holds(times)) + np.count_nonzero(
+        ~found.holds(times[::5])
+    )
     assert f"was set {set_s:.1f} s in" in found.note.text
 
 
@@ -57,7 +67,10 @@ def test_a_log_with_a_clock_that_is_set_is_read(tmp_path: Path) -> None:
         return time_s + (1e6 if time_s > 4.0 else 0.0)
 
     rows: list[Message] = []
-    flying = {"linear_acceleration": xyz((0.1, 0.2, -9.8)), "angular_velocity": xyz((0.01, 0.02, 0.03))}
+    flying = {
+        "linear_acceleration": xyz((0.1, 0.2, -9.8)),
+        "angular_velocity": xyz((0.01, 0.02, 0.03)),
+    }
     for i in range(1000):
         time_s = 0.01 * i
         stamped = {"header": header(on_clock(time_s - 0.025))}
@@ -67,7 +80,9 @@ def test_a_log_with_a_clock_that_is_set_is_read(tmp_path: Path) -> None:
         velocity = xyz((1.0 + 0.01 * i, 0.1, 0.0))
         ping = {"header": header(on_clock(time_s)), "twist": {"linear": velocity}}
         rows.append(("/dvl", "geometry_msgs/msg/TwistStamped", on_clock(time_s + 0.1), ping))
-    dive = read_dive(write_log(tmp_path / "set.mcap", sorted(rows, key=lambda row: row[2])), Config())
+    dive = read_dive(
+        write_log(tmp_path / "set.mcap", sorted(rows, key=lambda row: row[2])), Config()
+    )
     (note,) = [note for note in dive.notes if note.code == "clock_set"]
     assert "4.0 s in" in note.text
     first_ns = START_NS + round((1e6 + 3.98) * 1e9)
@@ -75,4 +90,6 @@ def test_a_log_with_a_clock_that_is_set_is_read(tmp_path: Path) -> None:
     assert dive.dvl.time_ns[0] >= first_ns
     assert len(dive.imu.time_ns) == 599
     assert np.diff(dive.imu.time_ns).max() < 2e7
-    assert not [note for note in dive.notes if "wrong_stamps" in note.code or "missing" in note.code]
+    assert not [
+        note for note in dive.notes if "wrong_stamps" in note.code or "missing" in note.code
+    ]

@@ -29,7 +29,9 @@ FLU = np.diag([1, -1, -1])
 def by_angles(reference: ReferenceColumns, row: int) -> Message:
     """Write degrees, a depth, a velocity north-east-down, and roll, pitch and heading."""
     latitude, longitude, height = reference.position[row].tolist()
-    yaw, pitch, roll = Rotation.from_matrix(reference.mat_nb[row]).as_euler("ZYX", degrees=True).tolist()
+    yaw, pitch, roll = (
+        Rotation.from_matrix(reference.mat_nb[row]).as_euler("ZYX", degrees=True).tolist()
+    )
     north, east, down = reference.velocity_n[row].tolist()
     return {
         "lat": latitude / DEG, "lon": longitude / DEG, "z": -height, "vn": north, "ve": east, "vd": down,
@@ -47,7 +49,15 @@ def by_quaternion(reference: ReferenceColumns, row: int) -> Message:
     }  # fmt: skip
 
 
-ANGLES = ["latitude=lat", "longitude=lon", "depth=z", "velocity_n=vn, ve, vd", "roll=r", "pitch=p", "heading=h"]
+ANGLES = [
+    "latitude=lat",
+    "longitude=lon",
+    "depth=z",
+    "velocity_n=vn, ve, vd",
+    "roll=r",
+    "pitch=p",
+    "heading=h",
+]
 QUATERNION = [
     "latitude=lat", "longitude=lon", "height=h", "velocity_n=v", "quaternion=q", "angle_unit=rad", "axes=enu_flu"
 ]  # fmt: skip
@@ -71,10 +81,14 @@ def foreign_log(dive: Dive, rows: Rows, path: Path) -> Path:
             if channel.topic not in ids:
                 schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
                 ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schema_id)
-            writer.add_message(ids[channel.topic], message.log_time, message.data, message.publish_time)
+            writer.add_message(
+                ids[channel.topic], message.log_time, message.data, message.publish_time
+            )
         solution = writer.register_channel("nav/out", "json", 0)
         for row, time_ns in enumerate(dive.reference.time_ns.tolist()):
-            writer.add_message(solution, time_ns, json.dumps(rows(dive.reference, row)).encode(), time_ns)
+            writer.add_message(
+                solution, time_ns, json.dumps(rows(dive.reference, row)).encode(), time_ns
+            )
         writer.finish()
     return own
 
@@ -84,9 +98,12 @@ def settings(named: list[str]) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("rows", "named"), [(by_angles, ANGLES), (by_quaternion, QUATERNION), (by_quaternion, QUATERNION[:-1])]
+    ("rows", "named"),
+    [(by_angles, ANGLES), (by_quaternion, QUATERNION), (by_quaternion, QUATERNION[:-1])],
 )
-def test_fields_give_what_a_known_type_gives(rows: Rows, named: list[str], dive: Dive, tmp_path: Path) -> None:
+def test_fields_give_what_a_known_type_gives(
+    rows: Rows, named: list[str], dive: Dive, tmp_path: Path
+) -> None:
     log = foreign_log(dive, rows, tmp_path / "dive.mcap")
     known = read_dive(tmp_path / "dive.mcap", load_config()).reference
     found = read_dive(log, load_config(overrides=settings(named))).reference
@@ -104,7 +121,11 @@ def test_fields_give_what_a_known_type_gives(rows: Rows, named: list[str], dive:
     [
         (["latitude=lat"], "has latitude, but no longitude", "reference.longitude"),
         (["roll=r", "heading=h"], "has heading and roll, but no pitch", "reference.pitch"),
-        (["latitude=lat", "longitude=lon", "angle_unit=rad"], "latitudes are beyond the poles", "reference.angle_unit"),
+        (
+            ["latitude=lat", "longitude=lon", "angle_unit=rad"],
+            "latitudes are beyond the poles",
+            "reference.angle_unit",
+        ),
         (["latitude=lat", "longitude=lom"], "lom", "lon"),
     ],
 )
@@ -124,7 +145,10 @@ def test_inspect_proposes_the_fields(dive: Dive, tmp_path: Path) -> None:
     proposed = tmp_path / "proposed.toml"
     proposed.write_text(inventory.configuration, "utf-8")
     reference = load_config(file=proposed).reference
-    chosen = {name: getattr(reference, name) for name in ("topic", "latitude", "longitude", "velocity_n", "stamp")}
+    chosen = {
+        name: getattr(reference, name)
+        for name in ("topic", "latitude", "longitude", "velocity_n", "stamp")
+    }
     assert chosen == {
         "topic": "nav/out", "latitude": "lat", "longitude": "lon", "velocity_n": "vn, ve, vd", "stamp": "log_time"
     }  # fmt: skip
@@ -134,10 +158,19 @@ def test_inspect_proposes_the_fields(dive: Dive, tmp_path: Path) -> None:
 def partly(reference: ReferenceColumns, row: int) -> Message:
     """Write a position with an altitude above the bottom, half an attitude and half a velocity."""
     message = by_angles(reference, row)
-    return {"lat": message["lat"], "lon": message["lon"], "altitude": 12.0, "roll": 0.1, "vel_north": 1.0, "depth": 3.0}
+    return {
+        "lat": message["lat"],
+        "lon": message["lon"],
+        "altitude": 12.0,
+        "roll": 0.1,
+        "vel_north": 1.0,
+        "depth": 3.0,
+    }
 
 
-def test_inspect_proposes_no_altitude_as_height_and_no_half_attitude(dive: Dive, tmp_path: Path) -> None:
+def test_inspect_proposes_no_altitude_as_height_and_no_half_attitude(
+    dive: Dive, tmp_path: Path
+) -> None:
     inventory = inspect_log(foreign_log(dive, partly, tmp_path / "dive.mcap"), load_config())
     proposed = tomllib.loads(inventory.configuration)["reference"]
     assert proposed.keys() == {"topic", "latitude", "longitude", "depth", "angle_unit", "stamp"}

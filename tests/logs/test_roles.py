@@ -19,7 +19,10 @@ Message = tuple[str, str, float, dict[str, Any]]
 START_NS = 1_700_000_000_000_000_000
 IMU, WATER_LINKED, NUCLEUS = "sensor_msgs/msg/Imu", "dvl_msgs/msg/DVL", "interfaces/msg/BottomTrack"
 TILT, AZIMUTHS = np.deg2rad(22.5), np.deg2rad([135.0, 225.0, 315.0, 45.0])
-A50 = np.stack([np.cos(AZIMUTHS) * np.sin(TILT), np.sin(AZIMUTHS) * np.sin(TILT), np.full(4, np.cos(TILT))], axis=1)
+A50 = np.stack(
+    [np.cos(AZIMUTHS) * np.sin(TILT), np.sin(AZIMUTHS) * np.sin(TILT), np.full(4, np.cos(TILT))],
+    axis=1,
+)
 VELOCITY_D = np.array([0.8, -0.2, 0.05])
 
 
@@ -39,7 +42,12 @@ def xyz(vector: Any) -> dict[str, float]:
 def imu(time_s: float, topic: str = "/imu") -> Message:
     force = xyz((0.1, 0.2, -9.8))
     rate = xyz((0.01, 0.02, 0.01 * np.sin(time_s)))
-    return topic, IMU, time_s, {"header": header(time_s), "linear_acceleration": force, "angular_velocity": rate}
+    return (
+        topic,
+        IMU,
+        time_s,
+        {"header": header(time_s), "linear_acceleration": force, "angular_velocity": rate},
+    )
 
 
 def water_linked(time_s: float, lost: Sequence[int] = (), **changes: Any) -> Message:
@@ -50,7 +58,10 @@ def water_linked(time_s: float, lost: Sequence[int] = (), **changes: Any) -> Mes
         "time": 200.0,
         "velocity": xyz(velocity_d),
         "velocity_valid": True,
-        "beams": [{"id": i, "velocity": along[i], "distance": 9.0, "valid": i not in lost} for i in range(4)],
+        "beams": [
+            {"id": i, "velocity": along[i], "distance": 9.0, "valid": i not in lost}
+            for i in range(4)
+        ],
         "time_of_validity": (START_NS + round(time_s * 1e9)) // 1000,
         "form": "json",
     }
@@ -60,7 +71,9 @@ def water_linked(time_s: float, lost: Sequence[int] = (), **changes: Any) -> Mes
 def nucleus(time_s: float, **changes: Any) -> Message:
     message: dict[str, Any] = {"system_timestamp": time(time_s)}
     message |= {f"{axis}_velocity_valid": True for axis in "xyz"}
-    message |= {f"velocity_{axis}": v for axis, v in zip("xyz", (0.5, 0.25, 0.125 * time_s), strict=True)}
+    message |= {
+        f"velocity_{axis}": v for axis, v in zip("xyz", (0.5, 0.25, 0.125 * time_s), strict=True)
+    }
     message |= {f"beam_{i}_velocity_valid": True for i in (1, 2, 3)}
     message |= {f"velocity_beam_{i}": 0.25 * i + 0.125 * time_s for i in (1, 2, 3)}
     return "/nucleus", NUCLEUS, time_s, message | changes
@@ -71,11 +84,14 @@ def write(path: Path, messages: Sequence[Message], texts: dict[str, str] | None 
         writer = Writer(stream)
         names = dict.fromkeys(name for _, name, _, _ in messages)
         schemas = {
-            name: writer.register_msgdef(name, (texts or {}).get(name) or definition_text(name)) for name in names
+            name: writer.register_msgdef(name, (texts or {}).get(name) or definition_text(name))
+            for name in names
         }
         for topic, name, time_s, message in messages:
             time_ns = START_NS + round(time_s * 1e9)
-            writer.write_message(topic, schemas[name], message, log_time=time_ns, publish_time=time_ns)
+            writer.write_message(
+                topic, schemas[name], message, log_time=time_ns, publish_time=time_ns
+            )
         writer.finish()
     return path
 
@@ -97,13 +113,17 @@ def counts(dive: Dive) -> dict[str, int]:
 
 
 def test_water_linked_beams_geometry_and_time_of_validity(read: Callable[..., Dive]) -> None:
-    dive = read([water_linked(0.0), water_linked(0.2, lost=[1]), water_linked(0.4, lost=[0, 1, 2, 3])])
+    dive = read(
+        [water_linked(0.0), water_linked(0.2, lost=[1]), water_linked(0.4, lost=[0, 1, 2, 3])]
+    )
     assert dive.dvl.beam_vectors_d is not None
     assert dive.dvl.beam_velocity_mps is not None
     np.testing.assert_allclose(dive.dvl.beam_vectors_d, A50, atol=1e-15)
     np.testing.assert_array_equal(dive.dvl.time_ns, START_NS + np.array([0, 200_000_000]))
     np.testing.assert_allclose(dive.dvl.beam_velocity_mps[0], A50 @ VELOCITY_D, rtol=1e-15)
-    np.testing.assert_array_equal(np.isnan(dive.dvl.beam_velocity_mps[1]), [False, True, False, False])
+    np.testing.assert_array_equal(
+        np.isnan(dive.dvl.beam_velocity_mps[1]), [False, True, False, False]
+    )
     assert counts(dive)["dvl_invalid"] == 1
 
 
@@ -112,7 +132,9 @@ def test_fields_that_a_schema_lacks_are_done_without(read: Callable[..., Dive]) 
     dive = read([water_linked(0.0), water_linked(0.2)], **{WATER_LINKED: older})
     np.testing.assert_array_equal(dive.dvl.time_ns, START_NS + np.array([100_000_000, 300_000_000]))
     without = definition_text(WATER_LINKED).replace("velocity\n", "speed\n")
-    with pytest.raises(LogError, match=r"is of type dvl_msgs/msg/DVL, but its schema lacks some of velocity") as raised:
+    with pytest.raises(
+        LogError, match=r"is of type dvl_msgs/msg/DVL, but its schema lacks some of velocity"
+    ) as raised:
         read([water_linked(0.0), water_linked(0.2)], **{WATER_LINKED: without})
     assert 'dvl.velocity = "field.path"' in raised.value.hint
 
@@ -135,28 +157,47 @@ def test_beams_that_do_not_make_the_velocity_are_noted(read: Callable[..., Dive]
 
 
 def test_three_beams_need_a_geometry_and_then_serve(read: Callable[..., Dive]) -> None:
-    pings = [nucleus(0.0), nucleus(0.5, beam_2_velocity_valid=False), nucleus(1.0, y_velocity_valid=False)]
+    pings = [
+        nucleus(0.0),
+        nucleus(0.5, beam_2_velocity_valid=False),
+        nucleus(1.0, y_velocity_valid=False),
+    ]
     by_velocity = read(pings)
-    np.testing.assert_array_equal(by_velocity.dvl.velocity_d, [[0.5, 0.25, 0.0], [0.5, 0.25, 0.0625]])
+    np.testing.assert_array_equal(
+        by_velocity.dvl.velocity_d, [[0.5, 0.25, 0.0], [0.5, 0.25, 0.0625]]
+    )
     with pytest.raises(ConfigError, match="has 3 beams, but the geometry has 4") as raised:
         read(pings, Config(dvl=Dvl(kind="beams")))
     assert "dvl.beam_azimuth_deg" in raised.value.hint
     settings = Dvl(kind="beams", beam_tilt_deg=20.0, beam_azimuth_deg=(0.0, 120.0, 240.0))
     dive = read(pings, Config(dvl=settings))
     np.testing.assert_array_equal(
-        dive.dvl.beam_velocity_mps, [[0.25, 0.5, 0.75], [0.3125, np.nan, 0.8125], [0.375, 0.625, 0.875]]
+        dive.dvl.beam_velocity_mps,
+        [[0.25, 0.5, 0.75], [0.3125, np.nan, 0.8125], [0.375, 0.625, 0.875]],
     )
 
 
-def test_coordinates_decide_what_the_raw_velocities_of_deep_submergence_mean(read: Callable[..., Dive]) -> None:
+def test_coordinates_decide_what_the_raw_velocities_of_deep_submergence_mean(
+    read: Callable[..., Dive],
+) -> None:
     name = "ds_sensor_msgs/msg/Dvl"
     text = "geometry_msgs/Vector3 velocity\nfloat32[4] raw_velocity\nuint8 velocity_mode\nuint8 coordinate_mode\n"
     text += f"{'=' * 80}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
     pings = [
-        ("/ds", name, 0.1 * i, {"velocity": xyz((i, 2, 3)), "raw_velocity": [i, 5, 6, 7], "velocity_mode": 1, **extra})
-        for i, extra in enumerate(({"coordinate_mode": 1}, {"coordinate_mode": 0}, {"coordinate_mode": 3}))
+        (
+            "/ds",
+            name,
+            0.1 * i,
+            {"velocity": xyz((i, 2, 3)), "raw_velocity": [i, 5, 6, 7], "velocity_mode": 1, **extra},
+        )
+        for i, extra in enumerate(
+            ({"coordinate_mode": 1}, {"coordinate_mode": 0}, {"coordinate_mode": 3})
+        )
     ]
-    velocities, beams = read(pings, **{name: text}), read(pings, Config(dvl=Dvl(kind="beams")), **{name: text})
+    velocities, beams = (
+        read(pings, **{name: text}),
+        read(pings, Config(dvl=Dvl(kind="beams")), **{name: text}),
+    )
     np.testing.assert_array_equal(velocities.dvl.velocity_d, [[0.0, 2.0, 3.0]])
     np.testing.assert_array_equal(beams.dvl.beam_velocity_mps, [[1.0, 5.0, 6.0, 7.0]])
     assert counts(velocities)["dvl_coordinates"] == counts(beams)["dvl_coordinates"] == 2
@@ -172,14 +213,27 @@ def test_unknown_types_tell_validity_by_path(read: Callable[..., Dive]) -> None:
     name = "my_msgs/msg/Log"
     text = "float32[4] along\nuint8[4] ok\nuint8 fine\nfloat32 vx\nfloat32 vy\nfloat32 vz\n"
     pings = [
-        ("/mine", name, 0.1 * i, {"along": [i, 1, 2, 3], "ok": [1, 1, i % 2, 1], "fine": i, "vx": i, "vy": 2, "vz": 3})
+        (
+            "/mine",
+            name,
+            0.1 * i,
+            {"along": [i, 1, 2, 3], "ok": [1, 1, i % 2, 1], "fine": i, "vx": i, "vy": 2, "vz": 3},
+        )
         for i in range(4)
     ]
-    beams = read(pings, Config(dvl=Dvl(topic="/mine", beam_velocity="along", beam_valid="ok")), **{name: text})
+    beams = read(
+        pings,
+        Config(dvl=Dvl(topic="/mine", beam_velocity="along", beam_valid="ok")),
+        **{name: text},
+    )
     assert beams.dvl.beam_velocity_mps is not None
-    np.testing.assert_array_equal(np.isnan(beams.dvl.beam_velocity_mps[:, 2]), [True, False, True, False])
+    np.testing.assert_array_equal(
+        np.isnan(beams.dvl.beam_velocity_mps[:, 2]), [True, False, True, False]
+    )
     np.testing.assert_array_equal(beams.dvl.time_ns, START_NS + np.arange(4) * 10**8)
-    velocities = read(pings, Config(dvl=Dvl(topic="/mine", velocity="vx, vy, vz", valid="fine")), **{name: text})
+    velocities = read(
+        pings, Config(dvl=Dvl(topic="/mine", velocity="vx, vy, vz", valid="fine")), **{name: text}
+    )
     np.testing.assert_array_equal(velocities.dvl.velocity_d, [[i, 2.0, 3.0] for i in (1, 2, 3)])
     assert counts(velocities)["dvl_invalid"] == 1
 
@@ -197,7 +251,9 @@ def test_nucleus_imu(tmp_path: Path) -> None:
         )
         for i in range(100)
     ]
-    dive = read_dive(write(tmp_path / "dive.mcap", [*readings, water_linked(0.0), water_linked(0.2)]), Config())
+    dive = read_dive(
+        write(tmp_path / "dive.mcap", [*readings, water_linked(0.0), water_linked(0.2)]), Config()
+    )
     np.testing.assert_array_equal(dive.imu.specific_force_b, np.tile([0.0, 0.0, -9.75], (100, 1)))
     np.testing.assert_array_equal(dive.imu.angular_rate_b[:, 0], np.arange(100) / 1024)
 
@@ -205,7 +261,9 @@ def test_nucleus_imu(tmp_path: Path) -> None:
 def test_scale_and_axes_of_the_accelerometers_alone(read: Callable[..., Dive]) -> None:
     settings = Imu(specific_force_axes="-x-y+z", specific_force_scale=0.98, angular_rate_scale=0.5)
     dive = read([water_linked(0.0), water_linked(0.2)], Config(imu=settings, dvl=Dvl()))
-    np.testing.assert_allclose(dive.imu.specific_force_b[0], [-0.1 / 0.98, -0.2 / 0.98, -10.0], rtol=1e-15)
+    np.testing.assert_allclose(
+        dive.imu.specific_force_b[0], [-0.1 / 0.98, -0.2 / 0.98, -10.0], rtol=1e-15
+    )
     np.testing.assert_allclose(dive.imu.angular_rate_b[0], [0.02, 0.04, 0.0], rtol=1e-15)
     with pytest.raises(ConfigError, match=r'imu\.specific_force_axes = "up"'):
         read([water_linked(0.0)], Config(imu=Imu(specific_force_axes="up")))
@@ -257,7 +315,9 @@ def test_geographic_pose_gives_position_and_attitude(read: Callable[..., Dive]) 
     ]  # fmt: skip
     reference = read([*poses, water_linked(0.0), water_linked(0.2)]).reference
     assert reference is not None
-    np.testing.assert_allclose(reference.position[0], [np.deg2rad(43.0), np.deg2rad(5.0), -3.0], rtol=1e-14)
+    np.testing.assert_allclose(
+        reference.position[0], [np.deg2rad(43.0), np.deg2rad(5.0), -3.0], rtol=1e-14
+    )
     np.testing.assert_allclose(reference.mat_nb[0][:, 0], [0.0, 1.0, 0.0], atol=1e-15)
     assert not reference.has_velocity
     named = Config(reference=Reference(topic="/pose"))

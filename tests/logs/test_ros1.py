@@ -15,7 +15,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.formats.definitions import PRIMITIVES, definitions_of
-from insdvl_replay.logs.formats.fields import BinaryReader, channel_paths, message_layout, open_reader
+from insdvl_replay.logs.formats.fields import (
+    BinaryReader,
+    channel_paths,
+    message_layout,
+    open_reader,
+)
 from insdvl_replay.logs.formats.recording import open_recording
 
 TYPE = "test_msgs/msg/Ping"
@@ -36,7 +41,9 @@ STORE.register(get_types_from_msg(BEAM, "test_msgs/msg/Beam") | get_types_from_m
 def serialised(ping: dict[str, Any]) -> bytes:
     types = STORE.types
     time, duration = types["builtin_interfaces/msg/Time"], types["builtin_interfaces/msg/Duration"]
-    header = types["std_msgs/msg/Header"](seq=ping["seq"], stamp=time(sec=7, nanosec=8), frame_id=ping["frame"])
+    header = types["std_msgs/msg/Header"](
+        seq=ping["seq"], stamp=time(sec=7, nanosec=8), frame_id=ping["frame"]
+    )
     message = types[TYPE](
         header=header,
         good=True,
@@ -47,7 +54,10 @@ def serialised(ping: dict[str, Any]) -> bytes:
         age=duration(sec=-4, nanosec=5),
         seen=[time(sec=1, nanosec=2), time(sec=2**31 - 1, nanosec=3)],
         nothing=types["std_msgs/msg/Empty"](),
-        beams=[types["test_msgs/msg/Beam"](id=-i, velocity=number) for i, number in enumerate(ping["beams"])],
+        beams=[
+            types["test_msgs/msg/Beam"](id=-i, velocity=number)
+            for i, number in enumerate(ping["beams"])
+        ],
         fixed=np.array([-1, 2, -3], np.int16),
         last=2**62,
     )
@@ -68,7 +78,15 @@ def reader(*paths: str) -> BinaryReader:
 def test_columns_equal_what_rosbags_serialised(
     frame: str, names: list[str], beams: list[float], low: int, high: int
 ) -> None:
-    ping = {"seq": 12, "frame": frame, "low": low, "high": high, "x": -0.5, "names": names, "beams": beams}
+    ping = {
+        "seq": 12,
+        "frame": frame,
+        "low": low,
+        "high": high,
+        "x": -0.5,
+        "names": names,
+        "beams": beams,
+    }
     expected = {
         "header.seq": [12],
         "header.stamp": [7, 8],
@@ -88,19 +106,31 @@ def test_columns_equal_what_rosbags_serialised(
         np.testing.assert_array_equal(columns[path], [numbers] * 2)
 
 
-PING = {"seq": 1, "frame": "dvl", "low": 0, "high": 0, "x": 1.0, "names": ["a", "b"], "beams": [1.0, 2.0]}
+PING = {
+    "seq": 1,
+    "frame": "dvl",
+    "low": 0,
+    "high": 0,
+    "x": 1.0,
+    "names": ["a", "b"],
+    "beams": [1.0, 2.0],
+}
 
 
 def test_messages_of_other_lengths_are_side_by_side() -> None:
     pings = [PING, PING | {"beams": [3.0]}, PING | {"names": []}]
     columns = reader("beams[*].velocity").columns(block_of([serialised(ping) for ping in pings]))
-    np.testing.assert_array_equal(columns["beams[*].velocity"], [[1.0, 2.0], [3.0, np.nan], [1.0, 2.0]])
+    np.testing.assert_array_equal(
+        columns["beams[*].velocity"], [[1.0, 2.0], [3.0, np.nan], [1.0, 2.0]]
+    )
 
 
 def test_a_message_has_exactly_the_bytes_of_its_fields() -> None:
     data = serialised(PING)
     for wrong in (*(data[:length] for length in range(len(data))), data + b"\0"):
-        with pytest.raises(LogError, match=r"a message of \d+ bytes (is shorter|has \d+ by its schema)"):
+        with pytest.raises(
+            LogError, match=r"a message of \d+ bytes (is shorter|has \d+ by its schema)"
+        ):
             reader("x").columns(block_of([wrong]))
 
 
@@ -125,12 +155,17 @@ def test_structures_without_fields_are_counted_too() -> None:
 def test_a_type_without_fields_has_no_bytes() -> None:
     definitions = definitions_of("std_msgs/Empty", "", "ros1")
     assert message_layout(definitions, "std_msgs/msg/Empty", b"", is_cdr=False).size == 0
-    assert BinaryReader(definitions, "std_msgs/Empty", [], is_cdr=False).columns(block_of([b"", b""])) == {}
+    assert (
+        BinaryReader(definitions, "std_msgs/Empty", [], is_cdr=False).columns(block_of([b"", b""]))
+        == {}
+    )
 
 
 def test_times_go_on_to_2106_and_durations_may_be_negative() -> None:
     """For rosbags both are signed; the format has times without a sign."""
-    fields = BinaryReader(definitions_of("p/T", "time t\nduration d", "ros1"), "p/T", ["t", "d"], is_cdr=False)
+    fields = BinaryReader(
+        definitions_of("p/T", "time t\nduration d", "ros1"), "p/T", ["t", "d"], is_cdr=False
+    )
     columns = fields.columns(block_of([b"\xff" * 16]))
     assert columns["t"].tolist() == [[2**32 - 1, 2**32 - 1]]
     assert columns["d"].tolist() == [[-1, -1]]
@@ -149,7 +184,9 @@ def test_recorded_messages_are_those_that_rosbags_reads(ros1: Path) -> None:
     wanted = {"/rexrov2/imu", "/rexrov2/pose_gt", "/rexrov2/dvl", "/rexrov2/pressure", "/est/state"}
     for channel in (one for one in log.channels if one.topic in wanted):
         known = channel_paths(channel)
-        leaves = [path for path, kind in known.items() if kind in PRIMITIVES and f"{path}[*]" not in known]
+        leaves = [
+            path for path, kind in known.items() if kind in PRIMITIVES and f"{path}[*]" not in known
+        ]
         fields = open_reader(channel, leaves)
         (found,) = _joined([fields.columns(block) for block in log.blocks({channel.id})])
         expected = _read_by_rosbags(rexrov, channel.topic, channel.type_name, channel.schema_text)
@@ -172,7 +209,10 @@ def _read_by_rosbags(log: Path, topic: str, type_name: str, text: str) -> list[A
     store.register(get_types_from_msg(text, full) | get_typestore(Stores.ROS1_NOETIC).fielddefs)
     with log.open("rb") as stream:
         messages = make_reader(stream).iter_messages(topics=[topic], log_time_order=False)
-        return [store.deserialize_ros1(message.data, full) for _, _, message in islice(messages, 0, None, EVERY)]
+        return [
+            store.deserialize_ros1(message.data, full)
+            for _, _, message in islice(messages, 0, None, EVERY)
+        ]
 
 
 def _at(value: Any, path: str) -> list[float]:

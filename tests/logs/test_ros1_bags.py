@@ -25,26 +25,40 @@ Fields = dict[str, bytes]
 def record(fields: Fields, data: bytes) -> bytes:
     """Write a record as the format says: http://wiki.ros.org/Bags/Format/2.0."""
     header = b"".join(
-        struct.pack("<I", len(name) + 1 + len(value)) + name.encode() + b"=" + value for name, value in fields.items()
+        struct.pack("<I", len(name) + 1 + len(value)) + name.encode() + b"=" + value
+        for name, value in fields.items()
     )
     return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
 
 
 def message(connection: int, sec: int, nanosec: int, data: bytes, *, turned: bool = False) -> bytes:
-    fields = {"op": b"\2", "conn": struct.pack("<I", connection), "time": struct.pack("<II", sec, nanosec)}
+    fields = {
+        "op": b"\2",
+        "conn": struct.pack("<I", connection),
+        "time": struct.pack("<II", sec, nanosec),
+    }
     return record(dict(reversed(fields.items())) if turned else fields, data)
 
 
 def connection(number: int, topic: str = "/depth", definition: bytes = b"float64 z") -> bytes:
-    told = {"topic": topic.encode(), "type": b"p/Depth", "md5sum": b"*", "message_definition": definition}
+    told = {
+        "topic": topic.encode(),
+        "type": b"p/Depth",
+        "md5sum": b"*",
+        "message_definition": definition,
+    }
     header = record(told, b"")[4:-4]
     return record({"op": b"\7", "conn": struct.pack("<I", number), "topic": topic.encode()}, header)
 
 
 def chunk(content: bytes, compression: str = "none", size: int | None = None) -> bytes:
-    packed = {"none": bytes, "bz2": bz2.compress, "lz4": lz4.frame.compress}.get(compression, bytes)(content)
+    packed = {"none": bytes, "bz2": bz2.compress, "lz4": lz4.frame.compress}.get(
+        compression, bytes
+    )(content)
     size = len(content) if size is None else size
-    return record({"op": b"\5", "compression": compression.encode(), "size": struct.pack("<I", size)}, packed)
+    return record(
+        {"op": b"\5", "compression": compression.encode(), "size": struct.pack("<I", size)}, packed
+    )
 
 
 def unclosed(*records: bytes) -> bytes:
@@ -73,12 +87,17 @@ def assert_same(one: Dive, other: Dive) -> None:
 
 
 @pytest.mark.parametrize("compression", ["", "bz2", "lz4"], ids=["plain", "bz2", "lz4"])
-def test_a_bag_of_rosbags_gives_the_columns_of_the_mcap(compression: str, whole: Dive, tmp_path: Path) -> None:
+def test_a_bag_of_rosbags_gives_the_columns_of_the_mcap(
+    compression: str, whole: Dive, tmp_path: Path
+) -> None:
     bag = other_bags.bag(tmp_path / "dive.bag", compression)
     dive = read_dive(bag, Config())
     assert_same(dive, whole)
     assert dive.name == "dive"
-    assert {one.topic: one.messages for one in dive.channels} == {"/imu": IMU_MESSAGES, "/dvl": DVL_MESSAGES}
+    assert {one.topic: one.messages for one in dive.channels} == {
+        "/imu": IMU_MESSAGES,
+        "/dvl": DVL_MESSAGES,
+    }
     assert not inspect_log(bag, Config(), deep=True).notes
 
 
@@ -87,8 +106,13 @@ def payloads(log: Recording) -> dict[tuple[str, str], list[tuple[int, bytes]]]:
     for one in log.channels:
         messages = found.setdefault((one.topic, one.metadata["callerid"]), [])
         for block in log.blocks({one.id}):
-            rows = zip(block.log_time.tolist(), block.offsets.tolist(), block.sizes.tolist(), strict=True)
-            messages += [(time_ns, bytes(block.buffer[start : start + size])) for time_ns, start, size in rows]
+            rows = zip(
+                block.log_time.tolist(), block.offsets.tolist(), block.sizes.tolist(), strict=True
+            )
+            messages += [
+                (time_ns, bytes(block.buffer[start : start + size]))
+                for time_ns, start, size in rows
+            ]
     return found
 
 
@@ -104,8 +128,14 @@ def test_a_recorded_bag_holds_what_its_mcap_holds(ros1: Path) -> None:
     assert not bag.notes
     assert bag.parts[0].span_ns == mcap.parts[0].span_ns
     seen, expected = (inspect_log(path, Config(), deep=True) for path in paths)
-    assert (seen.roles, seen.topics, seen.reference) == (expected.roles, expected.topics, expected.reference)
-    assert [clock for clock in seen.clocks if clock.role] == [clock for clock in expected.clocks if clock.role]
+    assert (seen.roles, seen.topics, seen.reference) == (
+        expected.roles,
+        expected.topics,
+        expected.reference,
+    )
+    assert [clock for clock in seen.clocks if clock.role] == [
+        clock for clock in expected.clocks if clock.role
+    ]
     assert next(role.topic for role in seen.roles if role.role == "imu") == "/rexrov2/imu"
 
 
@@ -116,7 +146,9 @@ def index_start(data: bytes) -> int:
 def test_a_bag_that_was_not_closed_is_read_with_a_note(bag: Path, whole: Dive) -> None:
     data = bag.read_bytes()
     start = index_start(data)
-    bag.write_bytes(data[:start].replace(b"index_pos=" + start.to_bytes(8, "little"), b"index_pos=" + bytes(8)))
+    bag.write_bytes(
+        data[:start].replace(b"index_pos=" + start.to_bytes(8, "little"), b"index_pos=" + bytes(8))
+    )
     dive = read_dive(bag, Config())
     assert_same(dive, whole)
     [note] = [note for note in dive.notes if note.severity == "warning"]
@@ -125,7 +157,9 @@ def test_a_bag_that_was_not_closed_is_read_with_a_note(bag: Path, whole: Dive) -
     assert log.log_times().keys() == {channel.id for channel in log.channels}
 
 
-def test_a_bag_without_indexes_behind_its_chunks_is_read_if_it_was_not_closed(tmp_path: Path) -> None:
+def test_a_bag_without_indexes_behind_its_chunks_is_read_if_it_was_not_closed(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "dive.bag"
     inside = connection(3) + message(3, 1, 5, b"a" * 8) + message(3, 2, 0, b"b" * 8, turned=True)
     path.write_bytes(unclosed(chunk(inside, "bz2"), chunk(message(3, 4, 0, b"c" * 8), "lz4")))
@@ -133,15 +167,19 @@ def test_a_bag_without_indexes_behind_its_chunks_is_read_if_it_was_not_closed(tm
     [channel] = log.channels
     assert (channel.topic, channel.type_name, channel.messages) == ("/depth", "p/Depth", 3)
     assert log.log_times()[channel.id].tolist() == [1_000_000_005, 2_000_000_000, 4_000_000_000]
-    assert [bytes(block.buffer[start:][:8]) for block in log.blocks({channel.id}) for start in block.offsets] == [
-        letter * 8 for letter in (b"a", b"b", b"c")
-    ]
+    assert [
+        bytes(block.buffer[start:][:8])
+        for block in log.blocks({channel.id})
+        for start in block.offsets
+    ] == [letter * 8 for letter in (b"a", b"b", b"c")]
 
 
 def test_headers_of_any_form_are_read_in_time(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     forms = rng.integers(0, 2, 300).astype(bool).tolist()
-    content = b"".join(message(i % 3, i, 7, bytes(i % 5), turned=turned) for i, turned in enumerate(forms))
+    content = b"".join(
+        message(i % 3, i, 7, bytes(i % 5), turned=turned) for i, turned in enumerate(forms)
+    )
     (connections, time_ns, _, _, sizes), others = messages_in(memoryview(content))
     assert not others
     for number in range(3):
@@ -154,9 +192,14 @@ def test_a_bag_that_was_cut_gives_what_is_whole_of_it(bag: Path, whole: Dive) ->
     """In its only chunk, and in what stands behind its chunks."""
     data = bag.read_bytes()
     start = index_start(data)
-    for size, hint in ((int(0.6 * start), "no message"), ((len(data) + start) // 2, "--allow-damaged uses")):
+    for size, hint in (
+        (int(0.6 * start), "no message"),
+        ((len(data) + start) // 2, "--allow-damaged uses"),
+    ):
         bag.write_bytes(data[:size])
-        with pytest.raises(LogError, match=r"dive\.bag: is damaged at byte \d+: a record says it has") as raised:
+        with pytest.raises(
+            LogError, match=r"dive\.bag: is damaged at byte \d+: a record says it has"
+        ) as raised:
             read_dive(bag, Config())
         assert hint in raised.value.hint
     dive = read_dive(bag, Config(), allow_damaged=True)
@@ -180,7 +223,9 @@ def test_every_flipped_byte_of_a_packed_bag_is_found(tmp_path: Path, whole: Dive
     path = tmp_path / "flipped.bag"
     rng, refused = np.random.default_rng(4), 0
     for place in rng.choice(len(data), 60, replace=False).tolist():
-        path.write_bytes(data[:place] + bytes([data[place] ^ 1 << int(rng.integers(8))]) + data[place + 1 :])
+        path.write_bytes(
+            data[:place] + bytes([data[place] ^ 1 << int(rng.integers(8))]) + data[place + 1 :]
+        )
         try:
             dive = read_dive(path, Config())
         except LogError:
@@ -201,12 +246,19 @@ DEPTHS = connection(0) + message(0, 1, 0, bytes(8))
         (chunk(DEPTHS, "bz2", size=2**32 - 1), "says it opens to 4294967295"),
         (chunk(DEPTHS, "bz2", size=1 << 27), "says it opens to 134217728"),
         (chunk(DEPTHS, "xz"), "compressed with 'xz'"),
-        (record({"op": b"\5", "compression": b"bz2", "size": b"\1\0\0\0"}, b"no bz2"), "cannot be decompressed"),
+        (
+            record({"op": b"\5", "compression": b"bz2", "size": b"\1\0\0\0"}, b"no bz2"),
+            "cannot be decompressed",
+        ),
         (chunk(message(7, 1, 0, bytes(8))), "of connection 7, which is not defined"),
-        (chunk(DEPTHS) + chunk(connection(0, "/other")), "connection 0 is not the same in two places"),
+        (
+            chunk(DEPTHS) + chunk(connection(0, "/other")),
+            "connection 0 is not the same in two places",
+        ),
         (chunk(DEPTHS[:-1]), "in the chunk, "),
         (
-            chunk(DEPTHS) + record({"op": b"\4", "conn": bytes(4), "count": b"\2\0\0\0"}, bytes(12)),
+            chunk(DEPTHS)
+            + record({"op": b"\4", "conn": bytes(4), "count": b"\2\0\0\0"}, bytes(12)),
             "does not have its 1 entries",
         ),
         (chunk(record({"op": b"\2"}, b"")), "no field 'time' of 8 bytes"),

@@ -77,7 +77,10 @@ MEMBERS = {
     "std_msgs/msg/Header": "builtin_interfaces::msg::Time stamp; string frame_id;",
     "builtin_interfaces/msg/Time": "int32 sec; uint32 nanosec;",
 }
-OTHERS = {"test_msgs/msg/Beam": BEAM, **{name: structure(name, members) for name, members in MEMBERS.items()}}
+OTHERS = {
+    "test_msgs/msg/Beam": BEAM,
+    **{name: structure(name, members) for name, members in MEMBERS.items()},
+}
 TEXT = "\n".join(f"{RULE}\nIDL: {name}\n{text}" for name, text in {TYPE: PING, **OTHERS}.items())
 PATHS = (
     "header.stamp", "good", "low", "tiny", "other", "few", "many", "x", "covariance", "rows", "pair",
@@ -91,7 +94,13 @@ def oracle() -> Any:
     for text in (PING, *OTHERS.values()):
         stripped = "\n".join(line for line in text.splitlines() if not line.startswith("#"))
         types = get_types_from_idl(stripped)
-        store.register({name: fields for name, fields in types.items() if name not in store.fielddefs and fields[1]})
+        store.register(
+            {
+                name: fields
+                for name, fields in types.items()
+                if name not in store.fielddefs and fields[1]
+            }
+        )
     return store
 
 
@@ -123,7 +132,9 @@ def message(count: int) -> dict[str, Any]:
 @pytest.mark.parametrize("count", [0, 3])
 def test_messages_that_rosbags_wrote_by_its_own_parse_are_read(count: int) -> None:
     data = serialised(oracle(), TYPE, message(count))
-    columns = BinaryReader(parse_definitions(TYPE, TEXT, "ros2idl"), TYPE, PATHS).columns(block_of([data]))
+    columns = BinaryReader(parse_definitions(TYPE, TEXT, "ros2idl"), TYPE, PATHS).columns(
+        block_of([data])
+    )
     expected = message(count)
     assert columns["header.stamp"].tolist() == [[7, 8]]
     for name in ("good", "low", "tiny", "other", "few", "many", "x", "last"):
@@ -132,7 +143,9 @@ def test_messages_that_rosbags_wrote_by_its_own_parse_are_read(count: int) -> No
         np.testing.assert_array_equal(columns[name], [expected[name]])
     np.testing.assert_array_equal(columns["pair"], [[1, 1, 2, -1, 0.5, 2, 2, 4, -2, 1.0]])
     np.testing.assert_array_equal(columns["beams[*].velocity"], [[0.5 * i for i in range(count)]])
-    np.testing.assert_array_equal(columns["beams[*].direction"], [[x for i in range(count) for x in (i, 2 * i, -i)]])
+    np.testing.assert_array_equal(
+        columns["beams[*].direction"], [[x for i in range(count) for x in (i, 2 * i, -i)]]
+    )
 
 
 WRONG = [
@@ -160,7 +173,22 @@ def test_harmed_texts_are_refused_or_parsed_and_nothing_else() -> None:
     refused = 0
     for _ in range(60):
         first, length = rng.randrange(len(TEXT)), rng.choice((1, 3, 20))
-        put_in = rng.choice(("", "}", "{", "@", "(", '"', "::", "/*", "<<<<", "9" * 40, "sequence<" * 50, TEXT[:first]))
+        put_in = rng.choice(
+            (
+                "",
+                "}",
+                "{",
+                "@",
+                "(",
+                '"',
+                "::",
+                "/*",
+                "<<<<",
+                "9" * 40,
+                "sequence<" * 50,
+                TEXT[:first],
+            )
+        )
         try:
             parse_definitions(TYPE, TEXT[:first] + put_in + TEXT[first + length :], "ros2idl")
         except LogError:
@@ -181,9 +209,14 @@ def test_a_dvl_that_is_described_in_idl_is_found_by_its_type(tmp_path: Path) -> 
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="ros2")
-        imu = writer.register_schema(types["/imu"], "ros2msg", definition_text(types["/imu"]).encode())
+        imu = writer.register_schema(
+            types["/imu"], "ros2msg", definition_text(types["/imu"]).encode()
+        )
         dvl = writer.register_schema(types["/dvl"], "ros2idl", text.encode())
-        ids = {"/imu": writer.register_channel("/imu", "cdr", imu), "/dvl": writer.register_channel("/dvl", "cdr", dvl)}
+        ids = {
+            "/imu": writer.register_channel("/imu", "cdr", imu),
+            "/dvl": writer.register_channel("/dvl", "cdr", dvl),
+        }
         pings = [
             (
                 "/dvl",

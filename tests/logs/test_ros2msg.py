@@ -8,7 +8,12 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.formats.definitions import Field, definition_folders, definition_text, parse_definitions
+from insdvl_replay.logs.formats.definitions import (
+    Field,
+    definition_folders,
+    definition_text,
+    parse_definitions,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -48,7 +53,9 @@ int8 NOTHING=0
 """
 
 
-def test_parse_takes_fields_by_full_types_and_leaves_constants_defaults_bounds_and_comments() -> None:
+def test_parse_takes_fields_by_full_types_and_leaves_constants_defaults_bounds_and_comments() -> (
+    None
+):
     definitions = parse_definitions("pkg/msg/Top", TEXT)
     assert definitions["pkg/msg/Top"] == (
         Field("with_default", "float64", "single", 1),
@@ -94,7 +101,9 @@ def test_known_types_are_complete_and_agree_with_rosbags() -> None:
         definitions = parse_definitions(type_name, definition_text(type_name))
         assert next(iter(definitions)) == type_name
         if type_name in store.types:
-            theirs = [_flat(name, description) for name, description in store.get_msgdef(type_name).fields]
+            theirs = [
+                _flat(name, description) for name, description in store.get_msgdef(type_name).fields
+            ]
             ours = [(field.name, field.type_name, field.length) for field in definitions[type_name]]
             assert ours == theirs, type_name
             compared += 1
@@ -119,7 +128,11 @@ def test_known_types_agree_with_recorded_logs() -> None:
     if not DATA.exists():
         pytest.skip("needs ../shared/data (recorded logs)")
     compared = set()
-    for log in ("cougars/so_lastbag.mcap", "snapir/snapir_01.mcap", "stanford_auv/rotation_z_1.mcap"):
+    for log in (
+        "cougars/so_lastbag.mcap",
+        "snapir/snapir_01.mcap",
+        "stanford_auv/rotation_z_1.mcap",
+    ):
         with (DATA / log).open("rb") as stream:
             summary = make_reader(stream).get_summary()
         assert summary is not None

@@ -48,7 +48,9 @@ def test_package_declares_what_its_messages_use() -> None:
     declared = re.search(r"DEPENDENCIES (.+)", (PACKAGE / "CMakeLists.txt").read_text("utf-8"))
     assert declared is not None
     assert set(declared[1].split()) == used
-    assert [group.text for group in package.findall("member_of_group")] == ["rosidl_interface_packages"]
+    assert [group.text for group in package.findall("member_of_group")] == [
+        "rosidl_interface_packages"
+    ]
 
 
 def direct_types(type_name: str) -> list[str]:
@@ -64,7 +66,10 @@ def test_package_has_the_version_of_the_tool() -> None:
 def test_embedded_texts_start_with_the_files_and_are_understood_by_rosbags() -> None:
     for type_name in TYPES:
         full = f"insdvl_msgs/msg/{type_name}"
-        text, embedded = (PACKAGE / "msg" / f"{type_name}.msg").read_text("utf-8"), definition_text(full)
+        text, embedded = (
+            (PACKAGE / "msg" / f"{type_name}.msg").read_text("utf-8"),
+            definition_text(full),
+        )
         assert embedded.startswith(text + "=" * 80 + "\nMSG: std_msgs/Header\n"), type_name
         store = get_typestore(Stores.EMPTY)
         store.register(get_types_from_msg(embedded, full))

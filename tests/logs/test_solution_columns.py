@@ -24,7 +24,9 @@ ENU_OF_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 
 FLU_OF_FRD = Rotation.from_euler("x", 180.0, degrees=True)
 WAY_N = np.stack([3.0 * TIMES, -2.0 * TIMES, 0.5 * TIMES], axis=1)
 VELOCITY_N = np.stack([1.0 + TIMES, 0.5 - TIMES, 0.1 * TIMES], axis=1)
-TURNS = Rotation.from_euler("ZYX", np.stack([0.3 + 0.1 * TIMES, 0.05 * TIMES, 0.02 * TIMES], axis=1))
+TURNS = Rotation.from_euler(
+    "ZYX", np.stack([0.3 + 0.1 * TIMES, 0.05 * TIMES, 0.02 * TIMES], axis=1)
+)
 """From the body, forward-starboard-down, to north-east-down."""
 
 
@@ -32,11 +34,22 @@ def solution_of(
     folder: Path, type_name: str, messages: list[dict[str, Any]], **keys: Any
 ) -> tuple[SolutionColumns, Dive]:
     pings = [
-        ("/dvl", "geometry_msgs/msg/TwistStamped", time_s, {"header": header(time_s), "twist": {"linear": xyz(v)}})
+        (
+            "/dvl",
+            "geometry_msgs/msg/TwistStamped",
+            time_s,
+            {"header": header(time_s), "twist": {"linear": xyz(v)}},
+        )
         for time_s, v in zip(TIMES.tolist(), VELOCITY_N, strict=True)
     ]
-    others = [("/own", type_name, time_s, message) for time_s, message in zip(TIMES.tolist(), messages, strict=True)]
-    filters = {"a": Filter(aiding=("velocity",)), "b": Filter(solution=Solution(topic="/own", **keys))}
+    others = [
+        ("/own", type_name, time_s, message)
+        for time_s, message in zip(TIMES.tolist(), messages, strict=True)
+    ]
+    filters = {
+        "a": Filter(aiding=("velocity",)),
+        "b": Filter(solution=Solution(topic="/own", **keys)),
+    }
     path = write_log(folder / "dive.mcap", [*imu_messages(), *pings, *others])
     dive = read_dive(path, Config(filters=filters, clocks=Clocks(max_disagreement_s=2e9)))
     return dive.solutions["b"], dive
@@ -50,7 +63,10 @@ def odometry(i: int, pose: Floats, twist: Floats) -> dict[str, Any]:
     return {
         "header": header(TIMES[i]),
         "pose": {
-            "pose": {"position": xyz(ENU_OF_NED.apply(WAY_N[i])), "orientation": {"x": x, "y": y, "z": z, "w": w}},
+            "pose": {
+                "position": xyz(ENU_OF_NED.apply(WAY_N[i])),
+                "orientation": {"x": x, "y": y, "z": z, "w": w},
+            },
             "covariance": pose.ravel(),
         },
         "twist": {"twist": {"linear": xyz(velocity)}, "covariance": twist.ravel()},
@@ -66,7 +82,9 @@ def full(seed: int, size: int) -> Floats:
 def test_covariances_of_odometry_are_those_of_errors_in_n(tmp_path: Path) -> None:
     """Against errors that are drawn in the message's own frames and turned by scipy."""
     pose, twist = 1e-4 * full(1, 6), 1e-2 * full(2, 6)
-    solution, _ = solution_of(tmp_path, "nav_msgs/msg/Odometry", [odometry(i, pose, twist) for i in range(20)])
+    solution, _ = solution_of(
+        tmp_path, "nav_msgs/msg/Odometry", [odometry(i, pose, twist) for i in range(20)]
+    )
     assert solution.moved_n is not None
     np.testing.assert_allclose(solution.moved_n, WAY_N, atol=1e-12)
     np.testing.assert_allclose(solution.motion.velocity_n, VELOCITY_N, atol=1e-12)
@@ -100,8 +118,12 @@ def test_covariances_of_odometry_are_those_of_errors_in_n(tmp_path: Path) -> Non
         (np.diag([np.nan, 1, 1, 1, 1, 1]), np.eye(6), "va"),
     ],
 )
-def test_what_is_for_no_covariance_reports_nothing(pose: Floats, twist: Floats, told: str, tmp_path: Path) -> None:
-    solution, dive = solution_of(tmp_path, "nav_msgs/msg/Odometry", [odometry(i, pose, twist) for i in range(20)])
+def test_what_is_for_no_covariance_reports_nothing(
+    pose: Floats, twist: Floats, told: str, tmp_path: Path
+) -> None:
+    solution, dive = solution_of(
+        tmp_path, "nav_msgs/msg/Odometry", [odometry(i, pose, twist) for i in range(20)]
+    )
     known = np.isfinite(solution.cov).all(axis=0)
     blocks = {"v": slice(0, 3), "a": slice(3, 6), "p": slice(6, 9)}
     assert "".join(name for name, block in blocks.items() if known[block, block].all()) == told
@@ -143,7 +165,10 @@ def test_matrices_that_are_no_covariances_are_counted(tmp_path: Path) -> None:
     lost = np.eye(6)
     lost[0, 4] = lost[4, 0] = np.nan
     huge = 1e300 * np.eye(6)
-    messages = [odometry(i, (wrong, lost, huge)[i % 3] if i < 7 else np.eye(6), np.eye(6)) for i in range(20)]
+    messages = [
+        odometry(i, (wrong, lost, huge)[i % 3] if i < 7 else np.eye(6), np.eye(6))
+        for i in range(20)
+    ]
     solution, dive = solution_of(tmp_path, "nav_msgs/msg/Odometry", messages)
     np.testing.assert_array_equal(np.isfinite(solution.cov).all(axis=(1, 2)), np.arange(20) >= 7)
     assert [note.count for note in dive.notes if note.code == "solution_covariance"] == [7]
@@ -161,10 +186,14 @@ def test_odometry_of_px4_has_positions_where_its_frame_has_a_north(tmp_path: Pat
             "velocity": TURNS[i].inv().apply(VELOCITY_N[i]),
         }
 
-    solution, _ = solution_of(tmp_path, "px4_msgs/msg/VehicleOdometry", [message(i) for i in range(20)])
+    solution, _ = solution_of(
+        tmp_path, "px4_msgs/msg/VehicleOdometry", [message(i) for i in range(20)]
+    )
     assert solution.moved_n is not None
     assert np.flatnonzero(np.isnan(solution.moved_n).any(axis=1)).tolist() == [5]
-    np.testing.assert_allclose(np.delete(solution.moved_n, 5, axis=0), np.delete(WAY_N, 5, axis=0), atol=1e-6)
+    np.testing.assert_allclose(
+        np.delete(solution.moved_n, 5, axis=0), np.delete(WAY_N, 5, axis=0), atol=1e-6
+    )
     assert np.isnan(solution.cov).all()
 
 
@@ -210,10 +239,19 @@ def test_a_tum_file_keeps_every_nanosecond_and_is_sorted(tmp_path: Path) -> None
         "1700000001.5 0 0 0 0 0 0 1",
     )
     solution, notes = read_tum(file, Solution(file=str(file), latency_s=0.25), "filters.b.solution")
-    assert (solution.motion.time_ns + 250_000_000 - START_NS).tolist() == [123_456_789, 1_500_000_000, 2_000_000_001]
-    np.testing.assert_array_equal(solution.moved_n, [[2.0, 1.0, -3.0], [8.0, 7.0, -9.0], [5.0, 4.0, -6.0]])
+    assert (solution.motion.time_ns + 250_000_000 - START_NS).tolist() == [
+        123_456_789,
+        1_500_000_000,
+        2_000_000_001,
+    ]
+    np.testing.assert_array_equal(
+        solution.moved_n, [[2.0, 1.0, -3.0], [8.0, 7.0, -9.0], [5.0, 4.0, -6.0]]
+    )
     assert np.isfinite(solution.motion.mat_nb).all(axis=(1, 2)).tolist() == [True, False, True]
-    assert [(note.code, note.count) for note in notes] == [("solution_out_of_order", 1), ("solution_repeats", 1)]
+    assert [(note.code, note.count) for note in notes] == [
+        ("solution_out_of_order", 1),
+        ("solution_repeats", 1),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -227,7 +265,9 @@ def test_a_tum_file_keeps_every_nanosecond_and_is_sorted(tmp_path: Path) -> None
         ("1e30 0 0 0 0 0 0 1", "line 2 is no pose"),
     ],
 )
-def test_a_line_that_is_no_pose_is_reported_with_its_number(line: str, message: str, tmp_path: Path) -> None:
+def test_a_line_that_is_no_pose_is_reported_with_its_number(
+    line: str, message: str, tmp_path: Path
+) -> None:
     file = tum(tmp_path, "0.5 0 0 0 0 0 0 1", line)
     with pytest.raises(LogError) as caught:
         read_tum(file, Solution(file=str(file)), "filters.b.solution")
@@ -242,7 +282,9 @@ def test_a_file_without_a_number_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["device", "pipe", "folder", "large"])
-def test_a_solution_is_a_regular_file_of_some_size(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_solution_is_a_regular_file_of_some_size(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A device has no end, and a named pipe is waited for."""
     file = tmp_path / "solution.tum"
     if kind == "device":

@@ -35,13 +35,18 @@ def spoiled(rows: list[int], values: Floats | list[float], axis: int = 0) -> Flo
         (spoiled([3, 4], [300.0, 280.0]), []),  # two samples are no spike
         (spoiled(list(range(3, 21)), [30.0] * 18), []),  # a step does not come back
         (spoiled([2, 3, 4], [-30.0, 60.0, -20.0]), []),  # nor does what swings
-        (spoiled(list(range(21)), [2.0, -2.0, 1.0, 30.0, -1.0, 2.0, -2.0] * 3), []),  # nothing stands out of unrest
+        (
+            spoiled(list(range(21)), [2.0, -2.0, 1.0, 30.0, -1.0, 2.0, -2.0] * 3),
+            [],
+        ),  # nothing stands out of unrest
         (spoiled([0, 20], [300.0, 300.0]), [0, 20]),
         (spoiled([0, 1], [300.0, 250.0]), []),
         (spoiled(list(range(3, 21)), [300.0] + [6.0] * 17), [3]),  # on a slope
     ],
 )
-def test_a_spike_is_one_sample_far_from_both_of_its_neighbours(readings: Floats, found: list[int]) -> None:
+def test_a_spike_is_one_sample_far_from_both_of_its_neighbours(
+    readings: Floats, found: list[int]
+) -> None:
     assert np.flatnonzero(find_spikes(TIME_NS, readings, 20.0)).tolist() == found
 
 
@@ -52,7 +57,9 @@ def test_nothing_jumps_across_a_pause() -> None:
 
 @pytest.fixture(scope="module")
 def clean() -> Dive:
-    return simulate_dive("straight", seed=3, duration_s=300.0, grade="tactical", reference_rate_hz=1.0)
+    return simulate_dive(
+        "straight", seed=3, duration_s=300.0, grade="tactical", reference_rate_hz=1.0
+    )
 
 
 def replayed(dive: Dive, folder: Path) -> Replay:
@@ -71,7 +78,9 @@ def with_force(dive: Dive, rows: list[int], change_mps2: float) -> Dive:
     return replace(dive, imu=replace(dive.imu, specific_force_b=force_b))
 
 
-def test_a_spike_of_300_mps2_changes_next_to_nothing(clean: Dive, before: Replay, tmp_path: Path) -> None:
+def test_a_spike_of_300_mps2_changes_next_to_nothing(
+    clean: Dive, before: Replay, tmp_path: Path
+) -> None:
     after = replayed(with_force(clean, [9000], 300.0), tmp_path)
     (note,) = [note for note in after.notes if note not in before.notes]
     assert (note.code, note.count, note.severity) == ("imu_spikes", 1, "warning")
@@ -79,7 +88,9 @@ def test_a_spike_of_300_mps2_changes_next_to_nothing(clean: Dive, before: Replay
     for filter_, rows in frame(after.tables.consistency).groupby("filter"):
         assert rows["rejected"].max() <= 0.01 * rows["used"].max(), filter_
     position = [
-        frame(replay.tables.reference_error).set_index("quantity").loc["position_h", ["baseline_rmse", "rmse"]]
+        frame(replay.tables.reference_error)
+        .set_index("quantity")
+        .loc["position_h", ["baseline_rmse", "rmse"]]
         for replay in (before, after)
     ]
     np.testing.assert_allclose(position[1].astype(float), position[0].astype(float), rtol=0.05)
@@ -93,7 +104,9 @@ def test_an_imu_that_jumps_all_the_time_is_left_as_it_is(clean: Dive, tmp_path: 
 
 
 @pytest.mark.parametrize("reopen_after", [5, 0])
-def test_a_filter_that_is_thrown_off_comes_back(clean: Dive, tmp_path: Path, reopen_after: int) -> None:
+def test_a_filter_that_is_thrown_off_comes_back(
+    clean: Dive, tmp_path: Path, reopen_after: int
+) -> None:
     """What lasts for three samples is no spike: the gate locks the DVL out, and the filter opens it again."""
     write_dive(tmp_path / "dive.mcap", with_force(clean, [9000, 9001, 9002], 300.0))
     config = load_config("tactical", None, [f"filters.baseline.gate_reopen_after={reopen_after}"])
@@ -128,7 +141,8 @@ def test_levels_that_took_part_of_the_error_over_are_opened_too(grade: str) -> N
     """
     dive = with_force(simulate_dive("straight", seed=3, duration_s=120.0, grade=grade), [0], 300.0)
     unsure, sure = (
-        replay_dive(dive, load_config(grade, None, [f"initial.uncertainty={of}"])) for of in ("settings", "source")
+        replay_dive(dive, load_config(grade, None, [f"initial.uncertainty={of}"]))
+        for of in ("settings", "source")
     )
     (velocity,) = unsure.histories[0].innovations
     assert 1 < velocity.reopened.sum() <= 3
@@ -155,15 +169,23 @@ def test_rejections_on_both_sides_of_an_outage_are_no_run(clean: Dive) -> None:
 def dive_speed_error(replay: Replay) -> float:
     """Give the error of the baseline's velocity at the end, which only the DVL can have put right."""
     assert replay.dive.reference is not None
-    return float(np.linalg.norm(replay.histories[0].velocity_n[-1] - replay.dive.reference.velocity_n[-1]))
+    return float(
+        np.linalg.norm(replay.histories[0].velocity_n[-1] - replay.dive.reference.velocity_n[-1])
+    )
 
 
-def test_opening_leaves_what_is_known_of_other_states(clean: Dive, before: Replay, tmp_path: Path) -> None:
+def test_opening_leaves_what_is_known_of_other_states(
+    clean: Dive, before: Replay, tmp_path: Path
+) -> None:
     """The biases of a filter that was thrown off and came back stay where they were."""
     after = replayed(with_force(clean, [9000, 9001, 9002], 300.0), tmp_path)
     for column, within_sd in (("accel_bias_b", 1.0), ("gyro_bias_b", 1.0)):
         ours, theirs = (getattr(replay.histories[0], column)[-1] for replay in (after, before))
-        sd = before.histories[0].sd[-1, 6:9] if column == "accel_bias_b" else before.histories[0].sd[-1, 9:12]
+        sd = (
+            before.histories[0].sd[-1, 6:9]
+            if column == "accel_bias_b"
+            else before.histories[0].sd[-1, 9:12]
+        )
         assert (np.abs(ours - theirs) < within_sd * sd).all()
     turned = before.histories[0].mat_nb[-1].T @ after.histories[0].mat_nb[-1]
     assert Rotation.from_matrix(turned).magnitude() < 3.0 * before.histories[0].sd[-1, 3:6].max()

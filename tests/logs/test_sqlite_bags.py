@@ -58,7 +58,9 @@ def assert_same(one: Dive, other: Dive) -> None:
             np.testing.assert_array_equal(values, expected[name], err_msg=f"{role}.{name}")
 
 
-def test_both_versions_give_the_columns_of_the_mcap(iron: Path, whole: Dive, tmp_path: Path) -> None:
+def test_both_versions_give_the_columns_of_the_mcap(
+    iron: Path, whole: Dive, tmp_path: Path
+) -> None:
     humble = other_bags.ros2_bag(tmp_path / "humble", humble=True)
     for path in (iron, iron / "iron.db3", humble, humble / "humble.db3"):
         dive = read_dive(path, Config())
@@ -70,7 +72,10 @@ def test_both_versions_give_the_columns_of_the_mcap(iron: Path, whole: Dive, tmp
         builtin = [note.text for note in dive.notes if note.code == "builtin_definition"]
         assert len(builtin) == (2 if "humble" in str(path) else 0)
     (tmp_path / "dive.mcap").write_bytes(written())
-    one, other = inspect_log(iron, Config(), deep=True), inspect_log(tmp_path / "dive.mcap", Config(), deep=True)
+    one, other = (
+        inspect_log(iron, Config(), deep=True),
+        inspect_log(tmp_path / "dive.mcap", Config(), deep=True),
+    )
     assert (one.topics, one.roles) == (other.topics, other.roles)
     assert (one.log.duration_s, one.log.messages) == (other.log.duration_s, other.log.messages)
     assert one.log.library == "rosbag2 of rosbags"
@@ -124,7 +129,9 @@ def test_what_is_next_to_the_file_is_not_ignored(part: Path, whole: Dive) -> Non
         beside.write_bytes(bytes(8))
         assert_same(read_dive(part, Config()), whole)
         beside.write_bytes(b"\x37\x7f\x06\x82")
-        with pytest.raises(LogError, match=rf"dive\.db3: is not complete: dive\.db3{ending}") as raised:
+        with pytest.raises(
+            LogError, match=rf"dive\.db3: is not complete: dive\.db3{ending}"
+        ) as raised:
             read_dive(part, Config(), allow_damaged=True)
         assert "sqlite3" in raised.value.hint
         beside.unlink()
@@ -135,7 +142,9 @@ def test_the_hint_about_a_journal_helps(part: Path, whole: Dive) -> None:
     copy = part.with_name("copy.db3")
     with closing(sqlite3.connect(part, isolation_level=None)) as recorder:
         recorder.execute("PRAGMA journal_mode = WAL")
-        recorder.execute("INSERT INTO messages SELECT id + 1000, topic_id, timestamp, data FROM messages WHERE id < 9")
+        recorder.execute(
+            "INSERT INTO messages SELECT id + 1000, topic_id, timestamp, data FROM messages WHERE id < 9"
+        )
         for ending in ("", "-wal"):
             shutil.copy(f"{part}{ending}", f"{copy}{ending}")
     with pytest.raises(LogError, match="is not complete") as raised:
@@ -151,7 +160,9 @@ def test_a_file_that_was_cut_is_refused(part: Path) -> None:
     data = part.read_bytes()
     for size, allow_damaged in ((50, False), (len(data) - 1, True)):
         part.write_bytes(data[:size])
-        with pytest.raises(LogError, match=r"dive\.db3: is damaged: it has \d+ bytes where its header says") as raised:
+        with pytest.raises(
+            LogError, match=r"dive\.db3: is damaged: it has \d+ bytes where its header says"
+        ) as raised:
             read_dive(part, Config(), allow_damaged=allow_damaged)
         assert ".recover" in raised.value.hint
 
@@ -188,16 +199,33 @@ ENDLESS = f"{RECURSION} SELECT i AS id, 1 AS topic_id, i AS timestamp, zeroblob(
             "without the table 'messages'",
         ),
         ("CREATE VIRTUAL TABLE other USING fts4(x)", ""),
-        ("UPDATE messages SET topic_id = 77 WHERE id = 9", "1 message is of topic 77, which is not defined"),
-        ("UPDATE messages SET timestamp = 'noon' WHERE id = 9", "1 row of the table 'messages' is damaged"),
+        (
+            "UPDATE messages SET topic_id = 77 WHERE id = 9",
+            "1 message is of topic 77, which is not defined",
+        ),
+        (
+            "UPDATE messages SET timestamp = 'noon' WHERE id = 9",
+            "1 row of the table 'messages' is damaged",
+        ),
         ("UPDATE messages SET data = 5 WHERE id < 9", "8 rows of the table 'messages' are damaged"),
         ("UPDATE topics SET type = x'ff00fe', name = 3.5", "has no IMU"),
-        ("UPDATE topics SET serialization_format = 'ros2_telepathy'", "are encoded as ros2_telepathy"),
-        ("UPDATE message_definitions SET encoding = 'unknown', encoded_message_definition = ''", ""),
-        ("UPDATE message_definitions SET encoded_message_definition = 9", "'9' in the schema is no field"),
+        (
+            "UPDATE topics SET serialization_format = 'ros2_telepathy'",
+            "are encoded as ros2_telepathy",
+        ),
+        (
+            "UPDATE message_definitions SET encoding = 'unknown', encoded_message_definition = ''",
+            "",
+        ),
+        (
+            "UPDATE message_definitions SET encoded_message_definition = 9",
+            "'9' in the schema is no field",
+        ),
     ],
 )
-def test_tables_that_are_not_those_of_a_bag_end_in_a_sentence(part: Path, change: str, said: str) -> None:
+def test_tables_that_are_not_those_of_a_bag_end_in_a_sentence(
+    part: Path, change: str, said: str
+) -> None:
     with closing(sqlite3.connect(part)) as base:
         base.executescript(change)
     assert said in (found := refusal(part))
@@ -233,7 +261,9 @@ def test_real_dives_give_the_columns_of_their_mcap(snapir: Path, tmp_path: Path)
     expected = read_dive(log, Config())
     assert expected.reference is not None
     for humble in (False, True):
-        folder = other_bags.ros2_bag(tmp_path / f"humble_{humble}", log=log.read_bytes(), humble=humble)
+        folder = other_bags.ros2_bag(
+            tmp_path / f"humble_{humble}", log=log.read_bytes(), humble=humble
+        )
         dive = read_dive(folder, Config())
         assert_same(dive, expected)
         assert dive.reference is not None
@@ -246,7 +276,9 @@ def test_the_definition_of_ds_sensor_msgs_is_that_of_its_publisher() -> None:
     """By the checksum that ROS 1 makes of it, as it stands in what rosmsg generated for others."""
     store, name = get_typestore(Stores.ROS1_NOETIC), "ds_sensor_msgs/msg/Dvl"
     first, *others = definition_text(name).split(f"{'=' * 80}\n")
-    texts = {name: first} | {one.partition("\n")[0].removeprefix("MSG: "): one.partition("\n")[2] for one in others}
+    texts = {name: first} | {
+        one.partition("\n")[0].removeprefix("MSG: "): one.partition("\n")[2] for one in others
+    }
     for type_name, text in texts.items():
         types = get_types_from_msg(text, full_name(type_name))
         store.register({one: fields for one, fields in types.items() if one not in store.fielddefs})

@@ -38,7 +38,10 @@ def write_pair(folder: Path, time_of: str = "{:.3f}", title: str = "t") -> Path:
         ("dvl", "vx,vy,vz", 5.0, [1.0, 0.0, 0.0]),
     ):
         rows = rng.normal(mean, 0.01, (int(10 * rate_hz), len(mean)))
-        lines = [",".join([time_of.format(i / rate_hz), *map(repr, row)]) for i, row in enumerate(rows.tolist())]
+        lines = [
+            ",".join([time_of.format(i / rate_hz), *map(repr, row)])
+            for i, row in enumerate(rows.tolist())
+        ]
         (folder / f"{name}.csv").write_text("\n".join([f"{title},{names}", *lines, ""]))
     return folder
 
@@ -76,7 +79,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Dive]:
 
 
 @pytest.mark.parametrize("ending", FORMATS)
-def test_every_format_gives_the_dive_of_the_log(log: tuple[Path, Dive], tmp_path: Path, ending: str) -> None:
+def test_every_format_gives_the_dive_of_the_log(
+    log: tuple[Path, Dive], tmp_path: Path, ending: str
+) -> None:
     if ending in NEEDS:
         pytest.importorskip(NEEDS[ending])
     path, topics = write_tables(tmp_path / "dive", tables_of(log[1]), ending)
@@ -109,13 +114,27 @@ def test_a_log_and_a_table_are_one_dive(log: tuple[Path, Dive], tmp_path: Path) 
 
 @pytest.mark.parametrize(
     ("stamp", "title", "form"),
-    [(None, "t", "{:.3f}"), ("t [s]", "t", "{:.3f}"), ("100 Hz", "number", "{:.3f}"), ("1", "no", "{:.3f}")],
+    [
+        (None, "t", "{:.3f}"),
+        ("t [s]", "t", "{:.3f}"),
+        ("100 Hz", "number", "{:.3f}"),
+        ("1", "no", "{:.3f}"),
+    ],
 )
-def test_times_come_from_a_column_or_a_rate(tmp_path: Path, stamp: str | None, title: str, form: str) -> None:
+def test_times_come_from_a_column_or_a_rate(
+    tmp_path: Path, stamp: str | None, title: str, form: str
+) -> None:
     folder = write_pair(tmp_path / "dive", form, title)
     dvl_stamp = "5 Hz" if stamp == "100 Hz" else stamp
-    config = Config(imu=Imu(topic="imu.csv", specific_force="ax, ay, az", angular_rate="gx, gy, gz", stamp=stamp))
-    dive = read_dive(folder, Config(imu=config.imu, dvl=Dvl(topic="dvl.csv", velocity="vx, vy, vz", stamp=dvl_stamp)))
+    config = Config(
+        imu=Imu(
+            topic="imu.csv", specific_force="ax, ay, az", angular_rate="gx, gy, gz", stamp=stamp
+        )
+    )
+    dive = read_dive(
+        folder,
+        Config(imu=config.imu, dvl=Dvl(topic="dvl.csv", velocity="vx, vy, vz", stamp=dvl_stamp)),
+    )
     np.testing.assert_array_equal(dive.imu.time_ns, 10_000_000 * np.arange(1000))
     np.testing.assert_array_equal(dive.dvl.time_ns, 200_000_000 * np.arange(50))
     assert ("table_without_times" in codes(dive)) == (title != "t")
@@ -131,7 +150,9 @@ def test_the_unit_of_times_is_that_of_the_title_or_of_the_rate(
     for path in folder.iterdir():
         head, *rows = path.read_text().splitlines()
         cells = [row.partition(",") for row in rows]
-        text = "\n".join([head, *(f"{float(time) * factor:.0f},{others}" for time, _, others in cells), ""])
+        text = "\n".join(
+            [head, *(f"{float(time) * factor:.0f},{others}" for time, _, others in cells), ""]
+        )
         path.write_text(text)
     dive = read_dive(folder, Config(imu=IMU, dvl=DVL))
     np.testing.assert_array_equal(dive.imu.time_ns, 10_000_000 * np.arange(1000))
@@ -141,8 +162,13 @@ def test_the_unit_of_times_is_that_of_the_title_or_of_the_rate(
 def test_dates_and_comments_and_quotes_are_read(tmp_path: Path) -> None:
     folder = write_pair(tmp_path / "dive")
     text = (folder / "dvl.csv").read_text().splitlines()
-    dates = [f'"2024-01-01T00:00:{float(line.partition(",")[0]):09.6f}Z",{line.partition(",")[2]}' for line in text[1:]]
-    (folder / "dvl.csv").write_text("\n".join([f"# {text[0].replace('t,', 'time,', 1)}", *dates, ""]))
+    dates = [
+        f'"2024-01-01T00:00:{float(line.partition(",")[0]):09.6f}Z",{line.partition(",")[2]}'
+        for line in text[1:]
+    ]
+    (folder / "dvl.csv").write_text(
+        "\n".join([f"# {text[0].replace('t,', 'time,', 1)}", *dates, ""])
+    )
     times = open_recording(folder / "dvl.csv").log_times()[0]
     assert str(times[0].astype("M8[ns]")) == "2024-01-01T00:00:00.000000000"
     np.testing.assert_array_equal(np.diff(times), 200_000_000)
@@ -156,7 +182,12 @@ def test_columns_of_one_title_and_other_encodings_of_text(tmp_path: Path) -> Non
         (channel,) = dive_file.channels
         (block,) = dive_file.blocks({channel.id})
         columns = open_reader(channel, ["v", "v_2", "4", "3"]).columns(block)
-        assert [columns[path][7].tolist() for path in ("v", "v_2", "4", "3")] == [[7.5], [7.25], [-1.0], [7.25]]
+        assert [columns[path][7].tolist() for path in ("v", "v_2", "4", "3")] == [
+            [7.5],
+            [7.25],
+            [-1.0],
+            [7.25],
+        ]
         assert not dive_file.notes
 
 
@@ -189,8 +220,14 @@ def test_strange_titles_take_no_long_time(tmp_path: Path, titles: list[str], ref
 
 def test_arrays_are_grouped_by_length_and_by_time(tmp_path: Path) -> None:
     path = tmp_path / "dive.npz"
-    arrays = {"imu_t": np.arange(90) * 0.01, "imu_acc": np.ones((90, 3)), "dvl_t": np.arange(90) * 0.2}
-    np.savez(path, **arrays, dvl_v=np.ones((3, 90)), fix=np.ones((20, 7)), name="dive", empty=np.empty(0))
+    arrays = {
+        "imu_t": np.arange(90) * 0.01,
+        "imu_acc": np.ones((90, 3)),
+        "dvl_t": np.arange(90) * 0.2,
+    }
+    np.savez(
+        path, **arrays, dvl_v=np.ones((3, 90)), fix=np.ones((20, 7)), name="dive", empty=np.empty(0)
+    )
     channels = {channel.topic: channel for channel in open_recording(path).channels}
     assert sorted(channels) == ["dive.npz/dvl", "dive.npz/fix", "dive.npz/imu"]
     assert channels["dive.npz/fix"].schema_text.count("column_") == 7
@@ -225,7 +262,9 @@ def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
         ("Time [s],Vx [kn]\ndouble,double", 0),
     ],
 )
-def test_lines_above_the_names_of_the_columns_are_left_out(tmp_path: Path, above: str, left_out: int) -> None:
+def test_lines_above_the_names_of_the_columns_are_left_out(
+    tmp_path: Path, above: str, left_out: int
+) -> None:
     rows = "".join(f"{0.5 * i},{i + 1}.25\n" for i in range(30))
     (tmp_path / "dvl.csv").write_text(f"{above}\n{rows}")
     table = open_recording(tmp_path / "dvl.csv")
@@ -275,7 +314,11 @@ def test_small_files_that_ask_for_much_are_refused(tmp_path: Path, name: str, re
 
 def test_matlab_files_give_what_scipy_reads(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    inner = {"acc": rng.normal(size=(50, 3)), "count": np.arange(50), "inside": {"valid": np.arange(50) % 2 == 0}}
+    inner = {
+        "acc": rng.normal(size=(50, 3)),
+        "count": np.arange(50),
+        "inside": {"valid": np.arange(50) % 2 == 0},
+    }
     variables = {
         "imu": inner, "t": 0.5 * np.arange(50.0), "small": np.arange(50, dtype=np.int8), "name": "dive",
         "z": np.ones(50) * 1j, "parts": np.array([{"a": 1}, {"a": 2}]), "f32": np.float32(rng.random(50)),
@@ -345,16 +388,24 @@ def harmed(dive: Dive, folder: Path, seed: int) -> str:
         return "refused"
     if same(found, dive):
         return "same"
-    return "noted" if codes(found) - {"joined_files"} else f"silent: {harm.__name__} of {path.name}, seed {seed}"
+    return (
+        "noted"
+        if codes(found) - {"joined_files"}
+        else f"silent: {harm.__name__} of {path.name}, seed {seed}"
+    )
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_damaged_table_is_refused_or_noted(log: tuple[Path, Dive], tmp_path: Path, seed: int) -> None:
+def test_a_damaged_table_is_refused_or_noted(
+    log: tuple[Path, Dive], tmp_path: Path, seed: int
+) -> None:
     assert not harmed(log[1], tmp_path / "dive", seed).startswith("silent")
 
 
 @pytest.mark.nightly
-def test_hundreds_of_damaged_tables_are_refused_or_noted(log: tuple[Path, Dive], tmp_path: Path) -> None:
+def test_hundreds_of_damaged_tables_are_refused_or_noted(
+    log: tuple[Path, Dive], tmp_path: Path
+) -> None:
     found = [harmed(log[1], tmp_path / "dive", seed) for seed in range(300)]
     assert [outcome for outcome in found if outcome.startswith("silent")] == []
     assert {"refused", "noted"} <= set(found)
@@ -380,7 +431,9 @@ def mutant(content: bytes, rng: np.random.Generator) -> bytes:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("ending", FORMATS)
-def test_changed_bytes_are_no_internal_error(log: tuple[Path, Dive], tmp_path: Path, ending: str) -> None:
+def test_changed_bytes_are_no_internal_error(
+    log: tuple[Path, Dive], tmp_path: Path, ending: str
+) -> None:
     if ending in NEEDS:
         pytest.importorskip(NEEDS[ending])
     path, topics = write_tables(tmp_path / "dive", tables_of(log[1]), ending)

@@ -15,7 +15,13 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.automatic import find_settings
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.recording import Recording, open_recording
-from insdvl_replay.logs.formats.table_times import CALENDARS, likely_unit, shift_ns, text_times, unwrapped
+from insdvl_replay.logs.formats.table_times import (
+    CALENDARS,
+    likely_unit,
+    shift_ns,
+    text_times,
+    unwrapped,
+)
 from insdvl_replay.preparation.prepared import read_checked_dive
 
 START = datetime(2021, 6, 8, 10, 41, 7, tzinfo=UTC)
@@ -38,11 +44,15 @@ def write(path: Path, times: list[str], names: str, title: str = "Time") -> None
     rows = rng.normal(0.0, 0.1, (len(times), names.count(",") + 1))
     if names.startswith("ax"):
         rows[:, 2] -= 9.8
-    lines = [",".join([time, *map(repr, row)]) for time, row in zip(times, rows.tolist(), strict=True)]
+    lines = [
+        ",".join([time, *map(repr, row)]) for time, row in zip(times, rows.tolist(), strict=True)
+    ]
     path.write_text("\n".join([f"{title},{names}", *lines, ""]))
 
 
-def dive(folder: Path, imu: list[str], dvl: list[str], imu_title: str = "Time", dvl_title: str = "Time") -> Path:
+def dive(
+    folder: Path, imu: list[str], dvl: list[str], imu_title: str = "Time", dvl_title: str = "Time"
+) -> Path:
     folder.mkdir(exist_ok=True)
     write(folder / "imu.csv", imu, "ax,ay,az,gx,gy,gz", imu_title)
     write(folder / "dvl.csv", dvl, "vx,vy,vz", dvl_title)
@@ -65,11 +75,16 @@ def codes(log: Recording) -> set[str]:
 def test_days_of_every_calendar_are_read_and_said(tmp_path: Path, calendar: object) -> None:
     zero = calendar.zero  # type: ignore[attr-defined]
     since_s = START.timestamp() + 0.02 * np.arange(200)
-    folder = dive(tmp_path / "dive", *([f"{day:.12f}" for day in since_s[::n] / 86_400 + zero] for n in (1, 50)))
+    folder = dive(
+        tmp_path / "dive",
+        *([f"{day:.12f}" for day in since_s[::n] / 86_400 + zero] for n in (1, 50)),
+    )
     log = open_recording(folder)
     found = times_of(log)["imu.csv"]
     stored_ns = np.spacing(zero + 18_000.0) * 86_400e9
-    np.testing.assert_allclose(found - START.timestamp() * 1e9, (since_s - START.timestamp()) * 1e9, atol=2 * stored_ns)
+    np.testing.assert_allclose(
+        found - START.timestamp() * 1e9, (since_s - START.timestamp()) * 1e9, atol=2 * stored_ns
+    )
     texts = [note.text for note in log.notes if note.code == "table_days"]
     assert len(texts) == 2
     assert calendar.name in texts[0]  # type: ignore[attr-defined]
@@ -78,7 +93,9 @@ def test_days_of_every_calendar_are_read_and_said(tmp_path: Path, calendar: obje
 def test_days_with_few_digits_say_to_what_they_are_exact(tmp_path: Path) -> None:
     days = [f"{START.timestamp() / 86_400 + 25_569 + 0.02 * i / 86_400:.7f}" for i in range(200)]
     write(tmp_path / "imu.csv", days, "ax,ay,az,gx,gy,gz")
-    (note,) = (note for note in open_recording(tmp_path / "imu.csv").notes if note.code == "table_days")
+    (note,) = (
+        note for note in open_recording(tmp_path / "imu.csv").notes if note.code == "table_days"
+    )
     assert "exact to 0.0086 s, where the rows are" in note.text
     assert note.count == 200
 
@@ -98,14 +115,22 @@ def test_a_unit_is_told_by_the_step_and_the_calendar(step: float, first: float, 
 def test_times_in_no_possible_unit_are_an_error_with_the_step_and_a_guess(tmp_path: Path) -> None:
     hours = [f"{10.6 + 0.01 * i / 3600:.12f}" for i in range(200)]
     folder = dive(tmp_path / "dive", hours, [f"{i}" for i in range(20)])
-    with pytest.raises(LogError, match=r"'time' of imu\.csv step by 2\.78e-06.*it would be 0\.01 s in h"):
+    with pytest.raises(
+        LogError, match=r"'time' of imu\.csv step by 2\.78e-06.*it would be 0\.01 s in h"
+    ):
         read_dive(folder, Config(imu=IMU, dvl=DVL))
     for title in ("Time [h]", "Time (hours)"):
         write(folder / "imu.csv", hours, "ax,ay,az,gx,gy,gz", title)
-        np.testing.assert_allclose(np.diff(read_dive(folder, Config(imu=IMU, dvl=DVL)).imu.time_ns), 1e7, atol=1e3)
+        np.testing.assert_allclose(
+            np.diff(read_dive(folder, Config(imu=IMU, dvl=DVL)).imu.time_ns), 1e7, atol=1e3
+        )
     write(folder / "imu.csv", hours, "ax,ay,az,gx,gy,gz")
-    by_stamp = Imu(topic="imu.csv", specific_force="ax, ay, az", angular_rate="gx, gy, gz", stamp="time [h]")
-    np.testing.assert_allclose(np.diff(read_dive(folder, Config(imu=by_stamp, dvl=DVL)).imu.time_ns), 1e7, atol=1e3)
+    by_stamp = Imu(
+        topic="imu.csv", specific_force="ax, ay, az", angular_rate="gx, gy, gz", stamp="time [h]"
+    )
+    np.testing.assert_allclose(
+        np.diff(read_dive(folder, Config(imu=by_stamp, dvl=DVL)).imu.time_ns), 1e7, atol=1e3
+    )
 
 
 def test_an_imu_of_impossible_rate_or_length_is_refused_by_each_way(tmp_path: Path) -> None:
@@ -160,7 +185,9 @@ def test_minutes_of_one_table_are_put_to_the_hour_of_the_other(tmp_path: Path) -
     folder = dive(tmp_path / "dive", imu, [hms(when)[:8] for when in moments(200, 1.0, start)])
     log = open_recording(folder)
     times = times_of(log)
-    np.testing.assert_array_equal(times["imu.csv"], times["dvl.csv"][0] + 20_000_000 * np.arange(10_000))
+    np.testing.assert_array_equal(
+        times["imu.csv"], times["dvl.csv"][0] + 20_000_000 * np.arange(10_000)
+    )
     assert times["dvl.csv"][0] == (10 * 3600 + 58 * 60) * ONE_S
     (note,) = (note for note in log.notes if note.code == "table_time_of_day")
     assert "+10 h" in note.text
@@ -189,14 +216,20 @@ def test_a_date_and_a_time_are_columns_of_one_time(tmp_path: Path, date: str) ->
     times = [f"{date},{hms(when)}" for when in moments(50, 0.5)]
     write(tmp_path / "imu.csv", times, "ax,ay,az,gx,gy,gz", "Date,Time")
     log = open_recording(tmp_path / "imu.csv")
-    np.testing.assert_array_equal(log.log_times()[0], int(START.timestamp()) * ONE_S + np.arange(50) * ONE_S // 2)
+    np.testing.assert_array_equal(
+        log.log_times()[0], int(START.timestamp()) * ONE_S + np.arange(50) * ONE_S // 2
+    )
     assert codes(log) == set()
 
 
 def test_times_that_are_not_read_are_named_and_rows_can_be_counted(tmp_path: Path) -> None:
     folder = dive(tmp_path / "dive", [f"T{i}" for i in range(200)], [f"{i}" for i in range(20)])
-    with pytest.raises(LogError, match=r"'time' of imu\.csv are not read: 'T0' is no number, date or time of day"):
+    with pytest.raises(
+        LogError, match=r"'time' of imu\.csv are not read: 'T0' is no number, date or time of day"
+    ):
         read_dive(folder, Config(imu=IMU, dvl=DVL))
-    counted = Imu(topic="imu.csv", specific_force="ax, ay, az", angular_rate="gx, gy, gz", stamp="100 Hz")
+    counted = Imu(
+        topic="imu.csv", specific_force="ax, ay, az", angular_rate="gx, gy, gz", stamp="100 Hz"
+    )
     found = read_dive(folder, Config(imu=counted, dvl=DVL))
     np.testing.assert_array_equal(found.imu.time_ns, 10_000_000 * np.arange(200))

@@ -31,7 +31,11 @@ def table(path: Path, titles: list[str], values: list[float]) -> None:
 
 def dive(folder: Path, force: str = "", rate: str = "", velocity: str = "") -> Path:
     """Write an IMU and a DVL whose numbers are 2, in the units of these endings of titles."""
-    table(folder / "imu.csv", [f"a{x}{force}" for x in "xyz"] + [f"g{x}{rate}" for x in "xyz"], [2.0] * 6)
+    table(
+        folder / "imu.csv",
+        [f"a{x}{force}" for x in "xyz"] + [f"g{x}{rate}" for x in "xyz"],
+        [2.0] * 6,
+    )
     table(folder / "dvl.csv", [f"v{x}{velocity}" for x in "xyz"], [2.0] * 3)
     return folder
 
@@ -62,16 +66,26 @@ def test_titles_spell_units_in_many_ways(title: str, unit: str) -> None:
         (Depth, "pressure_unit", PRESSURE_UNITS),
     ],
 )
-def test_settings_take_all_units_that_titles_may_have(section: type, key: str, units: dict[str, float]) -> None:
-    options = [part for part in get_args(get_type_hints(section)[key]) if get_origin(part) is Literal]
+def test_settings_take_all_units_that_titles_may_have(
+    section: type, key: str, units: dict[str, float]
+) -> None:
+    options = [
+        part for part in get_args(get_type_hints(section)[key]) if get_origin(part) is Literal
+    ]
     assert [get_args(option) for option in options] == [tuple(units)]
 
 
 @pytest.mark.parametrize(
     ("titles", "factors"),
     [
-        ({"force": " [mg]", "rate": " [deg/h]", "velocity": " (kn)"}, (9.80665e-3, np.pi / 648_000, 0.514444444)),
-        ({"force": " [ug]", "rate": " [dps]", "velocity": " [ft/s]"}, (9.80665e-6, np.pi / 180, 0.3048)),
+        (
+            {"force": " [mg]", "rate": " [deg/h]", "velocity": " (kn)"},
+            (9.80665e-3, np.pi / 648_000, 0.514444444),
+        ),
+        (
+            {"force": " [ug]", "rate": " [dps]", "velocity": " [ft/s]"},
+            (9.80665e-6, np.pi / 180, 0.3048),
+        ),
         ({"velocity": " [km/h]"}, (1.0, 1.0, 1.0 / 3.6)),
         ({"velocity": "_mmps"}, (1.0, 1.0, 1e-3)),
     ],
@@ -80,7 +94,9 @@ def test_units_in_titles_count_where_settings_name_the_columns(
     tmp_path: Path, titles: dict[str, str], factors: tuple[float, float, float]
 ) -> None:
     velocity = ", ".join(f"v{x}{titles['velocity']}" for x in "xyz")  # a title names a column, too
-    found = read_dive(dive(tmp_path, **titles), Config(imu=IMU, dvl=Dvl(topic="dvl.csv", velocity=velocity)))
+    found = read_dive(
+        dive(tmp_path, **titles), Config(imu=IMU, dvl=Dvl(topic="dvl.csv", velocity=velocity))
+    )
     assert found.dvl.velocity_d is not None
     columns = (found.imu.specific_force_b, found.imu.angular_rate_b, found.dvl.velocity_d)
     for readings, factor in zip(columns, factors, strict=True):
@@ -95,7 +111,17 @@ def test_a_unit_in_the_settings_counts_more_than_the_title(tmp_path: Path) -> No
 
 
 def test_angles_of_one_table_may_have_several_units(tmp_path: Path) -> None:
-    titles = ["lat [rad]", "lon [deg]", "depth [ft]", "vn (kn)", "ve (kn)", "vd (kn)", "roll", "pitch", "yaw [rad]"]
+    titles = [
+        "lat [rad]",
+        "lon [deg]",
+        "depth [ft]",
+        "vn (kn)",
+        "ve (kn)",
+        "vd (kn)",
+        "roll",
+        "pitch",
+        "yaw [rad]",
+    ]
     table(dive(tmp_path) / "nav.csv", titles, [0.5, 30.0, 10.0, 2.0, 2.0, 2.0, 0.0, 0.0, 1.5])
     reference = Reference(
         topic="nav.csv", latitude="lat", longitude="lon", depth="depth", velocity_n="vn, ve, vd", roll="roll",
@@ -109,7 +135,9 @@ def test_angles_of_one_table_may_have_several_units(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("unit", ["yd/s", "deg", "furlong"])
-def test_an_unknown_unit_that_is_used_is_an_error_with_the_known_ones(tmp_path: Path, unit: str) -> None:
+def test_an_unknown_unit_that_is_used_is_an_error_with_the_known_ones(
+    tmp_path: Path, unit: str
+) -> None:
     with pytest.raises(LogError, match=rf"'vx' of dvl\.csv is in '{unit}'") as raised:
         read_dive(dive(tmp_path, velocity=f" [{unit}]"), Config(imu=IMU, dvl=DVL))
     assert "km/h, kn, ft/s" in raised.value.hint

@@ -22,9 +22,15 @@ from insdvl_replay.logs.formats.fields import BinaryReader, Element
 TYPE = "tf2_msgs/msg/TFMessage"
 TIMES = 0.1 * np.arange(20)
 PLACE = Initial(latitude_deg=32.8, longitude_deg=35.0)
-TURNS = Rotation.from_euler("ZYX", np.stack([0.3 + 0.1 * TIMES, 0.05 * TIMES, 0.02 * TIMES], axis=1))
+TURNS = Rotation.from_euler(
+    "ZYX", np.stack([0.3 + 0.1 * TIMES, 0.05 * TIMES, 0.02 * TIMES], axis=1)
+)
 WAY_M = np.stack([3.0 * TIMES, -2.0 * TIMES, 0.5 * TIMES], axis=1)
-PATHS = ("transforms[*].transform.rotation", "transforms[*].transform.translation", "transforms[*].header.stamp")
+PATHS = (
+    "transforms[*].transform.rotation",
+    "transforms[*].transform.translation",
+    "transforms[*].header.stamp",
+)
 
 
 def transform(parent: str, child: str, i: int, sign: float = 1.0) -> dict[str, Any]:
@@ -32,14 +38,19 @@ def transform(parent: str, child: str, i: int, sign: float = 1.0) -> dict[str, A
     return {
         "header": header(TIMES[i]) | {"frame_id": parent},
         "child_frame_id": child,
-        "transform": {"translation": xyz(sign * WAY_M[i]), "rotation": {"x": x, "y": y, "z": z, "w": w}},
+        "transform": {
+            "translation": xyz(sign * WAY_M[i]),
+            "rotation": {"x": x, "y": y, "z": z, "w": w},
+        },
     }
 
 
 def tree(i: int) -> list[dict[str, Any]]:
     """Give the transforms of a message: the one that is meant is first, last, alone, or not there."""
     meant, arm = transform("map", "base_link", i), transform("base_link", "arm", i, 7.0)
-    return [[meant], [arm, meant], [meant, transform("map", "base_tail", i, 5.0), arm], [arm], []][i % 5]
+    return [[meant], [arm, meant], [meant, transform("map", "base_tail", i, 5.0), arm], [arm], []][
+        i % 5
+    ]
 
 
 def messages(trees: Callable[[int], list[dict[str, Any]]] = tree) -> list[Message]:
@@ -73,9 +84,14 @@ def test_pair_that_is_named_is_the_reference(encoding: str, tmp_path: Path) -> N
         log = other_bags.ros1_mcap(tmp_path / "ros1.mcap", log.read_bytes())
     reference = read(log)
     told = np.flatnonzero(np.arange(20) % 5 < 3)
-    to_flu, to_ned = np.diag([1.0, -1.0, -1.0]), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    to_flu, to_ned = (
+        np.diag([1.0, -1.0, -1.0]),
+        np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]),
+    )
     expected = to_ned @ TURNS[told].as_matrix() @ to_flu
-    assert (reference.time_ns - reference.time_ns[0]).tolist() == np.rint(1e9 * TIMES[told]).astype(int).tolist()
+    assert (reference.time_ns - reference.time_ns[0]).tolist() == np.rint(1e9 * TIMES[told]).astype(
+        int
+    ).tolist()
     np.testing.assert_allclose(reference.mat_nb, expected, atol=1e-12)
     place = np.array([np.deg2rad(32.8), np.deg2rad(35.0), 0.0])
     np.testing.assert_allclose(east_north_up_m(reference.position, place), WAY_M[told], atol=1e-4)
@@ -103,7 +119,9 @@ def test_a_pair_that_is_not_there_is_refused_with_those_that_are(
 
 def test_frames_are_of_transforms_alone(tmp_path: Path) -> None:
     log = write_log(tmp_path / "dive.mcap", messages())
-    config = Config(reference=Reference(topic="/dvl", frames=("map", "base_link"), velocity_n="twist.linear"))
+    config = Config(
+        reference=Reference(topic="/dvl", frames=("map", "base_link"), velocity_n="twist.linear")
+    )
     with pytest.raises(LogError, match="has no transforms"):
         read_dive(log, config)
 
@@ -119,7 +137,9 @@ def test_lengths_and_texts_of_any_size_are_refused_or_read_and_nothing_else() ->
         for word in (0, 1, 2, 255, 65_536, 2**31 - 1, 2**32 - 1):
             harmed = message[:place] + word.to_bytes(4, "little") + message[place + 4 :]
             try:
-                columns = BinaryReader(definitions, TYPE, PATHS, element=element).columns(block_of([harmed]))
+                columns = BinaryReader(definitions, TYPE, PATHS, element=element).columns(
+                    block_of([harmed])
+                )
             except LogError:
                 refused += 1
                 continue

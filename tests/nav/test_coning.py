@@ -28,7 +28,9 @@ MICRO_G = 1e-3 * MG
 def attitude(time_s: Floats) -> Rotation:
     """The axis of the turn goes round, and the axes of the body with it."""
     angle = FREQUENCY * time_s
-    return Rotation.from_rotvec(CONE * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)]))
+    return Rotation.from_rotvec(
+        CONE * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+    )
 
 
 def coning_rate_b(time_s: Floats) -> Floats:
@@ -50,7 +52,9 @@ def drifts(time_s: Floats, last_s: float) -> tuple[float, float]:
     for (before, after), dt in zip(pairwise(readings), np.diff(at.time_s), strict=True):
         summed = increments(before, after, UNBIASED, UNBIASED, dt)
         turned = turn * Rotation.from_rotvec(summed.turn_b)
-        velocity_n += 0.5 * dt * (turn.apply(summed.mean_force_b) + turned.apply(summed.mean_force_b))
+        velocity_n += (
+            0.5 * dt * (turn.apply(summed.mean_force_b) + turned.apply(summed.mean_force_b))
+        )
         turn = turned
     swung = (np.cos(0.3) - np.cos(FREQUENCY * last_s + 0.3)) / FREQUENCY
     off = (turn * attitude(np.array([last_s]))[0].inv()).magnitude()
@@ -63,11 +67,17 @@ def even(rate_hz: float) -> Floats:
 
 def test_coning_and_sculling_are_of_fourth_order() -> None:
     """Half the step leaves a sixteenth, in spite of a ping every second inside an interval."""
-    (coarse, coarse_mps), (fine, fine_mps) = (drifts(even(rate_hz), 10.0) for rate_hz in (20.0, 40.0))
+    (coarse, coarse_mps), (fine, fine_mps) = (
+        drifts(even(rate_hz), 10.0) for rate_hz in (20.0, 40.0)
+    )
     assert 14.0 < coarse / fine < 18.0
     assert 14.0 < coarse_mps / fine_mps < 20.0
-    assert coarse / 10.0 < 1.0 * DEG_PER_HOUR, "58 deg/h by straight lines and without a term for coning"
-    assert coarse_mps / 10.0 < 15.0 * MICRO_G, "340 by straight lines and without a term for sculling"
+    assert coarse / 10.0 < 1.0 * DEG_PER_HOUR, (
+        "58 deg/h by straight lines and without a term for coning"
+    )
+    assert coarse_mps / 10.0 < 15.0 * MICRO_G, (
+        "340 by straight lines and without a term for sculling"
+    )
 
 
 def test_uneven_steps_cost_little() -> None:
@@ -100,7 +110,9 @@ def test_bend_of_uneven_steps_is_that_of_the_parabola() -> None:
 def runs_at(imu_rate_hz: float, duration_s: float, seeds: range) -> list[RunErrors]:
     """Run a FOG's filter on dives whose start and sensors err as it believes, on a cone of 3 deg at 1 s."""
     config = load_config("fog")
-    config = msgspec.structs.replace(config, filters={config.baseline: config.filters[config.baseline]})
+    config = msgspec.structs.replace(
+        config, filters={config.baseline: config.filters[config.baseline]}
+    )
     exact = exact_dive(
         Coning(3.0, 1.0),
         duration_s=duration_s,
@@ -123,5 +135,7 @@ def test_coning_leaves_the_heading_as_sure_as_it_says() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("imu_rate_hz", "limit"), [(20.0, 3.0), (50.0, 1.5)])
-def test_coning_for_ten_minutes_leaves_the_heading_as_sure_as_it_says(imu_rate_hz: float, limit: float) -> None:
+def test_coning_for_ten_minutes_leaves_the_heading_as_sure_as_it_says(
+    imu_rate_hz: float, limit: float
+) -> None:
     assert standardised_heading(runs_at(imu_rate_hz, 600.0, range(60))) < limit

@@ -49,7 +49,9 @@ def random_cov(seed: int, n: int = 12) -> Floats:
 
 
 def test_transformation_leaves_the_invariant_error_alone() -> None:
-    assert_jacobian(transformation(), expressed_about_the_corrected_velocity, np.zeros(12), atol=1e-9, step=1e-5)
+    assert_jacobian(
+        transformation(), expressed_about_the_corrected_velocity, np.zeros(12), atol=1e-9, step=1e-5
+    )
 
 
 def test_covariance_is_transformed_as_the_matrices_say() -> None:
@@ -68,8 +70,12 @@ def test_an_error_that_is_estimated_as_it_is_vanishes_whatever_its_size(degrees:
     xi = np.array([4.0, -3.0, 0.5])
     off_n = turned(phi) @ true_n + xi
     dx = np.concatenate([xi - np.cross(off_n, phi), phi, np.zeros(6)])
-    state = NavState((0.57, 0.6, -20.0), vector(off_n), matrix(turned(phi) @ true_nb), NOTHING, NOTHING)
-    corrected = correct(state, np.empty(0), random_cov(6), dx, TWELVE_STATES, local_earth_at(*state.position[::2]))
+    state = NavState(
+        (0.57, 0.6, -20.0), vector(off_n), matrix(turned(phi) @ true_nb), NOTHING, NOTHING
+    )
+    corrected = correct(
+        state, np.empty(0), random_cov(6), dx, TWELVE_STATES, local_earth_at(*state.position[::2])
+    )
     np.testing.assert_allclose(corrected.velocity_n, true_n, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(corrected.mat_nb, true_nb, rtol=0.0, atol=1e-15)
 
@@ -81,7 +87,9 @@ def test_estimated_errors_are_taken_out_of_the_state() -> None:
     dx = 0.03 * np.random.default_rng(5).normal(size=12)
     expected_cov = P.copy()
     expected_n = turned(dx[PHI]).T @ (VELOCITY_N - dx[DV] - np.cross(VELOCITY_N, dx[PHI]))
-    corrected = correct(state, np.empty(0), P, dx, TWELVE_STATES, local_earth_at(*state.position[::2]))
+    corrected = correct(
+        state, np.empty(0), P, dx, TWELVE_STATES, local_earth_at(*state.position[::2])
+    )
     keep_invariant_error(expected_cov, vector(VELOCITY_N - corrected.velocity_n))
     np.testing.assert_array_equal(P, expected_cov)
     assert corrected.position == state.position
@@ -97,13 +105,24 @@ def test_a_corrected_velocity_leaves_what_the_dvl_has_measured_of_scale_and_yaw(
     constants = np.array([0.03, 0.2])
     mat_nb = matrix(turned(np.array([0.3, -0.2, 2.0])))
     earth = local_earth_at(0.57, -20.0)
-    reading = Measurement("", "", VELOCITY, np.arange(1), np.zeros((1, 3)), np.eye(3)[None], np.ones(1, np.bool_))
+    reading = Measurement(
+        "", "", VELOCITY, np.arange(1), np.zeros((1, 3)), np.eye(3)[None], np.ones(1, np.bool_)
+    )
 
     def measured(velocity_n: Floats, P: Floats) -> Floats:
         nothing = np.zeros((1, 3))
         memory = Memory(nothing, nothing, nothing)
         ins = InsNow(
-            (0.57, 0.6, -20.0), vector(velocity_n), mat_nb, NOTHING, memory, 9.8, NOTHING, earth, NOTHING, constants
+            (0.57, 0.6, -20.0),
+            vector(velocity_n),
+            mat_nb,
+            NOTHING,
+            memory,
+            9.8,
+            NOTHING,
+            earth,
+            NOTHING,
+            constants,
         )
         z, H = np.empty(3), np.empty((3, 14))
         linearise(stacked([reading]), 0, 0, ins, layout, None, z, H)

@@ -21,7 +21,14 @@ DRAWS = 500
 
 def start_with(cov: Floats) -> Start:
     attitude = Rotation.from_euler("ZYX", [2.0, -0.1, 0.3]).as_matrix()
-    return Start(np.array([0.57, 0.6, -20.0]), np.array([1.9, -0.4, 0.2]), attitude, cov, np.full(3, 0.01), np.ones(3))
+    return Start(
+        np.array([0.57, 0.6, -20.0]),
+        np.array([1.9, -0.4, 0.2]),
+        attitude,
+        cov,
+        np.full(3, 0.01),
+        np.ones(3),
+    )
 
 
 def correlated_cov() -> Floats:
@@ -69,7 +76,9 @@ def test_fewer_draws_are_the_first_of_more() -> None:
     assert (errors_of(drawn_starts(start, 4, seed=4), start)[1:] != few[1:]).all()
 
 
-@pytest.mark.parametrize("cov", [np.diag(SD**2), correlated_cov()], ids=["independent", "correlated"])
+@pytest.mark.parametrize(
+    "cov", [np.diag(SD**2), correlated_cov()], ids=["independent", "correlated"]
+)
 def test_draws_have_the_covariance_of_the_start(cov: Floats) -> None:
     start = start_with(cov)
     errors = errors_of(drawn_starts(start, DRAWS + 1, seed=1)[1:], start)
@@ -77,14 +86,21 @@ def test_draws_have_the_covariance_of_the_start(cov: Floats) -> None:
     assert chi2.ppf(0.025, 12 * DRAWS) < squares.sum() < chi2.ppf(0.975, 12 * DRAWS)
     whitened = np.linalg.solve(np.linalg.cholesky(cov), errors.T)
     scatter = whitened @ whitened.T / DRAWS - np.eye(12)
-    assert np.abs(scatter).max() < 4.5 * np.sqrt(2.0 / DRAWS), "78 elements, each of standard error sqrt(1 or 2 / n)"
+    assert np.abs(scatter).max() < 4.5 * np.sqrt(2.0 / DRAWS), (
+        "78 elements, each of standard error sqrt(1 or 2 / n)"
+    )
 
 
 @pytest.mark.parametrize("degrees", [0.5, 20.0, 90.0])
 def test_a_correction_takes_out_what_was_drawn(degrees: float) -> None:
     start = start_with(np.diag(SD**2))
     error = np.concatenate(
-        [[4.0, -3.0, 0.5], np.deg2rad(degrees) * np.array([0.48, 0.6, 0.64]), np.full(3, 0.05), np.full(3, -1e-4)]
+        [
+            [4.0, -3.0, 0.5],
+            np.deg2rad(degrees) * np.array([0.48, 0.6, 0.64]),
+            np.full(3, 0.05),
+            np.full(3, -1e-4),
+        ]
     )
     off = start_with_error(start, error)
     state = NavState(
@@ -94,7 +110,14 @@ def test_a_correction_takes_out_what_was_drawn(degrees: float) -> None:
         vector(off.accel_bias_b),
         vector(off.gyro_bias_b),
     )
-    corrected = correct(state, np.empty(0), start.cov.copy(), error, layout_of(()), local_earth_at(*off.position[::2]))
+    corrected = correct(
+        state,
+        np.empty(0),
+        start.cov.copy(),
+        error,
+        layout_of(()),
+        local_earth_at(*off.position[::2]),
+    )
     np.testing.assert_allclose(corrected.velocity_n, start.velocity_n, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(corrected.mat_nb, start.mat_nb, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(corrected.accel_bias_b, start.accel_bias_b, rtol=0.0, atol=1e-16)

@@ -9,7 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import DvlColumns, Floats
 from insdvl_replay.geometry.frames import DvlMounting, beam_vectors, solve_beams
-from insdvl_replay.nav.dvl import derivative_weights, dvl_beams, dvl_velocities, slope_windows, windowed_sum
+from insdvl_replay.nav.dvl import (
+    derivative_weights,
+    dvl_beams,
+    dvl_velocities,
+    slope_windows,
+    windowed_sum,
+)
 
 REPEATABLE = settings(derandomize=True, deadline=None)
 SEEDS = st.integers(0, 10_000)
@@ -30,7 +36,9 @@ def irregular_times_s(seed: int, n: int) -> Floats:
 # --- Beams.
 
 
-@pytest.mark.parametrize(("tilt_deg", "azimuth_deg"), [(30.0, 45.0), (22.5, 0.0), (20.0, 270.0), (60.0, 181.0)])
+@pytest.mark.parametrize(
+    ("tilt_deg", "azimuth_deg"), [(30.0, 45.0), (22.5, 0.0), (20.0, 270.0), (60.0, 181.0)]
+)
 def test_beam_is_the_z_axis_tilted_then_turned(tilt_deg: float, azimuth_deg: float) -> None:
     turned = Rotation.from_euler("ZY", [azimuth_deg, tilt_deg], degrees=True).apply([0.0, 0.0, 1.0])
     made = beam_vectors(tilt_deg, [azimuth_deg])
@@ -38,7 +46,12 @@ def test_beam_is_the_z_axis_tilted_then_turned(tilt_deg: float, azimuth_deg: flo
 
 
 @REPEATABLE
-@given(st.integers(3, 8), st.floats(5.0, 80.0), st.floats(0.0, 360.0), st.tuples(*[st.floats(-10.0, 10.0)] * 3))
+@given(
+    st.integers(3, 8),
+    st.floats(5.0, 80.0),
+    st.floats(0.0, 360.0),
+    st.tuples(*[st.floats(-10.0, 10.0)] * 3),
+)
 def test_velocity_to_beams_to_velocity(
     beams: int, tilt_deg: float, first_deg: float, velocity: tuple[float, float, float]
 ) -> None:
@@ -55,8 +68,12 @@ def test_beams_and_velocities_are_divided_by_the_scale() -> None:
     measured, mounting = pings(1.02 * np.tile(JANUS @ VELOCITY_D, (3, 1))), DvlMounting(scale=1.02)
     beams = dvl_beams(measured, mounting, -1, 3 * SECOND)
     assert beams is not None
-    np.testing.assert_allclose(beams.beam_velocity_mps, np.tile(JANUS @ VELOCITY_D, (3, 1)), rtol=1e-12)
-    np.testing.assert_allclose(dvl_velocities(measured, mounting).velocity_b, np.tile(VELOCITY_D, (3, 1)), rtol=1e-12)
+    np.testing.assert_allclose(
+        beams.beam_velocity_mps, np.tile(JANUS @ VELOCITY_D, (3, 1)), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        dvl_velocities(measured, mounting).velocity_b, np.tile(VELOCITY_D, (3, 1)), rtol=1e-12
+    )
 
 
 def test_one_lost_beam_leaves_the_velocity_and_takes_the_check() -> None:
@@ -109,7 +126,9 @@ def test_weights_are_those_of_weighted_least_squares(seed: int) -> None:
 def test_covariance_of_a_janus_has_a_closed_form() -> None:
     sine2, cosine2 = 0.25, 0.75
     _, shape, _ = solve_beams((JANUS @ VELOCITY_D)[None], JANUS)
-    np.testing.assert_allclose(shape, [np.diag([1 / (2 * sine2), 1 / (2 * sine2), 1 / (4 * cosine2)])], atol=1e-12)
+    np.testing.assert_allclose(
+        shape, [np.diag([1 / (2 * sine2), 1 / (2 * sine2), 1 / (4 * cosine2)])], atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("lost", [None, 2])
@@ -122,7 +141,9 @@ def test_covariance_is_the_scatter_of_many_pings(lost: int | None) -> None:
     # The scatter of a variance from 40000 draws is 0.7 %; five of these.
     atol = 0.035 * beam_sd_mps**2 * shape[0].max()
     np.testing.assert_allclose(np.cov(solved.T), beam_sd_mps**2 * shape[0], atol=atol)
-    np.testing.assert_allclose(solved.mean(axis=0), VELOCITY_D, atol=5.0 * 2.5 * beam_sd_mps / np.sqrt(draws))
+    np.testing.assert_allclose(
+        solved.mean(axis=0), VELOCITY_D, atol=5.0 * 2.5 * beam_sd_mps / np.sqrt(draws)
+    )
 
 
 # --- Pings to velocities in body axes.
@@ -132,7 +153,9 @@ def test_one_bad_beam_shows_in_the_residual_and_is_dropped() -> None:
     beams = np.tile(JANUS @ VELOCITY_D, (3, 1))
     beams[1, 2] += 0.2
     # Opposite beams of a Janus measure the same sum: half of one beam's error cannot be explained by any velocity.
-    np.testing.assert_allclose(dvl_velocities(pings(beams)).residual_mps, [0.0, 0.1, 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        dvl_velocities(pings(beams)).residual_mps, [0.0, 0.1, 0.0], atol=1e-12
+    )
     checked = dvl_velocities(pings(beams), max_residual_mps=0.09)
     assert checked.time_ns.tolist() == [0, 2 * SECOND]
     assert (checked.pings_with_bad_residual, checked.pings_without_velocity) == (1, 0)
@@ -172,7 +195,9 @@ def test_dvl_that_reports_velocities_is_taken_at_its_word() -> None:
     velocity_d = np.tile(VELOCITY_D, (3, 1))
     velocity_d[1, 2] = np.nan
     turn = Rotation.from_euler("Z", 90.0, degrees=True).as_matrix()
-    solved = dvl_velocities(DvlColumns(SECOND * np.arange(3), velocity_d=velocity_d), DvlMounting(mat_bd=turn))
+    solved = dvl_velocities(
+        DvlColumns(SECOND * np.arange(3), velocity_d=velocity_d), DvlMounting(mat_bd=turn)
+    )
     assert solved.time_ns.tolist() == [0, 2 * SECOND]
     np.testing.assert_allclose(solved.velocity_b, np.tile([0.3, 1.2, 0.1], (2, 1)), atol=1e-15)
     janus = np.diag([2.0, 2.0, 1.0 / 3.0])  # at 30 deg, which is turned about its own axis
@@ -195,7 +220,13 @@ def test_span_leaves_out_its_start_and_keeps_its_end() -> None:
     beams[4, :2] = np.nan
     inside = dvl_velocities(pings(beams)).within(SECOND, 3 * SECOND)
     assert inside.time_ns.tolist() == [2 * SECOND, 3 * SECOND]
-    assert len(inside.velocity_b) == len(inside.unit_cov_b) == len(inside.residual_mps) == len(inside.beams_used) == 2
+    assert (
+        len(inside.velocity_b)
+        == len(inside.unit_cov_b)
+        == len(inside.residual_mps)
+        == len(inside.beams_used)
+        == 2
+    )
     assert inside.pings_without_velocity == 1
 
 
@@ -216,7 +247,9 @@ def test_straight_line_has_the_closed_form_at_any_times(seed: int, n: int) -> No
     time_s = irregular_times_s(seed, n)
     from_middle_s = time_s - time_s.mean()
     windows = slope_windows(time_s, n)
-    np.testing.assert_allclose(windows.velocity_weights[-1], from_middle_s / np.sum(from_middle_s**2), atol=1e-12)
+    np.testing.assert_allclose(
+        windows.velocity_weights[-1], from_middle_s / np.sum(from_middle_s**2), atol=1e-12
+    )
 
 
 @REPEATABLE
@@ -229,13 +262,21 @@ def test_derivatives_are_numpys_polynomial_and_its_derivatives(
     at_s = time_s[-1] + ahead_s
     fits = [Polynomial.fit(time_s, column, order) for column in velocity.T]
     expected = [[fit.deriv(k)(at_s) if k else fit(at_s) for fit in fits] for k in range(order + 1)]
-    np.testing.assert_allclose(derivative_weights(time_s - at_s, order) @ velocity, expected, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(
+        derivative_weights(time_s - at_s, order) @ velocity, expected, rtol=1e-7, atol=1e-7
+    )
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_motion_of_its_order_is_carried_through_an_outage(order: int) -> None:
     def velocity(time_s: Floats) -> Floats:
-        return np.stack([sum((k + 1) * 0.1 * time_s**k for k in range(order + 1)) * axis for axis in (1, -2, 3)], -1)
+        return np.stack(
+            [
+                sum((k + 1) * 0.1 * time_s**k for k in range(order + 1)) * axis
+                for axis in (1, -2, 3)
+            ],
+            -1,
+        )
 
     time_s = np.array([0.0, 0.9, 2.1, 3.0, 4.2])
     derivatives = derivative_weights(time_s - 9.0, order) @ velocity(time_s)
@@ -261,7 +302,9 @@ def test_slope_of_velocities_is_a_sum_of_their_changes(seed: int, order: int, sp
     change = np.vstack([np.zeros(3), np.diff(velocity, axis=0)])
     from_velocities = windowed_sum(windows.velocity_weights, velocity)
     from_changes = windowed_sum(windows.interval_weights, change)
-    np.testing.assert_allclose(from_changes[windows.complete], from_velocities[windows.complete], atol=1e-9)
+    np.testing.assert_allclose(
+        from_changes[windows.complete], from_velocities[windows.complete], atol=1e-9
+    )
     np.testing.assert_allclose(windows.velocity_weights.sum(axis=1), 0.0, atol=1e-9)
 
 
@@ -274,7 +317,9 @@ def test_slope_is_at_the_middle_of_its_window() -> None:
 def test_gap_starts_a_new_window() -> None:
     time_s = np.array([0.0, 1.0, 2.0, 3.0, 5.5, 6.5, 7.5, 10.1, 11.1])
     windows = slope_windows(time_s, 3, max_gap_s=2.5)
-    assert np.flatnonzero(windows.complete).tolist() == [2, 3, 4, 5, 6], "2.5 s are no gap, 2.6 s are one"
+    assert np.flatnonzero(windows.complete).tolist() == [2, 3, 4, 5, 6], (
+        "2.5 s are no gap, 2.6 s are one"
+    )
     assert not windows.velocity_weights[~windows.complete].any()
     assert not windows.interval_weights[~windows.complete].any()
     np.testing.assert_allclose(windows.interval_s[4], [1.0, 2.5])

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
+from insdvl_replay.geometry.earth import (
+    EARTH_RATE,
+    meridian_radius_m,
+    normal_gravity,
+    transverse_radius_m,
+)
 from insdvl_replay.nav.earth_model import (
     REACH_M,
     REACH_RAD,
@@ -33,12 +38,16 @@ def test_at_the_edge_of_its_reach_a_place_is_off_by_no_more_than_it_says(
     radii = 1.0 / np.array(curvatures(kept, height_m))
     exact = np.array([meridian_radius_m(there), transverse_radius_m(there)]) + height_m
     np.testing.assert_allclose(radii, exact, rtol=1.1e-9)
-    assert kept.cos_latitude == pytest.approx(np.cos(there), rel=1e-7 * abs(np.tan(latitude)) + 1e-14)
+    assert kept.cos_latitude == pytest.approx(
+        np.cos(there), rel=1e-7 * abs(np.tan(latitude)) + 1e-14
+    )
 
 
 @pytest.mark.parametrize("latitude", LATITUDES)
 def test_turn_of_the_frame_is_that_of_the_place(latitude: float) -> None:
-    north, east, down = transport_rate_n(transport_curvature(local_earth_at(latitude, -20.0), -20.0), (1.2, -0.7, 0.3))
+    north, east, down = transport_rate_n(
+        transport_curvature(local_earth_at(latitude, -20.0), -20.0), (1.2, -0.7, 0.3)
+    )
     east_radius_m = transverse_radius_m(latitude) - 20.0
     assert north == pytest.approx(-0.7 / east_radius_m, rel=1e-14)
     assert east == pytest.approx(-1.2 / (meridian_radius_m(latitude) - 20.0), rel=1e-14)
@@ -48,4 +57,6 @@ def test_turn_of_the_frame_is_that_of_the_place(latitude: float) -> None:
 @pytest.mark.parametrize(("to_north", "up_m"), [(1.001 * REACH_RAD, 0.0), (0.0, -1.001 * REACH_M)])
 def test_reach_ends_where_it_says(to_north: float, up_m: float) -> None:
     there, height_m = 0.57 + to_north, -20.0 + up_m
-    assert local_earth_near((there, 0.0, height_m), local_earth_at(0.57, -20.0)) == local_earth_at(there, height_m)
+    assert local_earth_near((there, 0.0, height_m), local_earth_at(0.57, -20.0)) == local_earth_at(
+        there, height_m
+    )

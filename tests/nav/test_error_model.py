@@ -6,10 +6,21 @@ from jacobian import assert_jacobian
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
+from insdvl_replay.geometry.earth import (
+    EARTH_RATE,
+    meridian_radius_m,
+    normal_gravity,
+    transverse_radius_m,
+)
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.algebra import matrix, vector
-from insdvl_replay.nav.error_model import error_rate, noise_density, over, propagate_cov, propagate_errors
+from insdvl_replay.nav.error_model import (
+    error_rate,
+    noise_density,
+    over,
+    propagate_cov,
+    propagate_errors,
+)
 from insdvl_replay.nav.strapdown import Motion
 
 LATITUDE, HEIGHT_M = 0.57, -20.0
@@ -21,14 +32,18 @@ W_IE = EARTH_RATE * np.array([np.cos(LATITUDE), 0.0, -np.sin(LATITUDE)])
 
 def transport_rate(velocity_n: Floats) -> Floats:
     r_n, r_e = meridian_radius_m(LATITUDE) + HEIGHT_M, transverse_radius_m(LATITUDE) + HEIGHT_M
-    return np.array([velocity_n[1] / r_e, -velocity_n[0] / r_n, -velocity_n[1] * np.tan(LATITUDE) / r_e])
+    return np.array(
+        [velocity_n[1] / r_e, -velocity_n[0] / r_n, -velocity_n[1] * np.tan(LATITUDE) / r_e]
+    )
 
 
 def motion() -> Motion:
     rate_in_n = W_IE + transport_rate(VELOCITY_N)
     r_n, r_e = meridian_radius_m(LATITUDE) + HEIGHT_M, transverse_radius_m(LATITUDE) + HEIGHT_M
     curvature = (1.0 / r_e, 1.0 / r_n, np.tan(LATITUDE) / r_e)
-    return Motion(vector(W_IE), vector(rate_in_n), vector(MAT_NB @ FORCE_B), matrix(MAT_NB), curvature)
+    return Motion(
+        vector(W_IE), vector(rate_in_n), vector(MAT_NB @ FORCE_B), matrix(MAT_NB), curvature
+    )
 
 
 def system_matrix() -> Floats:
@@ -68,7 +83,9 @@ def test_errors_swing_with_schulers_period() -> None:
     """At rest and level, without the Earth's rotation: ``dv'' = -(g/R) dv``, 84.4 min."""
     gravity, radius_m = normal_gravity(LATITUDE, HEIGHT_M), meridian_radius_m(LATITUDE) + HEIGHT_M
     still = (0.0, 0.0, 0.0)
-    level = Motion(still, still, (0.0, 0.0, -gravity), matrix(np.eye(3)), (0.0, 1.0 / radius_m, 0.0))
+    level = Motion(
+        still, still, (0.0, 0.0, -gravity), matrix(np.eye(3)), (0.0, 1.0 / radius_m, 0.0)
+    )
     rates = [error_rate(level, *map(vector, dx.reshape(4, 3))) for dx in np.eye(12)[[0, 4]]]
     F = np.array([[rate[0][0], rate[1][1]] for rate in rates]).T
     period_s = 2.0 * np.pi / np.abs(np.linalg.eigvals(F).imag).max()
@@ -103,4 +120,6 @@ def test_covariance_is_propagated_as_the_matrices_say() -> None:
 
 
 def test_noise_density_is_the_square_of_each_sensors_noise() -> None:
-    np.testing.assert_allclose(noise_density(2.0, 3.0, 4.0, 5.0), np.repeat([4.0, 9.0, 16.0, 25.0], 3))
+    np.testing.assert_allclose(
+        noise_density(2.0, 3.0, 4.0, 5.0), np.repeat([4.0, 9.0, 16.0, 25.0], 3)
+    )

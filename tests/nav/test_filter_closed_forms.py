@@ -24,7 +24,9 @@ T, G = 424.0, 9.795  # s, m/s^2
 LATITUDE, HEADING = 32.8 * DEG, 30.0 * DEG
 N_A, N_G = 0.20, 3.7e-5  # m/s/sqrt(s), rad/sqrt(s)
 PHI_0, BG_0 = 0.5 * DEG, 10.0 * DEG_PER_HOUR  # sd at the start
-N_EFF = (1.0 / N_A**2 + 1.0 / (0.103**2 * 1.0)) ** -0.5  # acceleration of 0.103 m/s^2 once a second beside N_A
+N_EFF = (
+    1.0 / N_A**2 + 1.0 / (0.103**2 * 1.0)
+) ** -0.5  # acceleration of 0.103 m/s^2 once a second beside N_A
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +61,17 @@ def test_vertical_accelerometer_bias_is_a_mean(straight: Replay) -> None:
 
 
 @pytest.mark.parametrize(
-    ("state", "share_of_east"), [("bg_x", np.sin(HEADING)), ("bg_y", np.cos(HEADING))], ids=["bg_x", "bg_y"]
+    ("state", "share_of_east"),
+    [("bg_x", np.sin(HEADING)), ("bg_y", np.cos(HEADING))],
+    ids=["bg_x", "bg_y"],
 )
-def test_horizontal_gyro_bias_is_a_slope(straight: Replay, state: str, share_of_east: float) -> None:
+def test_horizontal_gyro_bias_is_a_slope(
+    straight: Replay, state: str, share_of_east: float
+) -> None:
     row = table_of(straight, "improvement").loc[state]
-    closed_forms = [horizontal_gyro_bias_sd(noise, share_of_east) / DEG_PER_HOUR for noise in (N_A, N_EFF)]
+    closed_forms = [
+        horizontal_gyro_bias_sd(noise, share_of_east) / DEG_PER_HOUR for noise in (N_A, N_EFF)
+    ]
     assert [row.baseline_sd, row.sd] == pytest.approx(closed_forms, rel=0.02)
 
 
@@ -81,8 +89,12 @@ def test_noise_does_not_show_the_heading(run: int) -> None:
     assert sd == pytest.approx([np.hypot(PHI_0, BG_0 * T)] * 2, rel=0.02)
 
 
-@pytest.mark.parametrize(("state", "power"), [("ba_z", 2.0), ("bg_x", 2.0 / 3.0), ("bg_y", 2.0 / 3.0)])
-def test_time_to_reach_the_baseline_scales_with_the_noise(straight: Replay, state: str, power: float) -> None:
+@pytest.mark.parametrize(
+    ("state", "power"), [("ba_z", 2.0), ("bg_x", 2.0 / 3.0), ("bg_y", 2.0 / 3.0)]
+)
+def test_time_to_reach_the_baseline_scales_with_the_noise(
+    straight: Replay, state: str, power: float
+) -> None:
     reached_s = table_of(straight, "convergence").loc[state, "reached_s"]
     assert reached_s == pytest.approx(T * (N_EFF / N_A) ** power, rel=0.02)
 
@@ -93,7 +105,9 @@ def test_time_to_reach_the_baseline_scales_with_the_noise(straight: Replay, stat
 def test_mean_improvement_is_the_papers(straight: Replay, published: pd.DataFrame) -> None:
     papers_pct = published.improvement_pct.fillna(0.0).mean()
     assert papers_pct == pytest.approx(18.76, abs=0.01)
-    assert mean_over_nine(straight.tables.improvement, "aided") == pytest.approx(papers_pct, abs=1.0)
+    assert mean_over_nine(straight.tables.improvement, "aided") == pytest.approx(
+        papers_pct, abs=1.0
+    )
 
 
 @pytest.mark.parametrize("state", ["ba_z", "bg_x", "phi_d"])

@@ -20,7 +20,8 @@ from insdvl_replay.sim.dive import exact_dive, simulate_dive
 LEVER_ARM_M: Vector = (-1.8, 0.3, 0.5)
 MOUNTING_RPY_DEG: Vector = (3.0, -2.0, 45.0)
 CONFIG = Config(
-    dvl=Dvl(lever_arm_m=LEVER_ARM_M, mounting_rpy_deg=MOUNTING_RPY_DEG), initial=Initial(uncertainty="settings")
+    dvl=Dvl(lever_arm_m=LEVER_ARM_M, mounting_rpy_deg=MOUNTING_RPY_DEG),
+    initial=Initial(uncertainty="settings"),
 )
 simulate = partial(simulate_dive, lever_arm_m=LEVER_ARM_M, mounting_rpy_deg=MOUNTING_RPY_DEG)
 
@@ -72,13 +73,17 @@ def test_like_filters_predict_alike(dive: Dive) -> None:
 
 def turned_about_down(reference: ReferenceColumns, angle: float) -> ReferenceColumns:
     turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
-    return replace(reference, velocity_n=reference.velocity_n @ turn.T, mat_nb=turn @ reference.mat_nb)
+    return replace(
+        reference, velocity_n=reference.velocity_n @ turn.T, mat_nb=turn @ reference.mat_nb
+    )
 
 
 def test_the_compass_does_not_matter() -> None:
     exact = exact_dive("straight", lever_arm_m=LEVER_ARM_M, mounting_rpy_deg=MOUNTING_RPY_DEG)
     turned = replace(exact, reference=turned_about_down(reference_of(exact), 90.0 * DEG))
-    for before, after in zip(replay_dive(exact, CONFIG).histories, replay_dive(turned, CONFIG).histories, strict=True):
+    for before, after in zip(
+        replay_dive(exact, CONFIG).histories, replay_dive(turned, CONFIG).histories, strict=True
+    ):
         sd, sd_turned = before.sd[-1], after.sd[-1]
         np.testing.assert_allclose(sd_turned[DV], sd[DV][[1, 0, 2]], rtol=1e-3)
         np.testing.assert_allclose(sd_turned[PHI], sd[PHI][[1, 0, 2]], rtol=1e-3)
@@ -90,19 +95,26 @@ def test_the_compass_does_not_matter() -> None:
 def renamed(dive: Dive, mat: Floats) -> tuple[Dive, Config]:
     """Give the body other axes: ``vector_new = mat @ vector_b``. The vehicle, the IMU and the DVL stay as they are."""
     reference = reference_of(dive)
-    imu = ImuColumns(dive.imu.time_ns, dive.imu.specific_force_b @ mat.T, dive.imu.angular_rate_b @ mat.T)
+    imu = ImuColumns(
+        dive.imu.time_ns, dive.imu.specific_force_b @ mat.T, dive.imu.angular_rate_b @ mat.T
+    )
     mounting = mat @ Rotation.from_euler("xyz", MOUNTING_RPY_DEG, degrees=True).as_matrix()
     x, y, z = mat @ LEVER_ARM_M
     roll, pitch, heading = rpy_from_mat(mounting) / DEG
     dvl = Dvl(lever_arm_m=(x, y, z), mounting_rpy_deg=(roll, pitch, heading))
     config = Config(dvl=dvl, initial=CONFIG.initial)
-    return replace(dive, imu=imu, reference=replace(reference, mat_nb=reference.mat_nb @ mat.T)), config
+    return replace(
+        dive, imu=imu, reference=replace(reference, mat_nb=reference.mat_nb @ mat.T)
+    ), config
 
 
 @pytest.mark.parametrize(
     "mat",
     [
-        pytest.param(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]), id="x to z, y to x, z to y"),
+        pytest.param(
+            np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+            id="x to z, y to x, z to y",
+        ),
         pytest.param(np.diag([1.0, -1.0, -1.0]), id="forward-port-up"),
     ],
 )
@@ -111,10 +123,16 @@ def test_the_names_of_axes_do_not_matter(dive: Dive, replayed: Replay, mat: Floa
     for history, expected in zip(result.histories, replayed.histories, strict=True):
         np.testing.assert_allclose(history.velocity_n, expected.velocity_n, rtol=0.0, atol=1e-9)
         np.testing.assert_allclose(history.mat_nb, expected.mat_nb @ mat.T, rtol=0.0, atol=1e-9)
-        np.testing.assert_allclose(history.accel_bias_b, expected.accel_bias_b @ mat.T, rtol=0.0, atol=1e-9)
-        np.testing.assert_allclose(history.gyro_bias_b, expected.gyro_bias_b @ mat.T, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(
+            history.accel_bias_b, expected.accel_bias_b @ mat.T, rtol=0.0, atol=1e-9
+        )
+        np.testing.assert_allclose(
+            history.gyro_bias_b, expected.gyro_bias_b @ mat.T, rtol=0.0, atol=1e-12
+        )
         for block in (BA, BG):
-            np.testing.assert_allclose(history.sd[:, block], expected.sd[:, block] @ np.abs(mat.T), rtol=1e-6)
+            np.testing.assert_allclose(
+                history.sd[:, block], expected.sd[:, block] @ np.abs(mat.T), rtol=1e-6
+            )
 
 
 def test_twice_as_many_readings_say_the_same() -> None:
@@ -141,7 +159,14 @@ def test_twice_as_many_readings_say_the_same() -> None:
 def test_every_usual_rate_is_replayed_and_more_pings_say_more(imu_rate_hz: float) -> None:
     replays = [
         replay_dive(
-            simulate("figure-eight", seed=7, duration_s=120.0, imu_rate_hz=imu_rate_hz, dvl_rate_hz=dvl_rate_hz), CONFIG
+            simulate(
+                "figure-eight",
+                seed=7,
+                duration_s=120.0,
+                imu_rate_hz=imu_rate_hz,
+                dvl_rate_hz=dvl_rate_hz,
+            ),
+            CONFIG,
         )
         for dvl_rate_hz in (1.0, 2.0, 5.0, 10.0)
     ]

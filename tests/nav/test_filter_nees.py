@@ -21,7 +21,9 @@ from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 from insdvl_replay.studies.montecarlo import make_setup, run_seed, simulated_run
 
 RUNS, SEED = 50, 1
-TIMES_S = np.array([10.0, 60.0, 105.0, 150.0])  # settled, at the end of the long leg, in a turn, after two turns
+TIMES_S = np.array(
+    [10.0, 60.0, 105.0, 150.0]
+)  # settled, at the end of the long leg, in a turn, after two turns
 
 BEAM_SD_MPS = 0.0042
 DENSITIES = {
@@ -30,12 +32,18 @@ DENSITIES = {
     "accel_bias_walk_mps2_rts": 2e-5,
     "gyro_bias_walk_radps_rts": 8e-8,
 }
-IMU_ERRORS = ImuErrors(accel_bias_sd_mps2=3.0 * MG, gyro_bias_sd_radps=10.0 * DEG_PER_HOUR, **DENSITIES)
-DVL_ERRORS = DvlErrors(beam_sd_mps=BEAM_SD_MPS, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0)
+IMU_ERRORS = ImuErrors(
+    accel_bias_sd_mps2=3.0 * MG, gyro_bias_sd_radps=10.0 * DEG_PER_HOUR, **DENSITIES
+)
+DVL_ERRORS = DvlErrors(
+    beam_sd_mps=BEAM_SD_MPS, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0
+)
 AIDED = partial(Filter, aiding=("velocity", "acceleration"))
 CONFIG = Config(
     noise=Noise(**DENSITIES),
-    initial=Initial(uncertainty="settings", velocity_sd_mps=0.1, accel_bias_sd_mg=3.0, gyro_bias_sd_degph=10.0),
+    initial=Initial(
+        uncertainty="settings", velocity_sd_mps=0.1, accel_bias_sd_mg=3.0, gyro_bias_sd_degph=10.0
+    ),
     dvl=Dvl(beam_sd_mps=BEAM_SD_MPS),
     filters={
         "baseline": Filter(aiding=("velocity",)),
@@ -67,7 +75,9 @@ def histories_of(exact: Dive, seed: int) -> dict[str, tuple[Floats, float]]:
     """Draw a world and a start, and give each filter's NEES and mean NIS."""
     assert exact.reference is not None
     spoiled = add_errors(exact, IMU_ERRORS, DVL_ERRORS, seed)
-    start = wrong_start(exact.reference, initial_sd(CONFIG.initial), np.random.default_rng([seed, 12]))
+    start = wrong_start(
+        exact.reference, initial_sd(CONFIG.initial), np.random.default_rng([seed, 12])
+    )
     replay = replay_dive(replace(spoiled, reference=start), CONFIG, keep_cov=True)
     spoiled = replace(spoiled, reference=exact.reference)
     return {
@@ -76,7 +86,9 @@ def histories_of(exact: Dive, seed: int) -> dict[str, tuple[Floats, float]]:
     }
 
 
-def wrong_start(reference: ReferenceColumns, sd: Floats, rng: np.random.Generator) -> ReferenceColumns:
+def wrong_start(
+    reference: ReferenceColumns, sd: Floats, rng: np.random.Generator
+) -> ReferenceColumns:
     """Move the first row, where the filters start, as far off the motion as their sd says."""
     velocity_n, mat_nb = reference.velocity_n.copy(), reference.mat_nb.copy()
     velocity_n[0] += sd[DV] * rng.standard_normal(3)
@@ -90,7 +102,10 @@ def nees(history: History, truth: Dive) -> Floats:
     assert truth.reference is not None
     assert truth.truth is not None
     at_ns = START_NS + (TIMES_S * 1e9).astype(np.int64)
-    ours, theirs = np.searchsorted(history.time_ns, at_ns), np.searchsorted(truth.reference.time_ns, at_ns)
+    ours, theirs = (
+        np.searchsorted(history.time_ns, at_ns),
+        np.searchsorted(truth.reference.time_ns, at_ns),
+    )
     turned = history.mat_nb[ours] @ np.swapaxes(truth.reference.mat_nb[theirs], 1, 2)
     error = np.hstack(
         [
@@ -127,12 +142,16 @@ def test_baselines_innovations_are_as_large_as_it_says(consistency: Consistency)
 @pytest.mark.nightly
 def test_published_acceleration_makes_the_filter_predict_too_much(consistency: Consistency) -> None:
     _, high = mean_interval(12, RUNS)
-    assert (consistency.nees["published"] > 3.0 * high).all(), "white noise of one sample taken for the window's"
+    assert (consistency.nees["published"] > 3.0 * high).all(), (
+        "white noise of one sample taken for the window's"
+    )
     assert consistency.nees["published"][2:].min() > 100.0 * high, "in a turn it leaves out w x v"
 
 
 @pytest.mark.nightly
-def test_windowed_acceleration_predicts_too_much_for_using_velocities_twice(consistency: Consistency) -> None:
+def test_windowed_acceleration_predicts_too_much_for_using_velocities_twice(
+    consistency: Consistency,
+) -> None:
     _, high = mean_interval(12, RUNS)
     assert (consistency.nees["windowed"] > high).all()
     assert (consistency.nees["windowed"] < 3.0 * high).all()

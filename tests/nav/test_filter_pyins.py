@@ -9,7 +9,9 @@ from insdvl_replay.core.states import PHI
 from insdvl_replay.replay import replay_dive
 
 
-@pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")  # python-ins calls pandas the old way
+@pytest.mark.filterwarnings(
+    "ignore:The copy keyword is deprecated"
+)  # python-ins calls pandas the old way
 @pytest.mark.parametrize(
     "case",
     [
@@ -23,9 +25,14 @@ from insdvl_replay.replay import replay_dive
 def test_baseline_predicts_what_python_ins_predicts(case: Case) -> None:
     dive = case.dive()
     (history,) = replay_dive(dive, case.config()).histories
-    ours, theirs = our_belief(history, int(dive.dvl.time_ns[-1])), their_belief(dive, case.velocities(dive))
+    ours, theirs = (
+        our_belief(history, int(dive.dvl.time_ns[-1])),
+        their_belief(dive, case.velocities(dive)),
+    )
     turned = Rotation.from_matrix(ours.mat_nb @ theirs.mat_nb.T).as_rotvec()
     np.testing.assert_allclose(ours.bias_sd, theirs.bias_sd, rtol=0.005)
-    np.testing.assert_allclose(ours.biases / ours.bias_sd, theirs.biases / ours.bias_sd, rtol=0.0, atol=0.06)
+    np.testing.assert_allclose(
+        ours.biases / ours.bias_sd, theirs.biases / ours.bias_sd, rtol=0.0, atol=0.06
+    )
     np.testing.assert_allclose(ours.velocity_n, theirs.velocity_n, rtol=0.0, atol=1e-3)
     np.testing.assert_allclose(turned / history.sd[-1, PHI], 0.0, atol=0.1)

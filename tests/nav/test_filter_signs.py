@@ -29,7 +29,9 @@ MAT_BN = MAT_NB.T
 VELOCITY_N = MAT_NB @ np.array([2.0, 0.0, 0.0])
 GRAVITY_N = np.array([0.0, 0.0, float(normal_gravity(LATITUDE, -20.0))])
 FORCE_N = -GRAVITY_N
-RATE_N = EARTH_RATE * np.array([np.cos(LATITUDE), 0.0, -np.sin(LATITUDE)])  # what the gyros read on a straight line
+RATE_N = EARTH_RATE * np.array(
+    [np.cos(LATITUDE), 0.0, -np.sin(LATITUDE)]
+)  # what the gyros read on a straight line
 NOISE_DENSITY = np.repeat(np.square([0.20, 3.7e-5, 1e-6, 1e-10]), 3)
 VELOCITY_SD, ACCELERATION_SD = 0.02, 0.103
 O, I = np.zeros((3, 3)), np.eye(3)  # noqa: E741
@@ -84,7 +86,9 @@ def aided_run(told: Model) -> tuple[Floats, Floats]:
 
 @pytest.fixture(scope="module")
 def program_sd() -> Floats:
-    _, aided = replay_dive(exact_dive("straight", duration_s=float(DURATION_S)), load_config("levy-klein")).histories
+    _, aided = replay_dive(
+        exact_dive("straight", duration_s=float(DURATION_S)), load_config("levy-klein")
+    ).histories
     sd: Floats = aided.sd[-1]
     return sd
 
@@ -92,7 +96,9 @@ def program_sd() -> Floats:
 def test_printed_signs_converge_to_what_is_not_so() -> None:
     sd, error = aided_run(PRINTED)
     np.testing.assert_allclose(sd[BA][:2] / MG, PRINTED_MG, atol=0.01)
-    assert abs(error[BA][0]) > 10.0 * sd[BA][0], "the misalignment is taken for a bias, far outside what is believed"
+    assert abs(error[BA][0]) > 10.0 * sd[BA][0], (
+        "the misalignment is taken for a bias, far outside what is believed"
+    )
 
 
 def test_consistent_signs_leave_open_what_cannot_be_reported(program_sd: Floats) -> None:

@@ -25,7 +25,11 @@ def histories() -> tuple[History, ...]:
 
 def save(path: Path) -> None:
     assert isfunction(nav_filter._run), "the filter was compiled all the same"
-    columns = {f"{history.filter}.{name}": getattr(history, name) for history in histories() for name in COLUMNS}
+    columns = {
+        f"{history.filter}.{name}": getattr(history, name)
+        for history in histories()
+        for name in COLUMNS
+    }
     np.savez(path, **columns)
 
 
@@ -39,7 +43,9 @@ def test_plain_python_gives_what_the_compiled_filter_gives(tmp_path: Path) -> No
             for name in COLUMNS:
                 expected = getattr(history, name)
                 found = uncompiled[f"{history.filter}.{name}"]
-                np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max(), err_msg=name)
+                np.testing.assert_allclose(
+                    found, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max(), err_msg=name
+                )
 
 
 if __name__ == "__main__":

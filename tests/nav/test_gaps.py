@@ -52,7 +52,11 @@ def silent(dive: Dive, from_s: float, to_s: float, *, pings_too: bool = False) -
         return replace(dive, imu=kept)
     pings = heard(dive.dvl.time_ns)
     assert dive.dvl.beam_velocity_mps is not None
-    dvl = replace(dive.dvl, time_ns=dive.dvl.time_ns[pings], beam_velocity_mps=dive.dvl.beam_velocity_mps[pings])
+    dvl = replace(
+        dive.dvl,
+        time_ns=dive.dvl.time_ns[pings],
+        beam_velocity_mps=dive.dvl.beam_velocity_mps[pings],
+    )
     return replace(dive, imu=kept, dvl=dvl)
 
 
@@ -111,14 +115,28 @@ def test_density_gives_the_configured_deviation_over_the_whole_gap() -> None:
 def test_intervals_that_touch_a_gap_only_at_its_end_do_not_overlap_it() -> None:
     gaps = Gaps(times(10.0, 20.0), times(12.0, 25.0), np.zeros((2, 12)))
     from_ns, to_ns = times(9, 9, 12, 11, 12, 25, 12, 0), times(10, 10.1, 20, 11.5, 20.1, 30, 25, 30)
-    assert gaps.overlap(from_ns, to_ns).tolist() == [False, True, False, True, True, False, True, True]
+    assert gaps.overlap(from_ns, to_ns).tolist() == [
+        False,
+        True,
+        False,
+        True,
+        True,
+        False,
+        True,
+        True,
+    ]
     at_ns = times(10, 10.5, 12, 15, 24.999, 25)
     assert gaps.overlap(at_ns, at_ns).tolist() == [False, True, False, False, True, False]
 
 
 def test_longest_stretch_is_between_gaps_and_ends_of_the_span() -> None:
     gaps = Gaps(times(10.0, 20.0), times(12.0, 25.0), np.zeros((2, 12)))
-    for span, kept in [((0, 30), (0, 10)), ((4, 30), (12, 20)), ((0, 60), (25, 60)), ((11, 13), (12, 13))]:
+    for span, kept in [
+        ((0, 30), (0, 10)),
+        ((4, 30), (12, 20)),
+        ((0, 60), (25, 60)),
+        ((11, 13), (12, 13)),
+    ]:
         assert gaps.longest_stretch(*times(*span).tolist()) == tuple(times(*kept).tolist())
 
 
@@ -166,7 +184,10 @@ def test_error_through_an_unseen_turn_stays_inside_three_sigma(turning: Dive) ->
     """The same dive with the growth switched off is many sigma wrong, so that the growth is what makes it honest."""
     gapped = silent(turning, 100.05, 112.05)
     sigmas = {}
-    for name, config in (("grown", CONFIG), ("blind", with_imu(gap_accel_mps2=0.0, gap_rate_degps=0.0))):
+    for name, config in (
+        ("grown", CONFIG),
+        ("blind", with_imu(gap_accel_mps2=0.0, gap_rate_degps=0.0)),
+    ):
         replay = replay_dive(gapped, config)
         sigmas[name] = abs(heading_error(replay, 112.0)) / sd_at(replay, 112.0)[PHI.start + 2]
     assert sigmas["grown"] < 3.0
@@ -178,7 +199,9 @@ def test_error_through_an_unseen_turn_stays_inside_three_sigma(turning: Dive) ->
 def test_hour_without_an_imu_is_never_confident(pings_too: bool) -> None:
     """Of a vehicle that all but drifts, as the settings say."""
     dive = exact_dive("straight", duration_s=3760.0, imu_rate_hz=20.0)
-    replay = replay_dive(silent(dive, 60.03, 3659.98, pings_too=pings_too), with_imu(gap_rate_degps=0.02))
+    replay = replay_dive(
+        silent(dive, 60.03, 3659.98, pings_too=pings_too), with_imu(gap_rate_degps=0.02)
+    )
     for row in range(2):
         sd = sd_at(replay, 3661.0, row)
         assert np.isfinite(replay.histories[row].sd).all()
@@ -198,7 +221,9 @@ def test_gap_that_nothing_can_bridge_is_refused_and_can_be_split(turning: Dive) 
     assert "imu.long_gaps=split" in e.value.hint
 
 
-def test_gap_in_which_the_attitude_is_lost_splits_the_dive_whatever_is_configured(turning: Dive) -> None:
+def test_gap_in_which_the_attitude_is_lost_splits_the_dive_whatever_is_configured(
+    turning: Dive,
+) -> None:
     """Where it may be off by more than a quarter turn errors no longer add up: 5 deg/s for 20 s, unlike for 12 s."""
     lost = silent(silent(turning, 30.0, 42.0, pings_too=True), 100.0, 120.0, pings_too=True)
     replay = replay_dive(lost, CONFIG)
@@ -232,7 +257,11 @@ def test_split_replays_the_longest_part_and_says_what_it_left_out(turning: Dive)
 
 def test_no_window_of_accelerations_spans_a_gap(turning: Dive) -> None:
     def accelerated(dive: Dive) -> set[int]:
-        (found,) = (i for i in replay_dive(dive, CONFIG).histories[1].innovations if i.measurement == "acceleration")
+        (found,) = (
+            i
+            for i in replay_dive(dive, CONFIG).histories[1].innovations
+            if i.measurement == "acceleration"
+        )
         return set(found.time_ns.tolist())
 
     pings_s = seconds(turning.dvl.time_ns, START_NS)
@@ -245,19 +274,31 @@ def test_no_window_of_accelerations_spans_a_gap(turning: Dive) -> None:
 
 def test_lever_arm_swings_unseen_at_pings_inside_a_gap(turning: Dive) -> None:
     config = Config(
-        imu=Imu(gap_rate_degps=10.0), dvl=Dvl(lever_arm_m=(2.0, 0.0, 0.0)), noise=CONFIG.noise, filters=CONFIG.filters
+        imu=Imu(gap_rate_degps=10.0),
+        dvl=Dvl(lever_arm_m=(2.0, 0.0, 0.0)),
+        noise=CONFIG.noise,
+        filters=CONFIG.filters,
     )
     pings_s = seconds(turning.dvl.time_ns, START_NS)
     row = int(np.searchsorted(pings_s, 50.0))
-    velocity = replay_dive(silent(turning, pings_s[row] - 0.2, pings_s[row] + 0.8), config).histories[0].innovations[0]
-    before, inside = (velocity.sd[velocity.time_ns == turning.dvl.time_ns[at]][0] for at in (row - 1, row))
+    velocity = (
+        replay_dive(silent(turning, pings_s[row] - 0.2, pings_s[row] + 0.8), config)
+        .histories[0]
+        .innovations[0]
+    )
+    before, inside = (
+        velocity.sd[velocity.time_ns == turning.dvl.time_ns[at]][0] for at in (row - 1, row)
+    )
     swing = 10.0 * DEG * 2.0
     assert (inside[1:] > swing).all()
     assert (before < 0.5 * swing).all()
 
 
 def test_dive_without_gaps_is_unchanged_by_their_settings(turning: Dive) -> None:
-    one, other = replay_dive(turning, CONFIG), replay_dive(turning, with_imu(gap_accel_mps2=9.0, gap_rate_degps=90.0))
+    one, other = (
+        replay_dive(turning, CONFIG),
+        replay_dive(turning, with_imu(gap_accel_mps2=9.0, gap_rate_degps=90.0)),
+    )
     for mine, theirs in zip(one.histories, other.histories, strict=True):
         np.testing.assert_array_equal(mine.sd, theirs.sd)
         np.testing.assert_array_equal(mine.velocity_n, theirs.velocity_n)

@@ -22,7 +22,12 @@ def random_case(seed: int, size: int = 3, n: int = 12) -> tuple[Floats, Floats, 
     scales = 10.0 ** rng.uniform(-6, 2, n)
     root = rng.normal(size=(n, n)) * scales[:, None]
     noise = rng.normal(size=(size, size))
-    return root @ root.T, rng.normal(size=(size, n)), noise @ noise.T + 1e-3 * np.eye(size), rng.normal(size=size)
+    return (
+        root @ root.T,
+        rng.normal(size=(size, n)),
+        noise @ noise.T + 1e-3 * np.eye(size),
+        rng.normal(size=size),
+    )
 
 
 def updated(P: Floats, H: Floats, R: Floats, z: Floats) -> tuple[Floats, Floats, float, Floats]:
@@ -41,7 +46,9 @@ def test_update_is_the_textbooks(size: int, n: int) -> None:
     after, K, nis, S = updated(P, H, R, z)
     np.testing.assert_allclose(S, H @ P @ H.T + R, rtol=1e-12)
     np.testing.assert_allclose(K, P @ H.T @ np.linalg.inv(H @ P @ H.T + R), rtol=1e-8)
-    np.testing.assert_allclose(after, (np.eye(n) - K @ H) @ P, rtol=1e-6, atol=1e-9 * np.abs(P).max())
+    np.testing.assert_allclose(
+        after, (np.eye(n) - K @ H) @ P, rtol=1e-6, atol=1e-9 * np.abs(P).max()
+    )
     np.testing.assert_allclose(nis, z @ np.linalg.solve(S, z), rtol=1e-10)
 
 
@@ -61,7 +68,9 @@ def test_a_covariance_that_is_none_is_not_used() -> None:
     assert np.isnan(normalised_square(L, np.ones(3), np.empty(3)))
 
 
-@pytest.mark.parametrize(("size", "ins_share", "used"), [(3, 0.0, 1.0), (1, 0.0, 2.5), (3, 0.5, 2.5)])
+@pytest.mark.parametrize(
+    ("size", "ins_share", "used"), [(3, 0.0, 1.0), (1, 0.0, 2.5), (3, 0.5, 2.5)]
+)
 def test_chance_of_the_noise_factor_is_that_of_an_exponential_mean_of_squares(
     size: int, ins_share: float, used: float
 ) -> None:

@@ -31,7 +31,9 @@ from insdvl_replay.studies.montecarlo import matched_errors
 MOTIONS = {
     "lying": Scenario("at rest", 20.0, Wave(0.0)),
     "going": Scenario("straight on", 20.0, Wave(2.0)),
-    "turning": Scenario("in circles from the first second on", 20.0, Wave(2.0), (turn(720.0, 15.0),)),
+    "turning": Scenario(
+        "in circles from the first second on", 20.0, Wave(2.0), (turn(720.0, 15.0),)
+    ),
     "reeling": Scenario(
         "in circles, faster and slower, pitching and rolling",
         20.0,
@@ -58,7 +60,9 @@ def exact(motion: str, **options: float) -> Dive:
 
 
 def levelled(dive: Dive, config: Config) -> Alignment:
-    config = msgspec.structs.replace(config, dvl=msgspec.structs.replace(config.dvl, lever_arm_m=ARM))
+    config = msgspec.structs.replace(
+        config, dvl=msgspec.structs.replace(config.dvl, lever_arm_m=ARM)
+    )
     end_ns = int(dive.imu.time_ns[-1])
     return align(replace(dive, reference=None), config, dvl_velocities(dive.dvl), START_NS, end_ns)
 
@@ -123,7 +127,9 @@ def test_covariance_says_how_a_bias_tilts_the_level(motion: str, axis: int) -> N
     tilted = levelled(biased(dive, bias[:3], bias[3:]), config)
     found = vector_from_mat(tilted.start.mat_nb @ without.start.mat_nb.T)[:2]
     cov, state = without.start.cov, BA.start + axis
-    np.testing.assert_allclose(found, cov[3:5, state] / cov[state, state] * bias[axis], rtol=0.01, atol=2e-6)
+    np.testing.assert_allclose(
+        found, cov[3:5, state] / cov[state, state] * bias[axis], rtol=0.01, atol=2e-6
+    )
 
 
 def test_bias_of_a_vehicle_at_rest_tilts_it_as_the_closed_form_says() -> None:
@@ -153,9 +159,13 @@ def test_known_biases_do_not_tilt_the_level() -> None:
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("preset", ["fog", "mems"])
 def test_levels_scatter_as_they_say(motion: str, preset: str) -> None:
-    config = load_config(preset=preset, overrides=["initial.source=level", "initial.latitude_deg=32.8"])
+    config = load_config(
+        preset=preset, overrides=["initial.source=level", "initial.latitude_deg=32.8"]
+    )
     config = msgspec.structs.replace(
-        config, initial=msgspec.structs.replace(config.initial, heading_deg=HEADING_DEG), dvl=Dvl(velocity_sd_mps=0.02)
+        config,
+        initial=msgspec.structs.replace(config.initial, heading_deg=HEADING_DEG),
+        dvl=Dvl(velocity_sd_mps=0.02),
     )
     imu_errors, dvl_errors = matched_errors(config)
     dive, cos, sin = exact(motion), np.cos(HEADING_DEG * DEG), np.sin(HEADING_DEG * DEG)
@@ -167,7 +177,9 @@ def test_levels_scatter_as_they_say(motion: str, preset: str) -> None:
         error, cov = start_errors(run, found), found.start.cov
         roll_pitch_sd = np.sqrt(np.diagonal(to_level_axes @ cov[3:5, 3:5] @ to_level_axes.T))
         standardised.append(to_level_axes @ error[3:5] / roll_pitch_sd)
-        squares.append(nees(error[None, LEVEL_STATES], cov[np.ix_(LEVEL_STATES, LEVEL_STATES)][None])[0])
+        squares.append(
+            nees(error[None, LEVEL_STATES], cov[np.ix_(LEVEL_STATES, LEVEL_STATES)][None])[0]
+        )
     rms = np.sqrt(np.mean(np.square(standardised), axis=0))
     assert ((rms > 0.7) & (rms < 1.4)).all()
     # The mean of 60 chi-squares of 8 has a standard deviation of 0.5; four of these.
@@ -179,7 +191,9 @@ def test_noise_that_pings_show_counts_if_it_is_more_than_they_are_reported() -> 
     errors = matched_errors(load_config(preset="fog"))
     loud = add_errors(dive, errors[0], replace(errors[1], beam_sd_mps=0.2), seed=3)
     told = load_config(preset="fog", overrides=["initial.source=level", "initial.heading_deg=30"])
-    told = msgspec.structs.replace(told, initial=msgspec.structs.replace(told.initial, latitude_deg=32.8))
+    told = msgspec.structs.replace(
+        told, initial=msgspec.structs.replace(told.initial, latitude_deg=32.8)
+    )
     quiet_sd = levelled(dive, told).start.sd[PHI.start]
     sd = levelled(loud, told).start.sd[PHI.start]
     # 0.2 m/s in a beam are 0.28 m/s in each horizontal axis: 0.03 m/s^2 in the slope through ten pings, 0.18 deg.
@@ -188,7 +202,9 @@ def test_noise_that_pings_show_counts_if_it_is_more_than_they_are_reported() -> 
 
 
 def test_configured_misalignment_is_the_headings_alone() -> None:
-    own = Initial(source="level", heading_deg=30.0, latitude_deg=32.8, misalignment_sd_deg=(9.0, 9.0, 4.0))
+    own = Initial(
+        source="level", heading_deg=30.0, latitude_deg=32.8, misalignment_sd_deg=(9.0, 9.0, 4.0)
+    )
     sd = levelled(exact("lying"), Config(initial=own)).start.sd / DEG
     gravity = normal_gravity(32.8 * DEG, -20.0)
     # 50 mg of prior bias, and 0.2 m/s/sqrt(s) through 1.2 / 9 s.
@@ -199,7 +215,11 @@ def test_configured_misalignment_is_the_headings_alone() -> None:
 def test_velocity_of_the_dvl_errs_as_its_heading_does() -> None:
     sd_deg = (0.5, 0.5, 10.0)
     own = Initial(
-        source="level", heading_deg=30.0, latitude_deg=32.8, misalignment_sd_deg=sd_deg, uncertainty="settings"
+        source="level",
+        heading_deg=30.0,
+        latitude_deg=32.8,
+        misalignment_sd_deg=sd_deg,
+        uncertainty="settings",
     )
     start = levelled(exact("going"), Config(initial=own)).start
     across = np.array([-np.sin(30.0 * DEG), np.cos(30.0 * DEG), 0.0])
@@ -227,7 +247,9 @@ def test_level_without_pings_allows_for_what_nobody_saw(lost_s: tuple[float, flo
 
 def test_pause_of_the_imu_ends_the_levelling() -> None:
     dive = exact("turning")
-    heard = (dive.imu.time_ns <= START_NS + 4_000_000_000) | (dive.imu.time_ns >= START_NS + 6_000_000_000)
+    heard = (dive.imu.time_ns <= START_NS + 4_000_000_000) | (
+        dive.imu.time_ns >= START_NS + 6_000_000_000
+    )
     imu = replace(
         dive.imu,
         time_ns=dive.imu.time_ns[heard],
@@ -257,7 +279,9 @@ ARMS = ["dvl.lever_arm_m=[-0.071,-0.015,0.205]", "reference.lever_arm_m=[1.763,0
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("run", ["07", "09"])
-def test_real_dives_are_levelled_as_their_reference_is_wherever_they_are_started(snapir: Path, run: str) -> None:
+def test_real_dives_are_levelled_as_their_reference_is_wherever_they_are_started(
+    snapir: Path, run: str
+) -> None:
     """In turns and on straight legs: the mean force alone errs by 1.2 and 4 deg in the mean square."""
     fog = load_config(preset="fog", overrides=ARMS)
     dive = with_reference_at_imu(read_dive(snapir / f"snapir_{run}.mcap", fog), fog)
@@ -266,23 +290,36 @@ def test_real_dives_are_levelled_as_their_reference_is_wherever_they_are_started
     for row in range(5, 375, 10):
         heading_deg = rpy_from_mat(dive.reference.mat_nb[row])[2] / DEG
         start_s = (dive.reference.time_ns[row] - dive.imu.time_ns[0]) * 1e-9
-        level = ["initial.source=level", f"initial.heading_deg={heading_deg}", f"span.start_s={start_s}"]
-        start = prepare_dive(dive, load_config(preset="fog", overrides=[*ARMS, *level])).alignment.start
+        level = [
+            "initial.source=level",
+            f"initial.heading_deg={heading_deg}",
+            f"span.start_s={start_s}",
+        ]
+        start = prepare_dive(
+            dive, load_config(preset="fog", overrides=[*ARMS, *level])
+        ).alignment.start
         error_deg.append(vector_from_mat(start.mat_nb @ dive.reference.mat_nb[row].T)[:2] / DEG)
     assert np.sqrt(np.mean(np.square(error_deg))) < 0.02
 
 
 def test_level_start_keeps_the_positions_of_the_reference_comparable(snapir: Path) -> None:
     heading = ["initial.source=level", "initial.heading_deg=0"]
-    replay = replay_log(snapir / "snapir_07.mcap", load_config(preset="fog", overrides=[*ARMS, *heading]))
+    replay = replay_log(
+        snapir / "snapir_07.mcap", load_config(preset="fog", overrides=[*ARMS, *heading])
+    )
     assert replay.dive.reference is not None
-    np.testing.assert_allclose(replay.histories[0].position[0], replay.dive.reference.position[0], rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(
+        replay.histories[0].position[0], replay.dive.reference.position[0], rtol=0.0, atol=1e-6
+    )
 
 
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3))
 def test_matrix_of_a_rotation_vector_is_its_exponential(vector: tuple[float, float, float]) -> None:
     np.testing.assert_allclose(
-        mat_from_vector(np.array(vector)), Rotation.from_rotvec(vector).as_matrix(), rtol=0.0, atol=1e-14
+        mat_from_vector(np.array(vector)),
+        Rotation.from_rotvec(vector).as_matrix(),
+        rtol=0.0,
+        atol=1e-14,
     )
 
 
@@ -298,7 +335,9 @@ def test_filter_is_nearly_as_sure_as_it_says_after_a_levelled_start() -> None:
         history = replay_dive(dive, config, keep_cov=True).histories[0]
         assert dive.reference is not None
         found = state_errors(history, dive.reference, dive.truth)
-        rows = np.searchsorted(found.time_ns, dive.imu.time_ns[0] + np.array([10, 59]) * 1_000_000_000)
+        rows = np.searchsorted(
+            found.time_ns, dive.imu.time_ns[0] + np.array([10, 59]) * 1_000_000_000
+        )
         nees_by_run.append(nees(found.error[rows], found.cov[rows]))
     early, late = np.mean(nees_by_run, axis=0)
     assert 9.0 < early < 20.0

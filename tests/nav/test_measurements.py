@@ -100,7 +100,9 @@ def test_the_signs_that_the_paper_prints_are_found_out() -> None:
     _, H = linearised(PUBLISHED, np.zeros(12))
     H[:, 3:6] *= -1.0
     with pytest.raises(AssertionError):
-        assert_jacobian(H, lambda dx: linearised(PUBLISHED, dx)[0], np.zeros(12), atol=1e-7, step=1e-4)
+        assert_jacobian(
+            H, lambda dx: linearised(PUBLISHED, dx)[0], np.zeros(12), atol=1e-7, step=1e-4
+        )
 
 
 @dataclass
@@ -114,7 +116,10 @@ class Ins:
         too_much = vector(-self.dx[6:9]), vector(-self.dx[9:12])
         state = NavState(POSITION, vector(VELOCITY_N + self.dx[:3]), mat_nb, *too_much)
         place = local_earth_at(state.position[0], state.position[2])
-        found, readings = [rotate_back(state.mat_nb, state.velocity_n)], steady(vector(FORCE_B), vector(RATE_NB_B))
+        found, readings = (
+            [rotate_back(state.mat_nb, state.velocity_n)],
+            steady(vector(FORCE_B), vector(RATE_NB_B)),
+        )
         for length_s in np.diff(times_s):
             for _ in range(round(length_s * rate_hz)):
                 state, _ = propagate(state, readings, readings, 1 / rate_hz, place, GRAVITY)
@@ -122,7 +127,9 @@ class Ins:
         return np.array(found)
 
 
-def test_windowed_prediction_is_the_slope_of_what_the_ins_adds_and_its_jacobian_holds_over_a_window() -> None:
+def test_windowed_prediction_is_the_slope_of_what_the_ins_adds_and_its_jacobian_holds_over_a_window() -> (
+    None
+):
     times_s = np.array([0.0, 0.01, 0.025, 0.03])
     velocities = DvlVelocities(
         np.round(times_s * 1e9).astype(np.int64), np.zeros((4, 3)), np.tile(np.eye(3), (4, 1, 1)), np.eye(3),
@@ -158,7 +165,9 @@ def test_velocity_noise_is_isotropic_with_all_beams_and_worse_with_three() -> No
     beams = np.zeros((2, 4))
     beams[1, 2] = np.nan
     velocity, shape, residual = solve_beams(beams, vectors)
-    velocities = DvlVelocities(np.arange(2), velocity, shape, shape[0], np.array([4, 3]), residual, 0, 0)
+    velocities = DvlVelocities(
+        np.arange(2), velocity, shape, shape[0], np.array([4, 3]), residual, 0, 0
+    )
     full, three = velocity_cov(velocities, 0.02)
     np.testing.assert_allclose(full, 0.02**2 * np.eye(3), atol=1e-12)
     assert (np.linalg.eigvalsh(three) >= 0.02**2 * (1 - 1e-9)).all()

@@ -41,8 +41,12 @@ class Flight:
         self.start = prepare_dive(dive, Config())
         self.timeline = prepared_timeline(dive, self.start)
         self.ping_ns = self.start.velocities.time_ns
-        self.history = run_one(self.start.filters[0], self.start, self.timeline, cov_ns=self.ping_ns)
-        (self.velocity,) = self.start.filters[0].measurements(self.start.velocities, self.start.mounting)
+        self.history = run_one(
+            self.start.filters[0], self.start, self.timeline, cov_ns=self.ping_ns
+        )
+        (self.velocity,) = self.start.filters[0].measurements(
+            self.start.velocities, self.start.mounting
+        )
         self.row = int(np.searchsorted(self.history.time_ns, self.ping_ns[FROM]))
         self.mat_nb = self.history.mat_nb[self.row]
 
@@ -104,7 +108,9 @@ def test_tilt_falls_by_its_share_of_gravity(flight: Flight) -> None:
     angle = 0.01 * DEG
     expected_m = 0.5 * GRAVITY * angle * T**2
     assert expected_m == pytest.approx(3.08, abs=0.01)
-    assert horizontal_drift_m(flight.coasted(history=flight.tilted(angle))) == pytest.approx(expected_m, rel=0.02)
+    assert horizontal_drift_m(flight.coasted(history=flight.tilted(angle))) == pytest.approx(
+        expected_m, rel=0.02
+    )
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -141,7 +147,9 @@ def test_heading_shows_by_the_earths_rate_alone(flight: Flight) -> None:
     """Prediction and measurement turn together, but the Earth is then taken to turn about another axis."""
     angle, latitude = 1.0 * DEG, float(flight.history.position[flight.row, 0])
     turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix() - np.eye(3)
-    turned = {name: turn @ getattr(flight.history, name)[flight.row] for name in ("mat_nb", "velocity_n")}
+    turned = {
+        name: turn @ getattr(flight.history, name)[flight.row] for name in ("mat_nb", "velocity_n")
+    }
     as_gyro_bias = EARTH_RATE * np.cos(latitude) * angle
     drift_m = horizontal_drift_m(flight.coasted(history=flight.off_by(**turned)))
     assert drift_m == pytest.approx(GRAVITY * as_gyro_bias * T**3 / 6.0, rel=0.02)
@@ -157,7 +165,9 @@ def test_white_noise_of_the_accelerometers_walks(flight: Flight) -> None:
 
     def drift_n() -> Floats:
         force_b = flight.timeline.specific_force_b
-        noisy = flight.timeline._replace(specific_force_b=force_b + sd * rng.standard_normal(force_b.shape))
+        noisy = flight.timeline._replace(
+            specific_force_b=force_b + sd * rng.standard_normal(force_b.shape)
+        )
         return flight.coasted(timeline=noisy).drift_n[-1]
 
     drifts_n = np.array([drift_n() for _ in range(1500)])
@@ -172,7 +182,9 @@ def test_noise_of_the_dvl_that_measures_is_the_floor(flight: Flight) -> None:
 
     def drift_n() -> Floats:
         exact_b = flight.velocity.values
-        noisy = replace(flight.velocity, values=exact_b + sd_mps * rng.standard_normal(exact_b.shape))
+        noisy = replace(
+            flight.velocity, values=exact_b + sd_mps * rng.standard_normal(exact_b.shape)
+        )
         return flight.coasted(velocity=noisy).drift_n[-1]
 
     drifts_n = np.array([drift_n() for _ in range(1500)])
@@ -220,7 +232,9 @@ def assert_same_coast(dive: Dive, config: Config, at_s: float, length_s: float) 
     ping_ns = start.velocities.time_ns
     (filter_,) = start.filters
     history = run_one(filter_, start, timeline, cov_ns=ping_ns)
-    (velocity,) = replace(filter_, aiding=("velocity",)).measurements(start.velocities, start.mounting)
+    (velocity,) = replace(filter_, aiding=("velocity",)).measurements(
+        start.velocities, start.mounting
+    )
     window_ns = int(ping_ns[first]), int(ping_ns[last])
     coasted = run_outage(
         history, gravity_drift(history), timeline, window_ns, noise_density=filter_.noise_density,
@@ -241,7 +255,9 @@ def assert_same_coast(dive: Dive, config: Config, at_s: float, length_s: float) 
 @pytest.mark.parametrize("filter_", [Filter(aiding=("velocity",)), AIDED], ids=["velocity", "both"])
 @pytest.mark.parametrize("at_s", [20.4, 101.0])
 def test_outage_is_a_run_in_which_pings_say_nothing(filter_: Filter, at_s: float) -> None:
-    dive = simulate_dive("figure-eight", seed=3, duration_s=150.0, dvl_rate_hz=3.0, lever_arm_m=LEVER_ARM_M)
+    dive = simulate_dive(
+        "figure-eight", seed=3, duration_s=150.0, dvl_rate_hz=3.0, lever_arm_m=LEVER_ARM_M
+    )
     config = Config(dvl=Dvl(lever_arm_m=LEVER_ARM_M), filters={"only": filter_})
     assert_same_coast(dive, config, at_s, 40.0)
 
@@ -251,7 +267,9 @@ def test_gravity_is_taken_where_the_filter_took_it_after_an_outage() -> None:
     config = load_config("tactical")
     config = msgspec.structs.replace(config, filters={"baseline": config.filters["baseline"]})
     outages = [(20.0, 820.0)]
-    dive = simulate_dive("straight", seed=1, duration_s=1200.0, grade="tactical", imu_rate_hz=20.0, outages=outages)
+    dive = simulate_dive(
+        "straight", seed=1, duration_s=1200.0, grade="tactical", imu_rate_hz=20.0, outages=outages
+    )
     assert_same_coast(dive, config, 1000.0, 60.0)
 
 
@@ -261,11 +279,15 @@ def test_what_measures_the_velocity_down_holds_the_height(
 ) -> None:
     """After an outage its height has drifted; without a measurement of it nothing says by how much."""
     monkeypatch.setattr("insdvl_replay.nav.outage.HOLD_AFTER_S", 10.0)
-    rising = replace(flight.history, position=flight.history.position + np.arange(len(flight.history.time_ns))[:, None])
+    rising = replace(
+        flight.history,
+        position=flight.history.position + np.arange(len(flight.history.time_ns))[:, None],
+    )
     (velocity,) = flight.history.innovations
     velocity = replace(
         velocity,
-        used=velocity.used & ((velocity.time_ns < flight.ping_ns[10]) | (velocity.time_ns > flight.ping_ns[50])),
+        used=velocity.used
+        & ((velocity.time_ns < flight.ping_ns[10]) | (velocity.time_ns > flight.ping_ns[50])),
         holds_height=holds_height,
     )
     silent = replace(rising, innovations=(velocity,))
@@ -274,7 +296,9 @@ def test_what_measures_the_velocity_down_holds_the_height(
     assert (height_m < own_m) == holds_height
 
 
-def test_a_window_knows_the_drifts_before_it(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_knows_the_drifts_before_it(
+    flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two times without velocities, from ping 10 to 31 and from 40 to 56; gravity follows for 10 s, then it is held."""
     monkeypatch.setattr("insdvl_replay.nav.outage.HOLD_AFTER_S", 10.0)
     (velocity,) = flight.history.innovations
@@ -284,7 +308,9 @@ def test_a_window_knows_the_drifts_before_it(flight: Flight, monkeypatch: pytest
     position[:, 2] = (flight.history.time_ns - flight.history.time_ns[0]) / NS_PER_S
     risen = replace(flight.history, position=position, innovations=(replace(velocity, used=used),))
     drift = gravity_drift(risen)
-    heights_m = [restart(risen, drift, int(flight.ping_ns[at])).position[2] for at in (5, 30, 31, 45, 60)]
+    heights_m = [
+        restart(risen, drift, int(flight.ping_ns[at])).position[2] for at in (5, 30, 31, 45, 60)
+    ]
     own_m = position[np.searchsorted(risen.time_ns, flight.ping_ns[[5, 30, 31, 45, 60]]), 2]
     np.testing.assert_allclose(own_m - heights_m, [0.0, 0.0, 11.0, 11.0, 17.0], atol=1e-9)
 
@@ -292,13 +318,21 @@ def test_a_window_knows_the_drifts_before_it(flight: Flight, monkeypatch: pytest
 def touched_by_a_window(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> int:
     """Count the elements that are gone through before the filter runs in a window."""
     history, timeline, drift = flight.history, flight.timeline, gravity_drift(flight.history)
-    columns = {name: counted(getattr(history, name)) for name in ("time_ns", "cov_ns", "position", "sd", "cov")}
-    of_velocity = {name: counted(getattr(flight.velocity, name)) for name in ("values", "cov", "available")}
+    columns = {
+        name: counted(getattr(history, name))
+        for name in ("time_ns", "cov_ns", "position", "sd", "cov")
+    }
+    of_velocity = {
+        name: counted(getattr(flight.velocity, name)) for name in ("values", "cov", "available")
+    }
     updates = replace(history.innovations[0], time_ns=counted(history.innovations[0].time_ns))
-    factors = NoiseFactors(counted(timeline.sample_ns), counted(np.ones((len(timeline.sample_ns), 6))))
+    factors = NoiseFactors(
+        counted(timeline.sample_ns), counted(np.ones((len(timeline.sample_ns), 6)))
+    )
     given = list[NoiseFactors]()
     monkeypatch.setattr(
-        "insdvl_replay.nav.outage.run_filter", lambda *_, noise_factors, **__: given.append(noise_factors)
+        "insdvl_replay.nav.outage.run_filter",
+        lambda *_, noise_factors, **__: given.append(noise_factors),
     )
     Counted.touched = 0
     run_outage(
@@ -313,14 +347,22 @@ def touched_by_a_window(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> int:
     return Counted.touched + inside.factors.size
 
 
-def test_a_window_is_no_more_work_in_a_longer_dive(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_is_no_more_work_in_a_longer_dive(
+    flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
     in_the_short = touched_by_a_window(flight, monkeypatch)
     assert in_the_short > 30
     assert touched_by_a_window(Flight(280.0), monkeypatch) == in_the_short
 
 
-def test_all_windows_of_a_history_share_what_goes_through_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    dive, config, calls = exact_dive("straight", duration_s=240.0, imu_rate_hz=20.0), Config(), list[str]()
+def test_all_windows_of_a_history_share_what_goes_through_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    dive, config, calls = (
+        exact_dive("straight", duration_s=240.0, imu_rate_hz=20.0),
+        Config(),
+        list[str](),
+    )
     prepared = prepare_dive(dive, config)
 
     def once(history: History) -> GravityDrift:
@@ -341,7 +383,9 @@ def test_every_beam_holds_the_height() -> None:
 
 def test_history_without_p_cannot_be_gone_on_from(flight: Flight) -> None:
     with pytest.raises(ValueError, match=r"\bP\b"):
-        restart(flight.history.without_cov(), gravity_drift(flight.history), int(flight.ping_ns[FROM]))
+        restart(
+            flight.history.without_cov(), gravity_drift(flight.history), int(flight.ping_ns[FROM])
+        )
 
 
 # What NIS says
@@ -351,19 +395,27 @@ def test_history_without_p_cannot_be_gone_on_from(flight: Flight) -> None:
 def test_nis_of_the_last_held_out_ping_is_that_of_a_filter_that_knows_its_noise() -> None:
     """Windows of one dive share its biases; of many dives, sums of NIS are chi-square."""
     noise = Noise(accel_white_mps_rts=5e-3, gyro_white_rad_rts=4.4e-5)
-    config = Config(noise=noise, dvl=Dvl(velocity_sd_mps=0.01), filters={"baseline": Filter(aiding=("velocity",))})
+    config = Config(
+        noise=noise,
+        dvl=Dvl(velocity_sd_mps=0.01),
+        filters={"baseline": Filter(aiding=("velocity",))},
+    )
     world = make_setup("figure-eight", config, "matched", 220.0)
     nis = []
     for run in range(60):
         dive = add_errors(world.exact, world.imu_errors, world.dvl_errors, run_seed(1, run))
         start = prepare_dive(dive, config)
-        runs = run_candidates(dive, start, plan_runs(dive, start, config, starts=0), config).outages.runs["baseline"]
+        runs = run_candidates(
+            dive, start, plan_runs(dive, start, config, starts=0), config
+        ).outages.runs["baseline"]
         nis.append(runs[-1].nis[-1])
     low, high = chi2.ppf([0.005, 0.995], 3 * len(nis)) / (3 * len(nis))
     assert low < np.mean(nis) / 3.0 < high
 
 
-def test_windows_on_a_long_dive_run_in_threads_and_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_windows_on_a_long_dive_run_in_threads_and_are_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     dive = simulate_dive("figure-eight", seed=4, duration_s=230.0, imu_rate_hz=20.0)
     config = Config()
     start = prepare_dive(dive, config)

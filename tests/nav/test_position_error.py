@@ -10,7 +10,12 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.earth import meridian_radius_m, normal_gravity
 from insdvl_replay.nav.algebra import matrix, vector
 from insdvl_replay.nav.earth_model import gravity_at, local_earth_at
-from insdvl_replay.nav.error_model import offset_n, position_growth, propagate_position_cov, without_error
+from insdvl_replay.nav.error_model import (
+    offset_n,
+    position_growth,
+    propagate_position_cov,
+    without_error,
+)
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 
 POSITION = (0.9, 0.6, -300.0)
@@ -35,7 +40,9 @@ def error_after(dp_n: Floats) -> Floats:
     """How far position, velocity and attitude are off after the step, relative to that from the right position."""
     (true, _), (state, _) = moved_on(np.zeros(3)), moved_on(dp_n)
     turn = Rotation.from_matrix(np.array(state.mat_nb) @ np.array(true.mat_nb).T).as_rotvec()
-    apart_n = offset_n(state.position, true.position, local_earth_at(true.position[0], true.position[2]))
+    apart_n = offset_n(
+        state.position, true.position, local_earth_at(true.position[0], true.position[2])
+    )
     return np.concatenate([apart_n, np.subtract(state.velocity_n, true.velocity_n), turn])
 
 
@@ -58,7 +65,13 @@ def test_growth_is_the_jacobian_of_the_mechanisation() -> None:
     analytic = np.vstack([growth.within, growth.to_velocity, growth.to_misalignment]) / STEP_S
     analytic[5, 0] += gravity_by_north()  # left out: 8e-9 / s^2, a 400th of what height does
     scale = np.array([*[1e-6] * 3, 1e-10, 1e-10, 1e-8, *[1e-13] * 3])[:, None]  # of T, of A, of B
-    assert_jacobian(analytic / scale, lambda dp_n: rates(dp_n) / scale[:, 0], np.zeros(3), atol=0.05, step=step_m)
+    assert_jacobian(
+        analytic / scale,
+        lambda dp_n: rates(dp_n) / scale[:, 0],
+        np.zeros(3),
+        atol=0.05,
+        step=step_m,
+    )
     assert np.abs(analytic / scale).max(axis=1)[[0, 1, 3, 4, 5, 6, 8]].min() > 0.5
 
 

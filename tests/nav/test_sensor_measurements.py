@@ -64,11 +64,18 @@ def linearised(kind: int, reading: Floats, dx: Floats) -> tuple[Floats, Floats]:
 
 @pytest.mark.parametrize(
     ("kind", "reading"),
-    [(DEPTH, np.array([20.0])), (HEADING, np.array([2.0])), (FIX, np.array(POSITION)), (FIX, np.array(POSITION[:2]))],
+    [
+        (DEPTH, np.array([20.0])),
+        (HEADING, np.array([2.0])),
+        (FIX, np.array(POSITION)),
+        (FIX, np.array(POSITION[:2])),
+    ],
 )
 def test_jacobian(kind: int, reading: Floats) -> None:
     _, H = linearised(kind, reading, np.zeros(STATES))
-    assert_jacobian(H, lambda dx: linearised(kind, reading, dx)[0], np.zeros(STATES), atol=1e-6, step=1e-3)
+    assert_jacobian(
+        H, lambda dx: linearised(kind, reading, dx)[0], np.zeros(STATES), atol=1e-6, step=1e-3
+    )
 
 
 def test_jacobian_of_a_beam_whatever_the_measurement_before_has_left_in_it() -> None:
@@ -87,7 +94,9 @@ def test_jacobian_of_a_beam_whatever_the_measurement_before_has_left_in_it() -> 
 def test_jacobian_of_a_velocity_whose_scale_and_yaw_are_estimated() -> None:
     pings = np.array([[0.9, -0.4, 0.1]])
     velocity = replace(
-        of_kind(VELOCITY, pings[0]), velocity_weights=np.zeros((1, 1)), interval_weights=np.zeros((1, 0))
+        of_kind(VELOCITY, pings[0]),
+        velocity_weights=np.zeros((1, 1)),
+        interval_weights=np.zeros((1, 0)),
     )
 
     def innovation(dx: Floats) -> Floats:

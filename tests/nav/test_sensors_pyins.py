@@ -12,14 +12,24 @@ from insdvl_replay.sim.sensor_errors import SensorErrors
 START_SD_M, FIX_SD_M, DEPTH_SD_M = 5.0, 0.5, 0.05
 
 
-@pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")  # python-ins calls pandas the old way
+@pytest.mark.filterwarnings(
+    "ignore:The copy keyword is deprecated"
+)  # python-ins calls pandas the old way
 @pytest.mark.parametrize(
     ("scenario", "sensor"),
-    [(scenario, sensor) for sensor in ("position", "depth", None) for scenario in ("straight", "figure-eight")],
+    [
+        (scenario, sensor)
+        for sensor in ("position", "depth", None)
+        for scenario in ("straight", "figure-eight")
+    ],
 )
 @pytest.mark.nightly
-def test_fifteen_states_predict_what_those_of_python_ins_predict(scenario: str, sensor: str | None) -> None:
-    case = Case(scenario, sensors={"position": SensorErrors(FIX_SD_M), "depth": SensorErrors(DEPTH_SD_M)})
+def test_fifteen_states_predict_what_those_of_python_ins_predict(
+    scenario: str, sensor: str | None
+) -> None:
+    case = Case(
+        scenario, sensors={"position": SensorErrors(FIX_SD_M), "depth": SensorErrors(DEPTH_SD_M)}
+    )
     dive = case.dive()
     more = {"position": fixes(dive, FIX_SD_M), "depth": depths(dive, DEPTH_SD_M)}
     aided = Filter(aiding=("velocity", *([sensor] if sensor else [])), states=("position",))
@@ -43,4 +53,6 @@ def test_fifteen_states_predict_what_those_of_python_ins_predict(scenario: str, 
     np.testing.assert_allclose(ours.bias_sd, theirs.bias_sd, rtol=0.005)
     apart_m = north_east_down_m(ours.position[None], theirs.position)[0]
     np.testing.assert_allclose(apart_m / ours.position_sd, 0.0, atol=0.06)
-    np.testing.assert_allclose(ours.biases / ours.bias_sd, theirs.biases / ours.bias_sd, rtol=0.0, atol=0.06)
+    np.testing.assert_allclose(
+        ours.biases / ours.bias_sd, theirs.biases / ours.bias_sd, rtol=0.0, atol=0.06
+    )

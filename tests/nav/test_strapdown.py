@@ -8,7 +8,12 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import Floats, ImuColumns
-from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
+from insdvl_replay.geometry.earth import (
+    EARTH_RATE,
+    meridian_radius_m,
+    normal_gravity,
+    transverse_radius_m,
+)
 from insdvl_replay.nav.algebra import add, matrix, vector
 from insdvl_replay.nav.earth_model import gravity_at, local_earth_at, local_earth_near
 from insdvl_replay.nav.strapdown import NavState, propagate
@@ -38,14 +43,21 @@ def derivative(t: float, state: Floats, motion: Motion) -> Floats:
     w_en = np.array([velocity[1] / r_e, -velocity[0] / r_n, -velocity[1] * np.tan(latitude) / r_e])
     gravity = np.array([0.0, 0.0, normal_gravity(latitude, height)])
     velocity_dot = mat @ motion.force_b(t) + gravity - np.cross(2 * w_ie + w_en, velocity)
-    mat_dot = np.cross(motion.rate_b(t), mat, axisa=0, axisb=1, axisc=1) * -1.0 - np.cross(w_ie + w_en, mat.T).T
+    mat_dot = (
+        np.cross(motion.rate_b(t), mat, axisa=0, axisb=1, axisc=1) * -1.0
+        - np.cross(w_ie + w_en, mat.T).T
+    )
     position_dot = [velocity[0] / r_n, velocity[1] / (r_e * np.cos(latitude)), -velocity[2]]
     return np.concatenate([position_dot, velocity_dot, mat_dot.ravel()])
 
 
-def mechanised(motion: Motion, mat: Floats, rate_hz: float, duration_s: float) -> tuple[Floats, Floats, Floats]:
+def mechanised(
+    motion: Motion, mat: Floats, rate_hz: float, duration_s: float
+) -> tuple[Floats, Floats, Floats]:
     time_s = np.arange(int(duration_s * rate_hz) + 1) / rate_hz
-    force_b, rate_b = np.array([(motion.force_b(t), motion.rate_b(t)) for t in time_s]).swapaxes(0, 1)
+    force_b, rate_b = np.array([(motion.force_b(t), motion.rate_b(t)) for t in time_s]).swapaxes(
+        0, 1
+    )
     imu = ImuColumns(np.rint(time_s * 1e9).astype(np.int64), force_b, rate_b)
     nothing = np.empty(0, np.int64)
     timeline = build_timeline(imu, nothing, nothing, 0, int(imu.time_ns[-1]))
@@ -55,7 +67,9 @@ def mechanised(motion: Motion, mat: Floats, rate_hz: float, duration_s: float) -
         before, now = now, next_node(timeline, now)
         place = local_earth_near(state.position, place)
         gravity = gravity_at(place, state.position[2])
-        state, _ = propagate(state, before.readings, now.readings, now.time_s - before.time_s, place, gravity)
+        state, _ = propagate(
+            state, before.readings, now.readings, now.time_s - before.time_s, place, gravity
+        )
     return np.array(state.position), np.array(state.velocity_n), np.array(state.mat_nb)
 
 
@@ -63,7 +77,9 @@ def test_mechanisation_follows_the_differential_equations() -> None:
     """What is left at 50 Hz is the Earth's, which is computed anew every 0.6 m."""
     motion, mat = Motion(), Rotation.from_euler("ZYX", [1.0, 0.1, -0.2]).as_matrix()
     start = np.concatenate([START, mat.ravel()])
-    truth = solve_ivp(derivative, (0.0, 40.0), start, args=(motion,), rtol=1e-12, atol=1e-13, max_step=0.05).y[:, -1]
+    truth = solve_ivp(
+        derivative, (0.0, 40.0), start, args=(motion,), rtol=1e-12, atol=1e-13, max_step=0.05
+    ).y[:, -1]
     position, velocity, attitude = mechanised(motion, mat, 50.0, 40.0)
     np.testing.assert_allclose(position[:2], truth[:2], rtol=0.0, atol=1e-3 / 6.4e6)  # 1 mm
     np.testing.assert_allclose(position[2], truth[2], rtol=0.0, atol=1e-3)
@@ -81,11 +97,16 @@ def test_attitude_stays_a_rotation() -> None:
 def test_a_resting_imu_with_known_biases_stays_at_rest() -> None:
     latitude = 0.57
     gravity = normal_gravity(latitude, 0.0)
-    state = NavState((latitude, 0.0, 0.0), NOTHING, matrix(np.eye(3)), FORCE_TOO_LARGE_BY, RATE_TOO_LARGE_BY)
+    state = NavState(
+        (latitude, 0.0, 0.0), NOTHING, matrix(np.eye(3)), FORCE_TOO_LARGE_BY, RATE_TOO_LARGE_BY
+    )
     rate = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
     place = local_earth_at(latitude, 0.0)
     for _ in range(10_000):
-        force_read, rate_read = add((0.0, 0.0, -gravity), state.accel_bias_b), add(vector(rate), state.gyro_bias_b)
+        force_read, rate_read = (
+            add((0.0, 0.0, -gravity), state.accel_bias_b),
+            add(vector(rate), state.gyro_bias_b),
+        )
         readings = steady(force_read, rate_read)
         state, _ = propagate(state, readings, readings, 0.01, place, gravity_at(place, 0.0))
     np.testing.assert_allclose(state.velocity_n, 0.0, atol=1e-9)

@@ -17,7 +17,9 @@ NONE = np.empty(0, dtype=np.int64)
 
 def imu_at(time_ns: TimeNs, seed: int = 1) -> ImuColumns:
     rng = np.random.default_rng(seed)
-    return ImuColumns(time_ns, rng.normal(size=(len(time_ns), 3)), rng.normal(size=(len(time_ns), 3)))
+    return ImuColumns(
+        time_ns, rng.normal(size=(len(time_ns), 3)), rng.normal(size=(len(time_ns), 3))
+    )
 
 
 def imu_100_hz(samples: int = 11) -> ImuColumns:
@@ -51,7 +53,15 @@ def integral(timeline: Timeline) -> Floats:
         (100 * MS - 1, 12),
         (100 * MS, 11),
     ],
-    ids=["on a sample", "just after", "between", "just before", "first nanosecond", "last but one", "at the end"],
+    ids=[
+        "on a sample",
+        "just after",
+        "between",
+        "just before",
+        "first nanosecond",
+        "last but one",
+        "at the end",
+    ],
 )
 def test_ping_has_its_own_node_at_its_own_nanosecond(offset_ns: int, nodes: int) -> None:
     at = instants(whole(imu_100_hz(), ns(offset_ns)))
@@ -70,7 +80,11 @@ def test_every_sample_ping_and_reference_has_one_node(imu_hz: int, dvl_hz: int) 
     ping_ns = EPOCH_NS + np.rint((0.0137 + np.arange(4 * dvl_hz)) * 1e9 / dvl_hz).astype(np.int64)
     reference_ns = EPOCH_NS + np.rint(np.arange(21) * 0.25e9).astype(np.int64)
     at = instants(whole(imu, ping_ns, reference_ns))
-    assert set(at.time_ns.tolist()) == {*imu.time_ns.tolist(), *ping_ns.tolist(), *reference_ns.tolist()}
+    assert set(at.time_ns.tolist()) == {
+        *imu.time_ns.tolist(),
+        *ping_ns.tolist(),
+        *reference_ns.tolist(),
+    }
     assert (np.diff(at.time_ns) > 0).all()
     np.testing.assert_array_equal(at.time_ns[at.ping >= 0], ping_ns)
     np.testing.assert_array_equal(at.ping[at.ping >= 0], np.arange(len(ping_ns)))
@@ -105,10 +119,16 @@ def test_readings_between_samples_are_on_a_cubic() -> None:
     time_ns = EPOCH_NS + np.cumsum([0, 10, 12, 8, 10, 15, 9, 10, 11, 10, 5]) * MS
     time_s = (time_ns - EPOCH_NS) * 1e-9
     force_b = np.column_stack([time_s**2, 1.0 - time_s, 3.0 * time_s**2 + time_s])
-    imu = ImuColumns(time_ns, force_b, np.column_stack([-2.0 * time_s**2, time_s, np.ones_like(time_s)]))
+    imu = ImuColumns(
+        time_ns, force_b, np.column_stack([-2.0 * time_s**2, time_s, np.ones_like(time_s)])
+    )
     at = instants(whole(imu, ns(*PING_OFFSETS_NS)))
-    np.testing.assert_allclose(at.specific_force_b[:, 2], 3.0 * at.time_s**2 + at.time_s, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(at.force_bend_b, np.tile([1.0, 0.0, 3.0], (len(at.time_s), 1)), rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        at.specific_force_b[:, 2], 3.0 * at.time_s**2 + at.time_s, rtol=0.0, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        at.force_bend_b, np.tile([1.0, 0.0, 3.0], (len(at.time_s), 1)), rtol=0.0, atol=1e-9
+    )
     np.testing.assert_allclose(at.rate_bend_b[:, 0], -2.0, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(integral(whole(imu, NONE))[0], 0.1**3 / 3.0, rtol=1e-9)
 
@@ -116,8 +136,12 @@ def test_readings_between_samples_are_on_a_cubic() -> None:
 def test_readings_at_samples_are_the_samples() -> None:
     imu = imu_100_hz()
     at = instants(whole(imu, ns(*PING_OFFSETS_NS)))
-    np.testing.assert_array_equal(at.specific_force_b[np.isin(at.time_ns, imu.time_ns)], imu.specific_force_b)
-    np.testing.assert_array_equal(at.angular_rate_b[np.isin(at.time_ns, imu.time_ns)], imu.angular_rate_b)
+    np.testing.assert_array_equal(
+        at.specific_force_b[np.isin(at.time_ns, imu.time_ns)], imu.specific_force_b
+    )
+    np.testing.assert_array_equal(
+        at.angular_rate_b[np.isin(at.time_ns, imu.time_ns)], imu.angular_rate_b
+    )
 
 
 def test_readings_are_straight_beside_lost_samples() -> None:
@@ -126,7 +150,9 @@ def test_readings_are_straight_beside_lost_samples() -> None:
     at = instants(whole(imu, ns(55 * MS)))
     assert (at.force_bend_b[[1, 2]] != 0.0).all()
     assert not at.force_bend_b[[3, 4, 5]].any()
-    np.testing.assert_allclose(at.angular_rate_b[4], imu.angular_rate_b[3:5].mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(
+        at.angular_rate_b[4], imu.angular_rate_b[3:5].mean(axis=0), rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("samples", [2, 3])
@@ -159,10 +185,13 @@ def test_a_time_line_takes_memory_for_its_events_alone() -> None:
     imu = imu_100_hz(100_000)
     timeline = whole(imu, imu.time_ns[0] + 10_000 * MS * np.arange(1, 100))
     of_samples = {"sample_ns", "specific_force_b", "angular_rate_b"}
-    own = sum(column.nbytes for name, column in timeline._asdict().items() if name not in of_samples)
+    own = sum(
+        column.nbytes for name, column in timeline._asdict().items() if name not in of_samples
+    )
     assert own < 0.01 * imu.specific_force_b.nbytes
     assert all(
-        np.shares_memory(getattr(timeline, name), getattr(imu, name.replace("sample", "time"))) for name in of_samples
+        np.shares_memory(getattr(timeline, name), getattr(imu, name.replace("sample", "time")))
+        for name in of_samples
     )
 
 
@@ -170,11 +199,15 @@ def test_a_time_line_takes_memory_for_its_events_alone() -> None:
 @given(st.sets(st.integers(1, 100 * MS), max_size=30))
 def test_pings_do_not_change_what_the_readings_add_up_to(offsets_ns: set[int]) -> None:
     imu = imu_100_hz()
-    np.testing.assert_allclose(integral(whole(imu, ns(*sorted(offsets_ns)))), integral(whole(imu, NONE)), atol=1e-15)
+    np.testing.assert_allclose(
+        integral(whole(imu, ns(*sorted(offsets_ns)))), integral(whole(imu, NONE)), atol=1e-15
+    )
 
 
 def test_readings_after_the_end_are_left_out() -> None:
-    at = instants(build_timeline(imu_100_hz(), ns(80 * MS, 80 * MS + 1), NONE, *ns(20 * MS, 80 * MS).tolist()))
+    at = instants(
+        build_timeline(imu_100_hz(), ns(80 * MS, 80 * MS + 1), NONE, *ns(20 * MS, 80 * MS).tolist())
+    )
     assert (at.time_ns[at.ping >= 0] - EPOCH_NS).tolist() == [80 * MS]
 
 
@@ -191,4 +224,6 @@ def test_one_nanosecond_outside_is_refused(
     ping_offset_ns: int, start_offset_ns: int, end_offset_ns: int, message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        build_timeline(imu_100_hz(), ns(ping_offset_ns), NONE, *ns(start_offset_ns, end_offset_ns).tolist())
+        build_timeline(
+            imu_100_hz(), ns(ping_offset_ns), NONE, *ns(start_offset_ns, end_offset_ns).tolist()
+        )

@@ -68,7 +68,10 @@ _ROS_1: Final = ("-c", str(Path(__file__).parent / "rexrov2.toml"))
 DIVES: Final[dict[str, tuple[Callable[[Path], Path], tuple[str, ...]]]] = {
     "straight": (_lies(PROJECT / "sample_logs" / "straight.mcap"), ()),
     "figure_eight": (_lies(PROJECT / "sample_logs" / "figure_eight.mcap"), ()),
-    **{name: (_lies(_ARCHIVE / f"{name}.mcap"), ()) for name in ("lost_beam", "outage", "survey", "transit")},
+    **{
+        name: (_lies(_ARCHIVE / f"{name}.mcap"), ())
+        for name in ("lost_beam", "outage", "survey", "transit")
+    },
     "snapir_01": (
         _lies(SHARED / "snapir" / "snapir_01.mcap"),
         ("-c", str(PROJECT / "examples" / "snapir.toml"), "--preset", "fog", "--end", "300"),
@@ -77,7 +80,10 @@ DIVES: Final[dict[str, tuple[Callable[[Path], Path], tuple[str, ...]]]] = {
         _lies(SHARED / "blueye_x3" / "auto_square.mcap"),
         ("-c", str(PROJECT / "examples" / "blueye_x3.toml"), "--end", "200"),
     ),
-    "run_1": (_lies(SHARED / "ufmil" / "run_1.mcap"), ("-c", str(PROJECT / "examples" / "ufmil.toml"))),
+    "run_1": (
+        _lies(SHARED / "ufmil" / "run_1.mcap"),
+        ("-c", str(PROJECT / "examples" / "ufmil.toml")),
+    ),
     "rexrov2_bag": (_lies(SHARED / "ros1" / "rexrov2_simulated.bag"), _ROS_1),
     "rexrov2_db3": (_bag, _ROS_1),
     "cut": (_cut, ("--allow-damaged",)),
@@ -100,7 +106,9 @@ def _said(*arguments: object, code: int = 0) -> tuple[str, str]:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         found = run_command_line([str(argument) for argument in arguments])
     if found != code:
-        raise AssertionError(f"{' '.join(map(str, arguments))}: exit code {found}, {code} is held\n{err.getvalue()}")
+        raise AssertionError(
+            f"{' '.join(map(str, arguments))}: exit code {found}, {code} is held\n{err.getvalue()}"
+        )
     return out.getvalue(), err.getvalue()
 
 
@@ -144,9 +152,17 @@ def _json(text: str, folder: Path, prefix: str = "") -> Lines:
 
 def _trajectory(path: Path) -> Lines:
     with np.load(path) as stored:
-        names, columns, values = stored["names"].tolist(), stored["columns"].tolist(), stored["values"]
+        names, columns, values = (
+            stored["names"].tolist(),
+            stored["columns"].tolist(),
+            stored["values"],
+        )
     rows = [
-        {"filter": name, "second": second, **dict(zip(columns, values[i, second].tolist(), strict=True))}
+        {
+            "filter": name,
+            "second": second,
+            **dict(zip(columns, values[i, second].tolist(), strict=True)),
+        }
         for i, name in enumerate(names)
         for second in range(0, values.shape[1], TIMES)
     ]
@@ -159,12 +175,17 @@ def _require_same_tables(folder: Path) -> None:
     for path in sorted(folder.glob("*.csv")):
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
-        told = [{name: "" if one is None else str(one) for name, one in row.items()} for row in tables[path.stem]]
+        told = [
+            {name: "" if one is None else str(one) for name, one in row.items()}
+            for row in tables[path.stem]
+        ]
         if rows != told:
             raise AssertionError(f"{path.name} and report.json differ")
 
 
-def _replayed(name: str, folder: Path, *options: str, into: str = "out") -> tuple[Path, tuple[str, str]]:
+def _replayed(
+    name: str, folder: Path, *options: str, into: str = "out"
+) -> tuple[Path, tuple[str, str]]:
     make, given = DIVES[name]
     log = make(folder)
     said = _said("run", log, *given, *options, "--starts", 1, "-o", folder / into)
@@ -178,7 +199,11 @@ def _of_dive(name: str, folder: Path) -> Lines:
     found, said = _replayed(name, folder)
     _require_same_tables(found)
     return [
-        *_json(_said("inspect", make(folder / "again"), *settings, "--format", "json")[0], folder, "inspect"),
+        *_json(
+            _said("inspect", make(folder / "again"), *settings, "--format", "json")[0],
+            folder,
+            "inspect",
+        ),
         *_json((found / "report.json").read_text("utf-8"), folder),
         *_trajectory(found / "trajectory.npz"),
         *_screen(said, folder),
@@ -189,22 +214,41 @@ def _compare(folder: Path) -> Lines:
     """Hold a comparison of two dives with the same dives under other settings."""
     for name in ("straight", "outage"):
         _replayed(name, folder, "--end", "200", into="old")
-        _replayed(name, folder, "--end", "200", "--set", "filters.aided.acceleration.window=5", into="new")
+        _replayed(
+            name, folder, "--end", "200", "--set", "filters.aided.acceleration.window=5", into="new"
+        )
     command = ("compare", folder / "old", folder / "new")
-    return [*_json(_said(*command, "--format", "json")[0], folder), *_screen(_said(*command), folder)]
+    return [
+        *_json(_said(*command, "--format", "json")[0], folder),
+        *_screen(_said(*command), folder),
+    ]
 
 
 def _check(folder: Path) -> Lines:
     """Hold the archive's gates, which hang on 16 starts in the pooled evidence alone."""
     gates = PROJECT / "examples" / "archive" / "gates.toml"
     said = _said("check", gates, "--results", folder / "checked", "--skip", "no dive speaks*")
-    again = _said("check", gates, "--results", folder / "checked", "--skip", "no dive speaks*", "--format", "json")
+    again = _said(
+        "check",
+        gates,
+        "--results",
+        folder / "checked",
+        "--skip",
+        "no dive speaks*",
+        "--format",
+        "json",
+    )
     return [*_json(again[0], folder), *_screen(said, folder)]
 
 
 def _calibrate(folder: Path) -> Lines:
     """Hold how the DVL of a dive is built in."""
-    command = ("calibrate", PROJECT / "sample_logs" / "figure_eight.mcap", "-o", folder / "found.toml")
+    command = (
+        "calibrate",
+        PROJECT / "sample_logs" / "figure_eight.mcap",
+        "-o",
+        folder / "found.toml",
+    )
     said = _said(*command, "--format", "json")
     settings = [f"toml\t{line}" for line in (folder / "found.toml").read_text("utf-8").splitlines()]
     return [*_json(said[0], folder), *settings]
@@ -234,7 +278,9 @@ CASES: Final[dict[str, Callable[[Path], Lines]]] = {
     "propose": _propose,
     "montecarlo": _study("montecarlo", "figure-eight", "--runs", 3, "--duration", 120, "--jobs", 1),
     "window": _study("window", PROJECT / "sample_logs" / "figure_eight.mcap", "--jobs", 1),
-    "observability": _study("observability", PROJECT / "sample_logs" / "figure_eight.mcap", "--end", 60),
+    "observability": _study(
+        "observability", PROJECT / "sample_logs" / "figure_eight.mcap", "--end", 60
+    ),
 }
 
 
@@ -256,7 +302,11 @@ def stored_lines(case: str) -> Lines:
 
 def moved(was: Lines, now: Lines, least: float = LEAST) -> Lines:
     """State each line that is not as it was: words and counts exactly, numbers in nine digits, or by less than that."""
-    found = [f"was {old!r}\nnow {new!r}" for old, new in zip(was, now, strict=False) if not _alike(old, new, least)]
+    found = [
+        f"was {old!r}\nnow {new!r}"
+        for old, new in zip(was, now, strict=False)
+        if not _alike(old, new, least)
+    ]
     return found + ([f"{len(was)} lines were, {len(now)} are"] if len(was) != len(now) else [])
 
 

@@ -12,7 +12,9 @@ import pytest
 def test_commands_say_what_they_said(case: str) -> None:
     if case in net.RECORDED and not net.SHARED.is_dir():
         pytest.skip("needs ../shared/data (real dives)")
-    changed = net.moved(net.stored_lines(case), net.lines_of(case), net.LEAST_OF.get(case, net.LEAST))
+    changed = net.moved(
+        net.stored_lines(case), net.lines_of(case), net.LEAST_OF.get(case, net.LEAST)
+    )
     assert not changed, "\n".join([f"{len(changed)} lines have moved, the first:", *changed[:20]])
 
 
@@ -30,5 +32,7 @@ def test_commands_say_what_they_said(case: str) -> None:
         ("nis\t[1.0, 2.5]", "nis\t[1.0, 2.5, 3.0]", False),
     ],
 )
-def test_words_and_counts_are_held_exactly_and_numbers_in_nine_digits(was: str, now: str, same: bool) -> None:
+def test_words_and_counts_are_held_exactly_and_numbers_in_nine_digits(
+    was: str, now: str, same: bool
+) -> None:
     assert (net.moved([was], [now]) == []) == same

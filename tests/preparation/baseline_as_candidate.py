@@ -24,7 +24,9 @@ class Baseline(Candidate):
 
     def run(self, dive: Dive, start: CandidateStart) -> Solution:
         """Run it from the start that is given."""
-        initial = Initial(source="level", heading_deg=0.0, latitude_deg=float(start.position[0] / DEG))
+        initial = Initial(
+            source="level", heading_deg=0.0, latitude_deg=float(start.position[0] / DEG)
+        )
         filters = {"baseline": Filter(aiding=("velocity",))}
         config = Config(initial=initial, noise=FITTING.noise, dvl=FITTING.dvl, filters=filters)
         prepared = prepare_dive(dive, config)
@@ -33,7 +35,9 @@ class Baseline(Candidate):
         prepared = replace(prepared, alignment=alignment, mounting=mounting)
         time_ns = dive.imu.within(start.time_ns, prepared.end_ns).time_ns
         line = prepared_timeline(dive, prepared, time_ns)
-        history = run_one(prepared.filters[0], prepared, line, cov_ns=time_ns[:: 10 if self.gives_cov else 10**9])
+        history = run_one(
+            prepared.filters[0], prepared, line, cov_ns=time_ns[:: 10 if self.gives_cov else 10**9]
+        )
         solution = Solution(history.time_ns, history.position, history.velocity_n, history.mat_nb)
         if not self.gives_cov:
             return solution
@@ -44,7 +48,13 @@ class Baseline(Candidate):
         innovation_cov = np.full((len(history.time_ns), 3, 3), np.nan)
         at = np.searchsorted(history.time_ns, met.time_ns)
         innovation[at], innovation_cov[at] = met.innovation, met.sd[:, :, None] ** 2 * np.eye(3)
-        return replace(solution, cov=cov, cov_ns=history.cov_ns, innovation_b=innovation, innovation_cov=innovation_cov)
+        return replace(
+            solution,
+            cov=cov,
+            cov_ns=history.cov_ns,
+            innovation_b=innovation,
+            innovation_cov=innovation_cov,
+        )
 
 
 class BaselineWithCov(Baseline):

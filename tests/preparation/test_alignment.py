@@ -24,7 +24,9 @@ from insdvl_replay.sim.dive import FIRST_PING_S, START_NS, exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS, Trajectory
 
 SECOND = 1_000_000_000
-LEVEL = Initial(source="level", heading_deg=30.0, latitude_deg=32.8, longitude_deg=34.9, height_m=-20.0)
+LEVEL = Initial(
+    source="level", heading_deg=30.0, latitude_deg=32.8, longitude_deg=34.9, height_m=-20.0
+)
 
 
 @pytest.fixture(scope="module")
@@ -46,12 +48,17 @@ def aligned(
 ) -> Alignment:
     config = Config(initial=initial, dvl=Dvl(lever_arm_m=lever_arm_m))
     start_ns, end_ns = START_NS + round(start_s * SECOND), int(dive.imu.time_ns[-1])
-    return align(replace(dive, reference=reference), config, dvl_velocities(dive.dvl), start_ns, end_ns)
+    return align(
+        replace(dive, reference=reference), config, dvl_velocities(dive.dvl), start_ns, end_ns
+    )
 
 
 def rows(reference: ReferenceColumns, keep: slice) -> ReferenceColumns:
     return ReferenceColumns(
-        reference.time_ns[keep], reference.position[keep], reference.velocity_n[keep], reference.mat_nb[keep]
+        reference.time_ns[keep],
+        reference.position[keep],
+        reference.velocity_n[keep],
+        reference.mat_nb[keep],
     )
 
 
@@ -68,7 +75,9 @@ def codes(alignment: Alignment) -> list[str]:
 
 
 @pytest.mark.parametrize(("first_row", "start_s"), [(0, 0.0), (7, 0.0), (7, 1.4), (0, 1.3)])
-def test_start_is_the_references_first_attitude_in_the_span(dive: Dive, first_row: int, start_s: float) -> None:
+def test_start_is_the_references_first_attitude_in_the_span(
+    dive: Dive, first_row: int, start_s: float
+) -> None:
     reference = reference_of(dive)
     found = aligned(dive, rows(reference, slice(first_row, None)), Initial(), start_s)
     row = max(first_row, int(np.ceil(start_s * 5.0)))
@@ -83,29 +92,44 @@ def test_start_waits_for_an_attitude(dive: Dive) -> None:
     reference = reference_of(dive)
     mat_nb = reference.mat_nb.copy()
     mat_nb[:12] = np.nan
-    assert aligned(dive, replace(reference, mat_nb=mat_nb), Initial()).start_ns == reference.time_ns[12]
+    assert (
+        aligned(dive, replace(reference, mat_nb=mat_nb), Initial()).start_ns
+        == reference.time_ns[12]
+    )
 
 
 @pytest.mark.parametrize("quantity", ["position", "velocity_n"])
-def test_what_the_first_attitude_lacks_comes_from_the_rows_next_to_it(dive: Dive, quantity: str) -> None:
+def test_what_the_first_attitude_lacks_comes_from_the_rows_next_to_it(
+    dive: Dive, quantity: str
+) -> None:
     reference = reference_of(dive)
     known = getattr(reference, quantity)
     gappy = known.copy()
     gappy[5] = np.nan
     found = aligned(dive, replace(reference, **{quantity: gappy}), Initial(), start_s=1.0)
     assert found.start_ns == reference.time_ns[5]
-    np.testing.assert_allclose(getattr(found.start, quantity), (known[4] + known[6]) / 2.0, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        getattr(found.start, quantity), (known[4] + known[6]) / 2.0, rtol=0.0, atol=1e-12
+    )
     cut = rows(replace(reference, **{quantity: gappy}), slice(5, None))
-    np.testing.assert_allclose(getattr(aligned(dive, cut, Initial()).start, quantity), known[6], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        getattr(aligned(dive, cut, Initial()).start, quantity), known[6], rtol=0.0, atol=1e-12
+    )
 
 
 def test_position_is_interpolated_across_the_antimeridian() -> None:
     time_ns = START_NS + SECOND * np.array([0, 1, 2])
-    position = np.array([[-17.0 * DEG, 179.9 * DEG, -5.0], [np.nan] * 3, [-17.0 * DEG, -179.9 * DEG, -7.0]])
+    position = np.array(
+        [[-17.0 * DEG, 179.9 * DEG, -5.0], [np.nan] * 3, [-17.0 * DEG, -179.9 * DEG, -7.0]]
+    )
     attitude = np.stack([np.full((3, 3), np.nan), np.eye(3), np.eye(3)])
     dive = exact_dive("straight", duration_s=20.0, imu_rate_hz=20.0)
-    start = aligned(dive, ReferenceColumns(time_ns, position, np.zeros((3, 3)), attitude), Initial()).start
-    np.testing.assert_allclose(np.abs(start.position / [DEG, DEG, 1.0]), [17.0, 180.0, 6.0], atol=1e-9)
+    start = aligned(
+        dive, ReferenceColumns(time_ns, position, np.zeros((3, 3)), attitude), Initial()
+    ).start
+    np.testing.assert_allclose(
+        np.abs(start.position / [DEG, DEG, 1.0]), [17.0, 180.0, 6.0], atol=1e-9
+    )
 
 
 def test_reference_without_heights_starts_at_the_configured_one(dive: Dive) -> None:
@@ -113,7 +137,9 @@ def test_reference_without_heights_starts_at_the_configured_one(dive: Dive) -> N
     position = reference.position.copy()
     position[:, 2] = np.nan
     found = aligned(dive, replace(reference, position=position), Initial(height_m=-12.0))
-    np.testing.assert_allclose(found.start.position, [*reference.position[0, :2], -12.0], rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(
+        found.start.position, [*reference.position[0, :2], -12.0], rtol=0.0, atol=1e-13
+    )
     assert codes(found) == ["start_height_configured"]
 
 
@@ -126,14 +152,21 @@ def test_reference_without_velocity_starts_with_the_nearest_ping() -> None:
         np.full((1, 3), np.nan),
         motion.mat_nb,
     )
-    assert np.linalg.norm(motion.turn_rate_b[0]) > 10.0 * DEG, "the lever arm matters only in a turn"
+    assert np.linalg.norm(motion.turn_rate_b[0]) > 10.0 * DEG, (
+        "the lever arm matters only in a turn"
+    )
     arm: Vector = (-1.5, 0.4, 0.3)
     turning = exact_dive("figure-eight", duration_s=110.0, imu_rate_hz=200.0, lever_arm_m=arm)
     found = aligned(turning, reference, Initial(), lever_arm_m=arm)
     np.testing.assert_allclose(found.start.velocity_n, motion.velocity_n[0], atol=1e-4)
     assert codes(found) == ["start_velocity_dvl"]
     assert " 0.00 s " in found.notes[0].text
-    assert np.linalg.norm(aligned(turning, reference, Initial()).start.velocity_n - motion.velocity_n[0]) > 0.1
+    assert (
+        np.linalg.norm(
+            aligned(turning, reference, Initial()).start.velocity_n - motion.velocity_n[0]
+        )
+        > 0.1
+    )
 
 
 def test_reference_without_attitude_starts_level_at_the_first_sample(dive: Dive) -> None:
@@ -143,7 +176,9 @@ def test_reference_without_attitude_starts_level_at_the_first_sample(dive: Dive)
     assert codes(found) == ["start_levelled"]
     # Of the attitude at the start alone, though the vehicle swings by 1 deg in 17 and 31 s.
     mat_nb = Trajectory(SCENARIOS["figure-eight"], 110.0).at(np.array([0.02])).mat_nb[0]
-    np.testing.assert_allclose(rpy_from_mat(found.start.mat_nb) / DEG, rpy_from_mat(mat_nb) / DEG, atol=0.01)
+    np.testing.assert_allclose(
+        rpy_from_mat(found.start.mat_nb) / DEG, rpy_from_mat(mat_nb) / DEG, atol=0.01
+    )
     np.testing.assert_allclose(found.start.velocity_n, reference.velocity_n[0], atol=1e-3)
 
 
@@ -165,7 +200,9 @@ def test_reference_without_position_starts_at_the_configured_one(dive: Dive) -> 
     assert "initial.latitude_deg" in caught.value.hint
 
 
-@pytest.mark.parametrize("keep", [slice(0, 5), slice(300, None)], ids=["ends before", "begins after"])
+@pytest.mark.parametrize(
+    "keep", [slice(0, 5), slice(300, None)], ids=["ends before", "begins after"]
+)
 def test_reference_outside_the_span_cannot_start_it(keep: slice) -> None:
     reference = rows(reference_of(exact_dive("straight", duration_s=120.0, imu_rate_hz=10.0)), keep)
     dive = exact_dive("straight", duration_s=40.0, imu_rate_hz=10.0)
@@ -203,12 +240,15 @@ def tilted(imu: ImuColumns, rpy_deg: Floats, heading_deg: float) -> ImuColumns:
         "Z", heading_deg, degrees=True
     )
     return replace(
-        imu, specific_force_b=turn.apply(imu.specific_force_b), angular_rate_b=turn.apply(imu.angular_rate_b)
+        imu,
+        specific_force_b=turn.apply(imu.specific_force_b),
+        angular_rate_b=turn.apply(imu.angular_rate_b),
     )
 
 
 @pytest.mark.parametrize(
-    ("roll_deg", "pitch_deg"), [(0.0, 0.0), (3.0, -2.0), (-40.0, 25.0), (170.0, 5.0), (-90.0, 0.0), (10.0, 80.0)]
+    ("roll_deg", "pitch_deg"),
+    [(0.0, 0.0), (3.0, -2.0), (-40.0, 25.0), (170.0, 5.0), (-90.0, 0.0), (10.0, 80.0)],
 )
 def test_roll_and_pitch_come_from_gravity(roll_deg: float, pitch_deg: float) -> None:
     rpy_deg = np.array([roll_deg, pitch_deg, 75.0])
@@ -229,14 +269,20 @@ def test_levelling_looks_at_the_first_seconds_alone() -> None:
     later = static.imu.time_ns > START_NS + 5 * SECOND + int(LEVELLING_S * SECOND)
     earlier = static.imu.time_ns < START_NS + 5 * SECOND
     force_b[later | earlier] = [9.0, 0.0, 0.0]
-    found = aligned(replace(static, imu=replace(static.imu, specific_force_b=force_b)), None, LEVEL, start_s=5.0)
+    found = aligned(
+        replace(static, imu=replace(static.imu, specific_force_b=force_b)), None, LEVEL, start_s=5.0
+    )
     # 0.05 m/s^2 at 20 Hz are 11 mm/s/sqrt(s), of which 10 s leave 4 mm/s^2, 0.02 deg; four of these.
     np.testing.assert_allclose(rpy_from_mat(found.start.mat_nb) / DEG, [2.0, -1.0, 30.0], atol=0.08)
 
 
-def test_level_start_takes_position_and_height_of_the_reference_and_nothing_else(dive: Dive) -> None:
+def test_level_start_takes_position_and_height_of_the_reference_and_nothing_else(
+    dive: Dive,
+) -> None:
     reference = reference_of(dive)
-    astray = replace(reference, velocity_n=reference.velocity_n + 5.0, mat_nb=reference.mat_nb[:, ::-1])
+    astray = replace(
+        reference, velocity_n=reference.velocity_n + 5.0, mat_nb=reference.mat_nb[:, ::-1]
+    )
     found = aligned(dive, astray, Initial(source="level", heading_deg=30.0))
     assert found.start_ns == START_NS
     np.testing.assert_allclose(found.start.position, reference.position[0], rtol=0.0, atol=1e-13)
@@ -245,8 +291,12 @@ def test_level_start_takes_position_and_height_of_the_reference_and_nothing_else
     assert codes(found) == ["start_velocity_dvl", "start_levelled", "start_heading_contradiction"]
 
 
-@pytest.mark.parametrize(("heading_deg", "told"), [(30.0, False), (39.0, False), (-319.0, True), (210.0, True)])
-def test_configured_heading_far_from_the_references_is_a_warning(dive: Dive, heading_deg: float, told: bool) -> None:
+@pytest.mark.parametrize(
+    ("heading_deg", "told"), [(30.0, False), (39.0, False), (-319.0, True), (210.0, True)]
+)
+def test_configured_heading_far_from_the_references_is_a_warning(
+    dive: Dive, heading_deg: float, told: bool
+) -> None:
     found = aligned(dive, reference_of(dive), Initial(source="level", heading_deg=heading_deg))
     notes = [note for note in found.notes if note.code == "start_heading_contradiction"]
     assert len(notes) == told
@@ -256,7 +306,8 @@ def test_configured_heading_far_from_the_references_is_a_warning(dive: Dive, hea
 
 
 @pytest.mark.parametrize(
-    ("heading_deg", "told"), [(77.0, True), (37.0, True), (34.0, False), (-330.0, False), (None, False), ("fit", False)]
+    ("heading_deg", "told"),
+    [(77.0, True), (37.0, True), (34.0, False), (-330.0, False), (None, False), ("fit", False)],
 )
 def test_configured_heading_next_to_a_references_attitude_is_a_warning(
     dive: Dive, heading_deg: float | Literal["fit"] | None, told: bool
@@ -271,7 +322,9 @@ def test_configured_heading_next_to_a_references_attitude_is_a_warning(
 
 def test_configured_latitude_next_to_a_reference_of_another_is_a_warning(dive: Dive) -> None:
     found = aligned(dive, reference_of(dive), msgspec.structs.replace(LEVEL, latitude_deg=-32.8))
-    np.testing.assert_allclose(found.start.position, reference_of(dive).position[0], rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(
+        found.start.position, reference_of(dive).position[0], rtol=0.0, atol=1e-13
+    )
     (note,) = (note for note in found.notes if note.code == "start_latitude_contradiction")
     assert note.severity == "warning"
     assert re.match(r"initial\.latitude_deg .*-32\.8, .*\b32\.8 deg", note.text)
@@ -286,10 +339,16 @@ def test_rows_that_are_not_finite_start_nothing(dive: Dive, quantity: str) -> No
     gappy = replace(reference, **{quantity: values})
     found = aligned(dive, gappy, Initial())
     # The attitude waits for a position near it; a velocity more than a second away is the DVL's matter.
-    assert found.start_ns == reference.time_ns[{"position": 3, "velocity_n": 0, "mat_nb": 8}[quantity]]
-    truth = Trajectory(SCENARIOS["figure-eight"], 110.0).at(np.array([(found.start_ns - START_NS) * 1e-9]))
+    assert (
+        found.start_ns == reference.time_ns[{"position": 3, "velocity_n": 0, "mat_nb": 8}[quantity]]
+    )
+    truth = Trajectory(SCENARIOS["figure-eight"], 110.0).at(
+        np.array([(found.start_ns - START_NS) * 1e-9])
+    )
     np.testing.assert_allclose(found.start.velocity_n, truth.velocity_n[0], atol=0.02)
-    np.testing.assert_array_equal(found.start.mat_nb, reference.mat_nb[reference.time_ns == found.start_ns][0])
+    np.testing.assert_array_equal(
+        found.start.mat_nb, reference.mat_nb[reference.time_ns == found.start_ns][0]
+    )
     assert codes(found) == (["start_velocity_dvl"] if quantity == "velocity_n" else [])
 
 
@@ -304,7 +363,9 @@ def test_height_that_is_far_from_the_start_is_reported(dive: Dive) -> None:
 
 @pytest.mark.parametrize("key", ["heading_deg", "latitude_deg"])
 def test_level_start_needs_heading_and_latitude(dive: Dive, key: str) -> None:
-    incomplete = Initial(**{"source": "level", "heading_deg": 30.0, "latitude_deg": 32.8, key: None})  # type: ignore[arg-type]
+    incomplete = Initial(
+        **{"source": "level", "heading_deg": 30.0, "latitude_deg": 32.8, key: None}
+    )  # type: ignore[arg-type]
     with pytest.raises(ConfigError) as caught:
         aligned(dive, None, incomplete)
     assert f"--set initial.{key}=" in caught.value.hint
@@ -312,19 +373,28 @@ def test_level_start_needs_heading_and_latitude(dive: Dive, key: str) -> None:
 
 def test_initial_uncertainty_is_in_si_units() -> None:
     initial = Initial(
-        velocity_sd_mps=0.3, misalignment_sd_deg=(0.1, 0.2, 2.0), accel_bias_sd_mg=5.0, gyro_bias_sd_degph=7.0
+        velocity_sd_mps=0.3,
+        misalignment_sd_deg=(0.1, 0.2, 2.0),
+        accel_bias_sd_mg=5.0,
+        gyro_bias_sd_degph=7.0,
     )
-    expected = [0.3] * 3 + [0.1 * DEG, 0.2 * DEG, 2.0 * DEG] + [5.0 * MG] * 3 + [7.0 * DEG_PER_HOUR] * 3
+    expected = (
+        [0.3] * 3 + [0.1 * DEG, 0.2 * DEG, 2.0 * DEG] + [5.0 * MG] * 3 + [7.0 * DEG_PER_HOUR] * 3
+    )
     np.testing.assert_allclose(initial_sd(initial), expected, rtol=1e-14)
 
 
 def test_biases_known_beforehand_are_where_the_filter_starts(dive: Dive) -> None:
     assert not aligned(dive, dive.reference, Initial()).start.gyro_bias_b.any()
     start = aligned(
-        dive, dive.reference, Initial(accel_bias_mg=(1.0, 2.0, 3.0), gyro_bias_degph=(4.0, 5.0, 206.0))
+        dive,
+        dive.reference,
+        Initial(accel_bias_mg=(1.0, 2.0, 3.0), gyro_bias_degph=(4.0, 5.0, 206.0)),
     ).start
     np.testing.assert_allclose(start.accel_bias_b, [1.0 * MG, 2.0 * MG, 3.0 * MG], rtol=1e-15)
-    np.testing.assert_allclose(start.gyro_bias_b, np.array([4.0, 5.0, 206.0]) * DEG_PER_HOUR, rtol=1e-15)
+    np.testing.assert_allclose(
+        start.gyro_bias_b, np.array([4.0, 5.0, 206.0]) * DEG_PER_HOUR, rtol=1e-15
+    )
 
 
 def test_a_bias_that_is_known_costs_nothing(dive: Dive) -> None:

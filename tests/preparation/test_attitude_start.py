@@ -29,7 +29,9 @@ BY_SENSOR = Initial(source="sensor", misalignment_sd_deg=(0.1, 0.1, 0.1), accel_
 def simulated(seed: int = 1, sd_deg: float = SD_DEG, duration_s: float = 40.0) -> Dive:
     """A dive that turns, rolls and pitches."""
     ahrs = {"heading": SensorErrors(sd_deg, 4.0)}
-    return simulate_dive("calibration", seed=seed, duration_s=duration_s, grade="mems", sensors=ahrs)
+    return simulate_dive(
+        "calibration", seed=seed, duration_s=duration_s, grade="mems", sensors=ahrs
+    )
 
 
 def config(initial: Initial = BY_SENSOR, heading: Heading = AHRS) -> Config:
@@ -83,7 +85,10 @@ def test_an_attitude_of_the_log_is_that_of_the_dive(
 
 def test_an_attitude_that_nobody_starts_from_is_not_kept(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulated())
-    aided = {"baseline": Filter(aiding=("velocity",)), "held": Filter(aiding=("velocity", "heading"))}
+    aided = {
+        "baseline": Filter(aiding=("velocity",)),
+        "held": Filter(aiding=("velocity", "heading")),
+    }
     read = read_dive(tmp_path / "dive.mcap", Config(filters=aided)).sensors["heading"]
     assert read.mat_nb is None
 
@@ -139,14 +144,22 @@ def test_a_compass_gives_no_start_and_has_no_axes(tmp_path: Path) -> None:
 
 def test_filters_start_at_the_first_attitude_in_the_span() -> None:
     dive = simulated()
-    settings = msgspec.structs.replace(config(), span=msgspec.structs.replace(config().span, start_s=10.3))
+    settings = msgspec.structs.replace(
+        config(), span=msgspec.structs.replace(config().span, start_s=10.3)
+    )
     columns, rpy = ahrs_of(dive)
     prepared = prepare_dive(replace(dive, reference=None), with_latitude(settings))
     first = int(np.searchsorted(columns.time_ns, dive.imu.time_ns[0] + round(10.3e9)))
     assert prepared.alignment.start_ns == columns.time_ns[first]
-    np.testing.assert_allclose(rpy_from_mat(prepared.alignment.start.mat_nb), rpy[first], atol=1e-12)
+    np.testing.assert_allclose(
+        rpy_from_mat(prepared.alignment.start.mat_nb), rpy[first], atol=1e-12
+    )
     assert {"start_attitude_sensor", "start_velocity_dvl"} <= codes(prepared)
-    assert not codes(prepared) & {"start_levelled", "start_tilt_contradiction", "start_heading_sensor"}
+    assert not codes(prepared) & {
+        "start_levelled",
+        "start_tilt_contradiction",
+        "start_heading_sensor",
+    }
 
 
 def test_an_ahrs_needs_no_samples_to_level_by() -> None:
@@ -161,7 +174,13 @@ def test_an_ahrs_needs_no_samples_to_level_by() -> None:
         specific_force_b=dive.imu.specific_force_b[heard],
         angular_rate_b=dive.imu.angular_rate_b[heard],
     )
-    few = replace(imu, **{name: getattr(imu, name)[::3] for name in ("time_ns", "specific_force_b", "angular_rate_b")})
+    few = replace(
+        imu,
+        **{
+            name: getattr(imu, name)[::3]
+            for name in ("time_ns", "specific_force_b", "angular_rate_b")
+        },
+    )
     prepared = prepare_dive(replace(dive, imu=few), config())
     np.testing.assert_allclose(rpy_from_mat(prepared.alignment.start.mat_nb), rpy[0], atol=1e-12)
     level = msgspec.structs.replace(BY_SENSOR, source="level", heading_deg=0.0)
@@ -214,12 +233,19 @@ def test_a_vehicle_that_no_dvl_sees_is_levelled_better_by_its_ahrs() -> None:
     for seed in range(8):
         dive = simulated(seed, sd_deg=0.3)
         blind_s = 1e-9 * (dive.dvl.time_ns - dive.dvl.time_ns[0])
-        dvl = replace(dive.dvl, beam_velocity_mps=np.where(blind_s[:, None] < 25.0, np.nan, dive.dvl.beam_velocity_mps))
+        dvl = replace(
+            dive.dvl,
+            beam_velocity_mps=np.where(blind_s[:, None] < 25.0, np.nan, dive.dvl.beam_velocity_mps),
+        )
         blind = replace(dive, dvl=dvl)
-        settings = msgspec.structs.replace(config(), span=msgspec.structs.replace(config().span, start_s=10.0))
+        settings = msgspec.structs.replace(
+            config(), span=msgspec.structs.replace(config().span, start_s=10.0)
+        )
         for source, found in (("sensor", sensed_deg), ("level", levelled_deg)):
             initial = msgspec.structs.replace(settings.initial, source=source, heading_deg="sensor")
-            start = prepare_dive(blind, msgspec.structs.replace(settings, initial=initial)).alignment
+            start = prepare_dive(
+                blind, msgspec.structs.replace(settings, initial=initial)
+            ).alignment
             truth = rpy_from_mat(truth_at(dive, start.start_ns))
             found.append(np.abs(rpy_from_mat(start.start.mat_nb) - truth)[:2].max() / DEG)
     assert np.median(sensed_deg) < 0.5
@@ -232,7 +258,9 @@ def test_a_vehicle_that_no_dvl_sees_is_levelled_better_by_its_ahrs() -> None:
 def test_an_ahrs_on_its_back_contradicts_gravity_until_its_mounting_is_said(tmp_path: Path) -> None:
     dive = simulated()
     columns, _ = ahrs_of(dive)
-    on_its_back = replace(columns, mat_nb=columns.mat_nb @ mat_from_rpy(np.array([np.pi, 0.0, 0.0])))
+    on_its_back = replace(
+        columns, mat_nb=columns.mat_nb @ mat_from_rpy(np.array([np.pi, 0.0, 0.0]))
+    )
     write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"heading": on_its_back}))
     [said] = [note for note in contradictions(tmp_path / "dive.mcap", AHRS) if "tilt" in note.code]
     assert said.severity is Severity.WARNING
@@ -250,7 +278,11 @@ def test_axes_taken_for_others_contradict_the_heading_of_the_reference(tmp_path:
 
 
 def contradictions(log: Path, heading: Heading) -> list[Note]:
-    return [note for note in replay_log(log, config(heading=heading)).notes if note.code.endswith("_contradiction")]
+    return [
+        note
+        for note in replay_log(log, config(heading=heading)).notes
+        if note.code.endswith("_contradiction")
+    ]
 
 
 def test_an_ahrs_that_begins_after_the_dive_is_an_error() -> None:
@@ -267,7 +299,9 @@ def test_rows_without_an_attitude_are_ignored() -> None:
     assert columns.mat_nb is not None
     mat_nb = columns.mat_nb.copy()
     mat_nb[:3] = np.nan
-    prepared = prepare_dive(replace(dive, sensors={"heading": replace(columns, mat_nb=mat_nb)}), config())
+    prepared = prepare_dive(
+        replace(dive, sensors={"heading": replace(columns, mat_nb=mat_nb)}), config()
+    )
     np.testing.assert_allclose(rpy_from_mat(prepared.alignment.start.mat_nb), rpy[3], atol=1e-12)
 
 
@@ -283,9 +317,13 @@ def test_the_ahrs_of_a_recorded_bag_starts_a_vehicle_as_its_truth_would(ros1: Pa
     ]
     log, errors_deg = ros1 / "rexrov2_simulated.bag", {}
     for source in ("reference", "sensor"):
-        replay = replay_log(log, load_config("mems", overrides=[*overrides, f"initial.source={source}"]))
+        replay = replay_log(
+            log, load_config("mems", overrides=[*overrides, f"initial.source={source}"])
+        )
         errors_deg[source] = replay.errors["baseline"].attitude_error_rad / DEG
         assert not [note for note in replay.notes if note.code.endswith("_contradiction")]
     np.testing.assert_allclose(errors_deg["sensor"][0], 0.0, atol=0.05)
-    rms_deg = {source: np.sqrt(np.nanmean(errors**2, axis=0)) for source, errors in errors_deg.items()}
+    rms_deg = {
+        source: np.sqrt(np.nanmean(errors**2, axis=0)) for source, errors in errors_deg.items()
+    }
     np.testing.assert_allclose(rms_deg["sensor"], rms_deg["reference"], atol=0.01)

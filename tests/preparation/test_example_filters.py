@@ -31,14 +31,19 @@ def on_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def dive() -> Dive:
-    return simulate_dive("figure-eight", seed=3, duration_s=300.0, grade="mems", imu_rate_hz=50.0, lever_arm_m=ARM_M)
+    return simulate_dive(
+        "figure-eight", seed=3, duration_s=300.0, grade="mems", imu_rate_hz=50.0, lever_arm_m=ARM_M
+    )
 
 
 def replayed(dive: Dive, mine: Filter) -> Replay:
     config: Config = load_config("mems")
     filters = {"baseline": Filter(aiding=("velocity",)), "mine": mine}
     dvl = Dvl(lever_arm_m=ARM_M)
-    return replay_dive(dive, msgspec.structs.replace(config, filters=filters, dvl=dvl, evaluation=Evaluation(starts=1)))
+    return replay_dive(
+        dive,
+        msgspec.structs.replace(config, filters=filters, dvl=dvl, evaluation=Evaluation(starts=1)),
+    )
 
 
 # --- A filter in C++.
@@ -50,23 +55,40 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> str:
         pytest.skip("needs a compiler of C++")
     program = str(tmp_path_factory.mktemp("c++") / "error_state_filter")
     source = str(EXAMPLES / "error_state_filter.cpp")
-    subprocess.run([compiler, "-O1", "-Wall", "-Wextra", "-Werror", "-std=c++17", "-o", program, source], check=True)
+    subprocess.run(
+        [compiler, "-O1", "-Wall", "-Wextra", "-Werror", "-std=c++17", "-o", program, source],
+        check=True,
+    )
     return program
 
 
-def test_the_filter_in_cpp_is_as_good_as_the_baseline_with_the_same_noise(compiled: str, dive: Dive) -> None:
+def test_the_filter_in_cpp_is_as_good_as_the_baseline_with_the_same_noise(
+    compiled: str, dive: Dive
+) -> None:
     noise = load_config("mems").noise
-    densities = (str(noise.accel_white_mps_rts), str(noise.gyro_white_rad_rts), str(Dvl().velocity_sd_mps))
-    replay = replayed(dive, Filter(program=(compiled, "{dive}", "{start}", "{solution}", *densities)))
+    densities = (
+        str(noise.accel_white_mps_rts),
+        str(noise.gyro_white_rad_rts),
+        str(Dvl().velocity_sd_mps),
+    )
+    replay = replayed(
+        dive, Filter(program=(compiled, "{dive}", "{start}", "{solution}", *densities))
+    )
     rows = {row.quantity: row for row in replay.tables.evidence if row.filter == "mine"}
     assert rows["drift_30s"].ratio == pytest.approx(1.0, abs=0.1)
     assert rows["outage_30s"].ratio == pytest.approx(1.0, abs=0.1)
-    sizes = {row.filter: row.mean_nees for row in replay.tables.credibility if row.quantity == "attitude"}
+    sizes = {
+        row.filter: row.mean_nees for row in replay.tables.credibility if row.quantity == "attitude"
+    }
     assert sizes["mine"] == pytest.approx(sizes["baseline"], rel=0.2)
 
 
-def test_the_filter_in_cpp_reports_a_file_that_it_cannot_read(compiled: str, tmp_path: Path) -> None:
-    done = subprocess.run([compiled, "nowhere", "nowhere", "x"], capture_output=True, text=True, check=False)
+def test_the_filter_in_cpp_reports_a_file_that_it_cannot_read(
+    compiled: str, tmp_path: Path
+) -> None:
+    done = subprocess.run(
+        [compiled, "nowhere", "nowhere", "x"], capture_output=True, text=True, check=False
+    )
     assert (done.returncode, done.stderr) == (1, "cannot read nowhere\n")
 
 
@@ -74,11 +96,19 @@ def test_the_filter_in_cpp_reports_a_file_that_it_cannot_read(compiled: str, tmp
 
 
 def test_scheduled_noise_is_better_where_accelerometers_shake() -> None:
-    quiet = simulate_dive("figure-eight", seed=3, duration_s=900.0, grade="mems", imu_rate_hz=50.0, lever_arm_m=ARM_M)
+    quiet = simulate_dive(
+        "figure-eight", seed=3, duration_s=900.0, grade="mems", imu_rate_hz=50.0, lever_arm_m=ARM_M
+    )
     since_s = (quiet.imu.time_ns - quiet.imu.time_ns[0]) / NS_PER_S
-    shaking = (since_s % 100.0 > 60.0)[:, None] * np.random.default_rng(3).standard_normal((len(since_s), 3))
-    dive = replace(quiet, imu=replace(quiet.imu, specific_force_b=quiet.imu.specific_force_b + 10.0 * shaking))
-    replay = replayed(dive, Filter(aiding=("velocity",), noise_factors="scheduled_noise:ByVibration"))
+    shaking = (since_s % 100.0 > 60.0)[:, None] * np.random.default_rng(3).standard_normal(
+        (len(since_s), 3)
+    )
+    dive = replace(
+        quiet, imu=replace(quiet.imu, specific_force_b=quiet.imu.specific_force_b + 10.0 * shaking)
+    )
+    replay = replayed(
+        dive, Filter(aiding=("velocity",), noise_factors="scheduled_noise:ByVibration")
+    )
     ratios = {row.quantity: row.ratio for row in replay.tables.evidence if row.filter == "mine"}
     for quantity in ("position", "outage_60s", "drift_60s", "velocity_along", "level", "heading"):
         assert ratios[quantity] < 0.75, quantity
@@ -103,9 +133,13 @@ def test_the_network_takes_out_the_scale_that_it_was_trained_with(weights: Path)
     beams = 1.007 * true @ beamsnet.BEAMS.T + noise
     found = beamsnet.velocity(beamsnet.load_weights(weights / "BeamsNetV2.pkl"), beams)
     solved = beams[3:] @ np.linalg.pinv(beamsnet.BEAMS).T
-    speeds = (np.linalg.norm(velocity, axis=1) for velocity in (found, solved, solved / 1.007, true[3:]))
+    speeds = (
+        np.linalg.norm(velocity, axis=1) for velocity in (found, solved, solved / 1.007, true[3:])
+    )
     network, least_squares, scaled, exact = speeds
-    rms_mps = [float(np.sqrt(np.mean((speed - exact) ** 2))) for speed in (network, least_squares, scaled)]
+    rms_mps = [
+        float(np.sqrt(np.mean((speed - exact) ** 2))) for speed in (network, least_squares, scaled)
+    ]
     assert rms_mps[0] < 0.8 * rms_mps[1]
     assert rms_mps[2] < rms_mps[0]
 
@@ -114,7 +148,9 @@ def test_the_network_takes_out_the_scale_that_it_was_trained_with(weights: Path)
 def test_the_network_is_evaluated_as_a_measurement(weights: Path, dive: Dive) -> None:
     replay = replayed(dive, Filter(aiding=("beamsnet:BeamsNet",), states=()))
     assert "user_measurement_jacobian" not in {note.code for note in replay.notes}
-    assert "mine" not in replay.verdicts["mine"].reason, "nothing is wrong with the network's filter"
+    assert "mine" not in replay.verdicts["mine"].reason, (
+        "nothing is wrong with the network's filter"
+    )
     assert "beamsnet" in {row.measurement for row in replay.tables.consistency}
 
 
@@ -139,12 +175,22 @@ def test_the_node_of_ros_2_is_played_to_and_recorded(dive: Dive, tmp_path: Path)
     assert dive.reference is not None
     write_dive(tmp_path / "dive.mcap", replace(dive, reference=None))
     write_dive(tmp_path / "recorded.mcap", dive)
-    (tmp_path / "ros2").write_text(ROS2.format(python=sys.executable, recorded=str(tmp_path / "recorded.mcap")))
+    (tmp_path / "ros2").write_text(
+        ROS2.format(python=sys.executable, recorded=str(tmp_path / "recorded.mcap"))
+    )
     (tmp_path / "ros2").chmod(0o755)
     start = CandidateStart(
-        dive.reference.position[0], dive.reference.velocity_n[0], dive.reference.mat_nb[0], np.eye(12)
+        dive.reference.position[0],
+        dive.reference.velocity_n[0],
+        dive.reference.mat_nb[0],
+        np.eye(12),
     )
     (tmp_path / "start.json").write_bytes(start.to_json())
     words = [sys.executable, str(EXAMPLES / "ros2_node.py"), "dive.mcap", "start.json", "solution"]
-    subprocess.run(words, cwd=tmp_path, env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}, check=True)
+    subprocess.run(
+        words,
+        cwd=tmp_path,
+        env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        check=True,
+    )
     assert (tmp_path / "solution").read_bytes() == (tmp_path / "recorded.mcap").read_bytes()

@@ -59,12 +59,17 @@ def reports_velocities(dive: Dive) -> Dive:
     """The same dive from a DVL that keeps its beams to itself."""
     velocities = dvl_velocities(dive.dvl)
     return replace(
-        dive, dvl=replace(dive.dvl, beam_velocity_mps=None, beam_vectors_d=None, velocity_d=velocities.velocity_b)
+        dive,
+        dvl=replace(
+            dive.dvl, beam_velocity_mps=None, beam_vectors_d=None, velocity_d=velocities.velocity_b
+        ),
     )
 
 
 @COMBINATIONS
-def test_the_filters_own_noise_goes_before_the_common_one(common: Named, own: Named, expected: Expected) -> None:
+def test_the_filters_own_noise_goes_before_the_common_one(
+    common: Named, own: Named, expected: Expected
+) -> None:
     config, filter_ = configured(common, own)
     assert resolved(filter_, config).dvl_noise == expected
 
@@ -93,11 +98,15 @@ def test_noise_of_a_beam_is_turned_with_the_mounting(dive: Dive, tilt_deg: float
     sine, cosine = np.sin(tilt_deg * DEG), np.cos(tilt_deg * DEG)
     across, down = 1.0 / (2.0 * sine**2), 1.0 / (4.0 * cosine**2)
     expected = 1e-4 * np.diag([across, down, across])
-    np.testing.assert_allclose(measurement.cov, np.broadcast_to(expected, measurement.cov.shape), atol=1e-16)
+    np.testing.assert_allclose(
+        measurement.cov, np.broadcast_to(expected, measurement.cov.shape), atol=1e-16
+    )
 
 
 @COMBINATIONS
-def test_simulated_sensors_err_as_the_filter_is_reported(common: Named, own: Named, expected: Expected) -> None:
+def test_simulated_sensors_err_as_the_filter_is_reported(
+    common: Named, own: Named, expected: Expected
+) -> None:
     """What the drawn noise scatters by, against R of the filter that it is drawn for."""
     del expected
     config, filter_ = configured(common, own)
@@ -131,7 +140,9 @@ def test_the_control_fits_the_noise_that_the_baseline_has(
         assert getattr(tuned, key) == pytest.approx(sd_mps)
         found = resolved(tuned, config)
         assert found.dvl_noise == (key, pytest.approx(sd_mps))
-        assert found.noise_density == pytest.approx(resolved(config.filters["baseline"], config).noise_density)
+        assert found.noise_density == pytest.approx(
+            resolved(config.filters["baseline"], config).noise_density
+        )
 
 
 def test_own_velocity_noise_moves_the_result_under_a_common_noise_of_beams(dive: Dive) -> None:
@@ -140,7 +151,9 @@ def test_own_velocity_noise_moves_the_result_under_a_common_noise_of_beams(dive:
     baseline, own = replay_dive(
         dive, Config(dvl=Dvl(beam_sd_mps=0.01), filters={"baseline": velocity, "noisy": noisy})
     ).histories
-    (alone,) = replay_dive(dive, Config(dvl=Dvl(velocity_sd_mps=0.2), filters={"baseline": velocity})).histories
+    (alone,) = replay_dive(
+        dive, Config(dvl=Dvl(velocity_sd_mps=0.2), filters={"baseline": velocity})
+    ).histories
     np.testing.assert_array_equal(own.sd, alone.sd)
     assert (own.sd[-1, :3] > 1.3 * baseline.sd[-1, :3]).all()
 

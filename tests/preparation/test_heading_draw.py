@@ -32,11 +32,17 @@ FILTERS = {
     "fixes": 'aiding = ["velocity", "position"]',
     "placed": 'aiding = ["velocity"], states = ["position"]',
 }
-SENSORS = {"heading": SensorErrors(0.5, 1.0), "depth": SensorErrors(0.05, 1.0), "position": SensorErrors(2.0, 0.1)}
+SENSORS = {
+    "heading": SensorErrors(0.5, 1.0),
+    "depth": SensorErrors(0.05, 1.0),
+    "position": SensorErrors(2.0, 0.1),
+}
 
 
 def simulated(seed: int) -> Dive:
-    dive = simulate_dive("lawnmower", seed=seed, duration_s=60.0, grade="tactical", imu_rate_hz=20.0, sensors=SENSORS)
+    dive = simulate_dive(
+        "lawnmower", seed=seed, duration_s=60.0, grade="tactical", imu_rate_hz=20.0, sensors=SENSORS
+    )
     return replace(dive, imu_fingerprint=imu_fingerprint(dive.imu))
 
 
@@ -48,7 +54,9 @@ def dive() -> Dive:
 def settings(*names: str, **initial: Any) -> Config:
     filters = [f"filters.{name}={{{FILTERS[name]}}}" for name in names]
     config = load_config("tactical", overrides=[BASELINE, *filters, "evaluation.starts=1"])
-    start = msgspec.structs.replace(config.initial, misalignment_sd_deg=(0.5, 0.5, SD_DEG), **initial)
+    start = msgspec.structs.replace(
+        config.initial, misalignment_sd_deg=(0.5, 0.5, SD_DEG), **initial
+    )
     return msgspec.structs.replace(config, initial=start)
 
 
@@ -75,7 +83,9 @@ def test_a_heading_of_the_vehicle_is_not_drawn_again(dive: Dive) -> None:
     assert draw_of(dive, settings("compass")) is not None
 
 
-def test_the_heading_errs_by_the_sd_of_the_settings_to_a_side_that_dive_and_seed_choose(dive: Dive) -> None:
+def test_the_heading_errs_by_the_sd_of_the_settings_to_a_side_that_dive_and_seed_choose(
+    dive: Dive,
+) -> None:
     """Dives of equal length differ, and a renamed dive does not."""
     config = settings("compass")
     own = prepare_dive(dive, config).alignment.start
@@ -88,8 +98,16 @@ def test_the_heading_errs_by_the_sd_of_the_settings_to_a_side_that_dive_and_seed
     np.testing.assert_allclose(turn_deg, [0.0, 0.0, first.error_deg], atol=1e-9)
     assert first.start.sd[HEADING] == pytest.approx(SD_DEG * DEG)
     np.testing.assert_allclose(first.start.sd[PHI][:2], own.sd[PHI][:2])
-    by_seed = {draw.error_deg > 0.0 for seed in range(12) if (draw := draw_of(dive, config, seed)) is not None}
-    by_dive = {draw.error_deg > 0.0 for number in range(8) if (draw := draw_of(simulated(number), config)) is not None}
+    by_seed = {
+        draw.error_deg > 0.0
+        for seed in range(12)
+        if (draw := draw_of(dive, config, seed)) is not None
+    }
+    by_dive = {
+        draw.error_deg > 0.0
+        for number in range(8)
+        if (draw := draw_of(simulated(number), config)) is not None
+    }
     assert by_seed == by_dive == {False, True}
 
 
@@ -143,7 +161,9 @@ def test_a_filter_of_the_user_s_runs_from_the_drawn_heading_of_the_baseline() ->
     dive = simulate_dive("lawnmower", seed=3, duration_s=120.0, imu_rate_hz=20.0)
     mine = Filter(candidate="baseline_as_candidate:Baseline")
     filters = {"baseline": Filter(aiding=("velocity",)), "mine": mine}
-    config = Config(noise=FITTING.noise, dvl=FITTING.dvl, filters=filters, evaluation=Evaluation(starts=1))
+    config = Config(
+        noise=FITTING.noise, dvl=FITTING.dvl, filters=filters, evaluation=Evaluation(starts=1)
+    )
     replay = replay_dive(dive, config)
     rows = {row.quantity: row for row in replay.tables.evidence}
     own, drawn = rows["position"], rows[DRAWN_HEADING]

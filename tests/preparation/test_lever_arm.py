@@ -38,7 +38,10 @@ def test_velocity_of_the_moved_point_is_the_rate_of_its_way(turning: Dive) -> No
     change_n = np.gradient(apart_n, seconds(moved.time_ns, moved.time_ns[0]), axis=0)
     inside = slice(1, -1)
     np.testing.assert_allclose(
-        (moved.velocity_n - turning.reference.velocity_n)[inside], change_n[inside], rtol=0.0, atol=2e-3
+        (moved.velocity_n - turning.reference.velocity_n)[inside],
+        change_n[inside],
+        rtol=0.0,
+        atol=2e-3,
     )
     apart_m = north_east_down_m(moved) - north_east_down_m(turning.reference)
     np.testing.assert_allclose(apart_m, apart_n - apart_n[0], rtol=0.0, atol=0.01)
@@ -50,8 +53,14 @@ def test_reference_of_another_point_is_as_good_once_its_lever_arm_is_known(turni
     noise = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=2e-6)
     known = Config(noise=noise, reference=Reference(lever_arm_m=(1.8, -0.4, 0.3)))
     rms_m = [
-        frame(replay_dive(dive, config).tables.reference_error).set_index("quantity").loc["position_h", "rmse"]
-        for dive, config in ((turning, Config(noise=noise)), (elsewhere, known), (elsewhere, Config(noise=noise)))
+        frame(replay_dive(dive, config).tables.reference_error)
+        .set_index("quantity")
+        .loc["position_h", "rmse"]
+        for dive, config in (
+            (turning, Config(noise=noise)),
+            (elsewhere, known),
+            (elsewhere, Config(noise=noise)),
+        )
     ]
     assert rms_m[1] == pytest.approx(rms_m[0], abs=1e-3)
     assert rms_m[2] > 0.5
@@ -78,7 +87,9 @@ def test_mounting_turns_the_attitude_before_the_arm_is_taken_off(turning: Dive) 
     np.testing.assert_allclose(inside.mat_nb, truth.mat_nb, atol=1e-12)
     np.testing.assert_allclose(inside.velocity_n, truth.velocity_n, atol=1e-9)
     np.testing.assert_allclose(inside.position, truth.position, atol=1e-12)
-    unturned = with_reference_at_imu(turned, Config(reference=Reference(lever_arm_m=(1.8, -0.4, 0.3)))).reference
+    unturned = with_reference_at_imu(
+        turned, Config(reference=Reference(lever_arm_m=(1.8, -0.4, 0.3)))
+    ).reference
     assert unturned is not None
     assert np.nanmax(np.abs(unturned.velocity_n - turning.reference.velocity_n)) > 0.2
 

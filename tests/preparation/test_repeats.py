@@ -141,7 +141,9 @@ def test_equal_answers_have_the_digest_of_the_solution(dive: Dive) -> None:
     assert re.search(r"SHA-256 [0-9a-f]{16}", note.text)
     assert first.notes == second.notes
     assert not notes_of(first, "answers_differ")
-    assert first.verdicts["mine"].verdict == Verdict.UNDECIDED, "one dive, with a verdict of no other kind"
+    assert first.verdicts["mine"].verdict == Verdict.UNDECIDED, (
+        "one dive, with a verdict of no other kind"
+    )
 
 
 @pytest.mark.nightly
@@ -162,15 +164,20 @@ def test_an_answer_that_depends_on_the_process_does_not_repeat(dive: Dive) -> No
     ("name", "when"),
     [
         ("Chaotic", "when all stamps move by 1 us"),
-        pytest.param("Counting", "when one IMU sample in 10,000 is repeated", marks=pytest.mark.nightly),
+        pytest.param(
+            "Counting", "when one IMU sample in 10,000 is repeated", marks=pytest.mark.nightly
+        ),
     ],
 )
-def test_an_answer_that_moves_by_what_means_nothing_has_no_verdict(name: str, when: str, dive: Dive) -> None:
+def test_an_answer_that_moves_by_what_means_nothing_has_no_verdict(
+    name: str, when: str, dive: Dive
+) -> None:
     replay = replay_dive(dive, config(of_class(name)))
     found = replay.verdicts["mine"]
     assert found.verdict == Verdict.NOT_REPEATABLE
     said = re.search(
-        rf"moves its position by (\d+) m \(rms\), [\d.e+]+ % of the error of baseline, {when}", found.reason
+        rf"moves its position by (\d+) m \(rms\), [\d.e+]+ % of the error of baseline, {when}",
+        found.reason,
     )
     assert said is not None, found.reason
     # A distance that grows to its end has a root mean square of one over the root of three.
@@ -190,7 +197,9 @@ def test_a_filter_that_fails_at_a_repeated_sample_has_no_verdict(dive: Dive) -> 
 @pytest.mark.nightly
 def test_without_a_reference_the_drift_without_the_dvl_is_compared(dive: Dive) -> None:
     settings = config(of_class("Turning"))
-    alone = msgspec.structs.replace(settings, reference=msgspec.structs.replace(settings.reference, independent=False))
+    alone = msgspec.structs.replace(
+        settings, reference=msgspec.structs.replace(settings.reference, independent=False)
+    )
     replay = replay_dive(dive, alone)
     found = replay.verdicts["mine"]
     assert found.verdict == Verdict.NOT_REPEATABLE
@@ -204,7 +213,9 @@ class Turning(Baseline):
         """Change the velocity by some cm/s."""
         solution = super().run(dive, start)
         assert solution.velocity_n is not None
-        return replace(solution, velocity_n=solution.velocity_n + np.random.default_rng().uniform(-0.1, 0.1, 3))
+        return replace(
+            solution, velocity_n=solution.velocity_n + np.random.default_rng().uniform(-0.1, 0.1, 3)
+        )
 
 
 @pytest.mark.nightly
@@ -229,7 +240,10 @@ def test_a_program_that_reads_the_log_has_a_second_run_and_no_other(
     write_dive(tmp_path / "dive.mcap", dive)
     baseline = replay_dive(dive, config()).histories[0]
     degrees = (baseline.position / [DEG, DEG, 1.0]).tolist()
-    rows = [(time_ns, *position) for time_ns, position in zip(baseline.time_ns.tolist(), degrees, strict=True)]
+    rows = [
+        (time_ns, *position)
+        for time_ns, position in zip(baseline.time_ns.tolist(), degrees, strict=True)
+    ]
     script = tmp_path / "mine.py"
     # Less than a metre in height, which does not decide.
     script.write_text(
@@ -240,7 +254,9 @@ def test_a_program_that_reads_the_log_has_a_second_run_and_no_other(
         f"    for time_ns, north, east, up in {rows}:\n"
         "        print(time_ns, repr(north), repr(east), repr(up + height_m), sep=',', file=file)\n"
     )
-    mine = Filter(program=(sys.executable, str(script), "{dive}", "{start}", "{solution}"), input="log")
+    mine = Filter(
+        program=(sys.executable, str(script), "{dive}", "{start}", "{solution}"), input="log"
+    )
     replay = replay_log(tmp_path / "dive.mcap", config(mine))
     assert not replay.histories[-1].failure
     assert len(notes_of(replay, "answers_repeat")) == (not is_random)
@@ -276,8 +292,12 @@ def test_a_spread_is_off_from_the_margin_on() -> None:
     ("dives", "not_repeatable", "word"),
     [(4, 4, Verdict.NOT_REPEATABLE), (4, 1, Verdict.NOT_EVALUATED), (4, 3, Verdict.NOT_REPEATABLE)],
 )
-def test_over_dives_the_word_is_that_of_most(dives: int, not_repeatable: int, word: Verdict) -> None:
-    answer = pooled_candidate("mine", "baseline", [], dives, reasons=["why"], not_repeatable=not_repeatable)
+def test_over_dives_the_word_is_that_of_most(
+    dives: int, not_repeatable: int, word: Verdict
+) -> None:
+    answer = pooled_candidate(
+        "mine", "baseline", [], dives, reasons=["why"], not_repeatable=not_repeatable
+    )
     assert answer.verdict == word
 
 
@@ -288,16 +308,28 @@ def later(columns: Any) -> Any:
     """Return columns, and what they hold at times of their own, with later stamps."""
     moved = replace(columns, time_ns=columns.time_ns + LATER_NS)
     stated = getattr(columns, "stated", None)
-    return moved if stated is None else replace(moved, stated=replace(stated, time_ns=stated.time_ns + LATER_NS))
+    return (
+        moved
+        if stated is None
+        else replace(moved, stated=replace(stated, time_ns=stated.time_ns + LATER_NS))
+    )
 
 
 def with_later_stamps(dive: Dive) -> Dive:
     reference: ReferenceColumns | None = later(dive.reference)
-    return replace(dive, imu=later(dive.imu), dvl=later(dive.dvl), reference=reference, truth=later(dive.truth))
+    return replace(
+        dive, imu=later(dive.imu), dvl=later(dive.dvl), reference=reference, truth=later(dive.truth)
+    )
 
 
 def states(history: History) -> list[np.ndarray]:
-    return [history.velocity_n, history.mat_nb.reshape(-1, 9), history.accel_bias_b, history.gyro_bias_b, history.sd]
+    return [
+        history.velocity_n,
+        history.mat_nb.reshape(-1, 9),
+        history.accel_bias_b,
+        history.gyro_bias_b,
+        history.sd,
+    ]
 
 
 def test_built_in_filters_do_not_move_with_all_stamps(dive: Dive) -> None:
@@ -309,9 +341,13 @@ def test_built_in_filters_do_not_move_with_all_stamps(dive: Dive) -> None:
             np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-6)
 
 
-def test_built_in_filters_do_not_move_by_messages_that_were_written_twice(dive: Dive, tmp_path: Path) -> None:
+def test_built_in_filters_do_not_move_by_messages_that_were_written_twice(
+    dive: Dive, tmp_path: Path
+) -> None:
     order = np.insert(np.arange(len(dive.imu.time_ns)), [2001, 7001], [2000, 7000])
-    imu = ImuColumns(dive.imu.time_ns[order], dive.imu.specific_force_b[order], dive.imu.angular_rate_b[order])
+    imu = ImuColumns(
+        dive.imu.time_ns[order], dive.imu.specific_force_b[order], dive.imu.angular_rate_b[order]
+    )
     write_dive(tmp_path / "once.mcap", dive)
     write_dive(tmp_path / "twice.mcap", replace(dive, imu=imu))
     first, moved = (replay_log(tmp_path / f"{name}.mcap", config()) for name in ("once", "twice"))
@@ -329,7 +365,9 @@ def test_built_in_filters_move_by_hardly_anything_with_a_later_copy_of_a_sample(
     for one, other in zip(first.histories, moved.histories, strict=True):
         # The copy says that the readings do not change there, so the cubics through them are others.
         error_m = first.errors[one.filter].position_error_ned_m[:, :2]
-        assert 0.0 < apart_m(one, other) < 1e-3 * float(np.sqrt(np.mean(np.sum(error_m**2, axis=1))))
+        assert (
+            0.0 < apart_m(one, other) < 1e-3 * float(np.sqrt(np.mean(np.sum(error_m**2, axis=1))))
+        )
 
 
 def test_one_sample_in_ten_thousand_is_repeated() -> None:
@@ -337,8 +375,12 @@ def test_one_sample_in_ten_thousand_is_repeated() -> None:
     repeated = with_repeated_samples(imu)
     [first, second, third] = np.flatnonzero(np.diff(repeated.time_ns) == LATER_NS)
     assert (second - first, third - second) == (10_001, 10_001)
-    np.testing.assert_array_equal(repeated.specific_force_b[first], repeated.specific_force_b[first + 1])
-    np.testing.assert_array_equal(np.delete(repeated.time_ns, [first + 1, second + 1, third + 1]), imu.time_ns)
+    np.testing.assert_array_equal(
+        repeated.specific_force_b[first], repeated.specific_force_b[first + 1]
+    )
+    np.testing.assert_array_equal(
+        np.delete(repeated.time_ns, [first + 1, second + 1, third + 1]), imu.time_ns
+    )
 
 
 # --- Processor time.

@@ -44,13 +44,17 @@ IMU: Final = ImuErrors(
 DVL: Final = DvlErrors(beam_bias_sd_mps=0.0, beam_scale_sd=0.0)
 BIASES: Final = {"accel_bias_sd_mg": ACCEL_SD_MG, "gyro_bias_sd_degph": GYRO_SD_DEGPH}
 HEADING_SD_DEG = 2.0
-LEVEL: Final = Initial(source="level", misalignment_sd_deg=(0.5, 0.5, HEADING_SD_DEG), heading_deg=0.0, **BIASES)
+LEVEL: Final = Initial(
+    source="level", misalignment_sd_deg=(0.5, 0.5, HEADING_SD_DEG), heading_deg=0.0, **BIASES
+)
 BY_AHRS: Final = Initial(source="sensor", **BIASES)
 
 
 @pytest.fixture(scope="module")
 def exact() -> Dive:
-    return exact_dive("figure-eight", duration_s=100.0, imu_rate_hz=20.0, sensor_rates_hz={"heading": 4.0})
+    return exact_dive(
+        "figure-eight", duration_s=100.0, imu_rate_hz=20.0, sensor_rates_hz={"heading": 4.0}
+    )
 
 
 def with_errors(exact: Dive, seed: int) -> Dive:
@@ -62,7 +66,9 @@ def settings(initial: Initial, heading: Heading = Heading()) -> Config:
     return msgspec.structs.replace(load_config("tactical"), initial=initial, heading=heading)
 
 
-def noisy(reference: ReferenceColumns, seed: int, level_deg: float, heading_deg: float) -> ReferenceColumns:
+def noisy(
+    reference: ReferenceColumns, seed: int, level_deg: float, heading_deg: float
+) -> ReferenceColumns:
     """A reference with white noise, and 5 cm/s and 1.5 m."""
     rng, rows = np.random.default_rng([seed, 7]), len(reference.time_ns)
     turn = np.array([level_deg, level_deg, heading_deg]) * DEG * rng.standard_normal((rows, 3))
@@ -96,7 +102,9 @@ def error_of(alignment: Alignment, exact: Dive, truth: TruthColumns | None) -> F
 
 
 def by_reference(exact: Dive, dive: Dive, seed: int) -> tuple[Dive, Config]:
-    return replace(dive, reference=noisy(known(exact.reference), seed, 0.2, 0.6)), settings(Initial(**BIASES))
+    return replace(dive, reference=noisy(known(exact.reference), seed, 0.2, 0.6)), settings(
+        Initial(**BIASES)
+    )
 
 
 def by_ahrs(exact: Dive, dive: Dive, seed: int) -> tuple[Dive, Config]:
@@ -152,14 +160,18 @@ def test_each_state_of_a_start_errs_by_what_it_says(exact: Dive, way: str) -> No
 # --- What each source shows.
 
 
-def found_sd(exact: Dive, reference: ReferenceColumns, **of_reference: Any) -> tuple[Floats, Floats]:
+def found_sd(
+    exact: Dive, reference: ReferenceColumns, **of_reference: Any
+) -> tuple[Floats, Floats]:
     """Return the standard deviations of attitude and velocity that a reference is given."""
     dive = replace(with_errors(exact, 1), reference=reference)
     config = settings(Initial(**BIASES))
     stated = msgspec.structs.replace(config.reference, **of_reference)
     config = msgspec.structs.replace(config, reference=stated)
     start_ns = int(reference.time_ns[0])
-    sd = reference_sd(dive, config, dvl_velocities(dive.dvl), start_ns, float(reference.position[0, 0]))
+    sd = reference_sd(
+        dive, config, dvl_velocities(dive.dvl), start_ns, float(reference.position[0, 0])
+    )
     return sd.attitude, sd.velocity
 
 
@@ -168,7 +180,9 @@ def test_a_reference_without_noise_has_the_floor(exact: Dive) -> None:
     attitude, velocity = found_sd(exact, known(exact.reference), independent=False)
     np.testing.assert_allclose(attitude, ATTITUDE_FLOOR)
     assert np.all((velocity >= VELOCITY_FLOOR_MPS) & (velocity < 0.006))
-    sd = third_difference_sd(known(exact.reference).time_ns, np.zeros_like(known(exact.reference).velocity_n))
+    sd = third_difference_sd(
+        known(exact.reference).time_ns, np.zeros_like(known(exact.reference).velocity_n)
+    )
     np.testing.assert_array_equal(sd, 0.0)
 
 

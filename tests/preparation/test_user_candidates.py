@@ -31,7 +31,13 @@ from insdvl_replay.nav.user_candidate import Candidate, CandidateError, Candidat
 from insdvl_replay.nav.user_measurement import load_class
 from insdvl_replay.preparation.candidates import history_of_candidate
 from insdvl_replay.preparation.programs import run_as_program
-from insdvl_replay.preparation.solution_files import ATTITUDE, POSITION, VELOCITY, checked_solution, read_solution
+from insdvl_replay.preparation.solution_files import (
+    ATTITUDE,
+    POSITION,
+    VELOCITY,
+    checked_solution,
+    read_solution,
+)
 from insdvl_replay.preparation.source_errors import ATTITUDE_FLOOR, VELOCITY_FLOOR_MPS
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
@@ -58,7 +64,9 @@ def alone(dive: Dive) -> Replay:
 def written(dive: Dive, alone: Replay, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The baseline's trajectory as a program would write it."""
     path, baseline = tmp_path_factory.mktemp("solution") / "solution.csv", alone.histories[0]
-    write_solution(path, Solution(baseline.time_ns, baseline.position, baseline.velocity_n, baseline.mat_nb))
+    write_solution(
+        path, Solution(baseline.time_ns, baseline.position, baseline.velocity_n, baseline.mat_nb)
+    )
     return path
 
 
@@ -70,7 +78,8 @@ def write_solution(path: Path, solution: Solution) -> None:
     degrees = solution.position / [DEG, DEG, 1.0], rpy_from_mat(solution.mat_nb) / DEG
     numbers = np.column_stack([degrees[0], solution.velocity_n, degrees[1]]).tolist()
     rows = (
-        ",".join(map(repr, [time_ns, *row])) for time_ns, row in zip(solution.time_ns.tolist(), numbers, strict=True)
+        ",".join(map(repr, [time_ns, *row]))
+        for time_ns, row in zip(solution.time_ns.tolist(), numbers, strict=True)
     )
     path.write_text("\n".join([HEADER, *rows, ""]))
 
@@ -89,7 +98,10 @@ def program(folder: Path, script: str, **settings: Any) -> Filter:
     """Write a program that begins with its three paths."""
     path = folder / "mine.py"
     path.write_text(FIRST_LINES + script)
-    return Filter(program=(sys.executable, "-S", "-E", str(path), "{dive}", "{start}", "{solution}"), **settings)
+    return Filter(
+        program=(sys.executable, "-S", "-E", str(path), "{dive}", "{start}", "{solution}"),
+        **settings,
+    )
 
 
 def copying(written: Path) -> str:
@@ -135,7 +147,10 @@ def test_covariance_gives_nees_and_innovations_give_nis(dive: Dive) -> None:
 def test_a_program_is_given_what_the_filters_get_and_nothing_that_judges_them(
     dive: Dive, written: Path, tmp_path: Path
 ) -> None:
-    script = copying(written) + f"pathlib.Path({str(tmp_path)!r}, dive.name).write_bytes(dive.read_bytes())\n"
+    script = (
+        copying(written)
+        + f"pathlib.Path({str(tmp_path)!r}, dive.name).write_bytes(dive.read_bytes())\n"
+    )
     script += f"pathlib.Path({str(tmp_path)!r}, 'start.json').write_bytes(start.read_bytes())\n"
     replay_dive(dive, config(program(tmp_path, script)))
     assert sorted(path.name for path in tmp_path.glob("*.mcap")) == [
@@ -163,20 +178,36 @@ def test_a_program_is_given_the_log_without_what_judges_it(
     sensors = {"depth": SensorErrors(0.05, 4.0)}
     dive = simulate_dive("lawnmower", seed=3, duration_s=220.0, imu_rate_hz=50.0, sensors=sensors)
     write_dive(tmp_path / "dive.mcap", dive)
-    script = copying(written) + f"pathlib.Path({str(tmp_path)!r}, dive.name).write_bytes(dive.read_bytes())\n"
+    script = (
+        copying(written)
+        + f"pathlib.Path({str(tmp_path)!r}, dive.name).write_bytes(dive.read_bytes())\n"
+    )
     mine = program(tmp_path, script, input="log")
-    assert not replay_log(tmp_path / "dive.mcap", config(mine, held_out=held_out)).histories[-1].failure
+    assert (
+        not replay_log(tmp_path / "dive.mcap", config(mine, held_out=held_out))
+        .histories[-1]
+        .failure
+    )
     files = sorted(tmp_path.glob("*_log.mcap"))
-    assert [path.name for path in files] == ["dive_log.mcap", *(f"outage_{i}_log.mcap" for i in (1, 2, 3))]
+    assert [path.name for path in files] == [
+        "dive_log.mcap",
+        *(f"outage_{i}_log.mcap" for i in (1, 2, 3)),
+    ]
     whole, *outages = (read_dive(path, Config()) for path in files)
     np.testing.assert_array_equal(whole.imu.specific_force_b, dive.imu.specific_force_b)
     np.testing.assert_array_equal(whole.dvl.time_ns, dive.dvl.time_ns)
-    assert {channel.topic for channel in whole.channels} == {"/imu", "/dvl", *(() if held_out else ["/pressure"])}
+    assert {channel.topic for channel in whole.channels} == {
+        "/imu",
+        "/dvl",
+        *(() if held_out else ["/pressure"]),
+    }
     absent = [set(dive.dvl.time_ns) - set(found.dvl.time_ns) for found in outages]
     assert sum(map(len, absent)) == len(set.union(*absent)) >= 90
 
 
-def test_a_dive_without_a_file_has_no_log_to_give(dive: Dive, written: Path, tmp_path: Path) -> None:
+def test_a_dive_without_a_file_has_no_log_to_give(
+    dive: Dive, written: Path, tmp_path: Path
+) -> None:
     replay = replay_dive(dive, config(program(tmp_path, copying(written), input="log")))
     assert "its input is the log" in replay.verdicts["mine"].sentence
 
@@ -190,7 +221,9 @@ class Depths(Candidate):
 
 
 @pytest.mark.parametrize(("held_out", "given"), [((), "given ['depth']"), (("depth",), "given []")])
-def test_a_class_is_not_given_a_sensor_that_is_held_out(held_out: tuple[str, ...], given: str) -> None:
+def test_a_class_is_not_given_a_sensor_that_is_held_out(
+    held_out: tuple[str, ...], given: str
+) -> None:
     sensors = {"depth": SensorErrors(0.05, 4.0)}
     dive = simulate_dive("lawnmower", seed=3, duration_s=30.0, imu_rate_hz=50.0, sensors=sensors)
     replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Depths"), held_out=held_out))
@@ -198,7 +231,9 @@ def test_a_class_is_not_given_a_sensor_that_is_held_out(held_out: tuple[str, ...
 
 
 @pytest.mark.all_starts
-def test_a_program_that_ignores_its_start_is_reported(dive: Dive, written: Path, tmp_path: Path) -> None:
+def test_a_program_that_ignores_its_start_is_reported(
+    dive: Dive, written: Path, tmp_path: Path
+) -> None:
     replay = replay_dive(dive, config(program(tmp_path, copying(written)), starts=3))
     assert "candidate_ignores_start" in {note.code for note in replay.notes}
     assert evidence(replay)["drift_30s"].starts == 1, "accuracy is from the start that the dive had"
@@ -208,28 +243,44 @@ def test_a_program_that_ignores_its_start_is_reported(dive: Dive, written: Path,
 
 LINES = "lines = solution.read_text().splitlines(keepends=True)\n"
 FAILURES = {
-    "exit code": ("sys.stderr.write('singular matrix')\nsys.exit(3)", "ended with exit code 3: singular matrix"),
+    "exit code": (
+        "sys.stderr.write('singular matrix')\nsys.exit(3)",
+        "ended with exit code 3: singular matrix",
+    ),
     "signal": ("import os\nos.abort()", "was ended by the signal SIGABRT"),
     "no output": ("solution.unlink()", "wrote no solution"),
     "empty": ("solution.write_text('')", "wrote an empty solution"),
     "no numbers": ("solution.write_text('time_ns,height_m\\n1,deep\\n')", "is not CSV of numbers"),
-    "unknown column": ("solution.write_text('time_ns,vn\\n1,2\\n')", "column 'vn', which is not known"),
-    "half a group": ("solution.write_text('time_ns,roll_deg\\n1,2\\n')", "without pitch_deg and heading_deg"),
+    "unknown column": (
+        "solution.write_text('time_ns,vn\\n1,2\\n')",
+        "column 'vn', which is not known",
+    ),
+    "half a group": (
+        "solution.write_text('time_ns,roll_deg\\n1,2\\n')",
+        "without pitch_deg and heading_deg",
+    ),
     "NaN": (
-        LINES + "lines[9] = lines[9].split(',')[0] + ',nan' * 9 + '\\n'\nsolution.write_text(''.join(lines))",
+        LINES
+        + "lines[9] = lines[9].split(',')[0] + ',nan' * 9 + '\\n'\nsolution.write_text(''.join(lines))",
         "not finite in 1 of",
     ),
     "wrong times": (
         LINES + "solution.write_text(lines[0] + ''.join('2' + line[1:] for line in lines[1:]))",
         "wrong times",
     ),
-    "half a file": (LINES + "solution.write_text(''.join(lines[: len(lines) // 2]))", "only 50 % of the replay"),
+    "half a file": (
+        LINES + "solution.write_text(''.join(lines[: len(lines) // 2]))",
+        "only 50 % of the replay",
+    ),
     "a header alone": ("solution.write_text('time_ns,height_m')", "without rows"),
     "an endless time": (
         "solution.write_text(f'time_ns,roll_deg,pitch_deg,heading_deg\\n{9 ** 40},1,1,1\\n')",
         "not whole nanoseconds",
     ),
-    "a comma too many": ("solution.write_text('time_ns,roll_deg\\n1,2,\\n')", "longer than its header"),
+    "a comma too many": (
+        "solution.write_text('time_ns,roll_deg\\n1,2,\\n')",
+        "longer than its header",
+    ),
     "a folder": ("solution.unlink()\nsolution.mkdir()", "wrote a solution: "),
     "an unknown signal": ("import os\nos.kill(os.getpid(), 40)", "the signal 40"),
     "cut off": ("solution.write_text(solution.read_text()[:-70])", "is cut off in line"),
@@ -268,15 +319,24 @@ def test_what_a_program_has_started_ends_with_it(end: str, dive: Dive, tmp_path:
     assert not child.exists() or child.read_text().split()[2] == "Z"
 
 
-def test_a_program_cannot_change_the_dive_of_others(dive: Dive, written: Path, tmp_path: Path) -> None:
+def test_a_program_cannot_change_the_dive_of_others(
+    dive: Dive, written: Path, tmp_path: Path
+) -> None:
     filters = dict(FILTERS)
-    for name, script in (("mine", "dive.write_bytes(b'')"), ("other", "sys.exit(not dive.read_bytes())")):
+    for name, script in (
+        ("mine", "dive.write_bytes(b'')"),
+        ("other", "sys.exit(not dive.read_bytes())"),
+    ):
         (tmp_path / name).mkdir()
         filters[name] = program(tmp_path / name, f"{copying(written)}{script}")
     replay = replay_dive(dive, settings_of(filters, starts=1))
     for name in ("mine", "other"):
         assert replay.verdicts[name].verdict != Verdict.NOT_EVALUATED
-        [position] = (row for row in replay.tables.evidence if (row.filter, row.quantity) == (name, "position"))
+        [position] = (
+            row
+            for row in replay.tables.evidence
+            if (row.filter, row.quantity) == (name, "position")
+        )
         assert position.ratio == pytest.approx(1.0, abs=1e-6)
 
 
@@ -289,7 +349,9 @@ def test_a_program_that_is_not_there(dive: Dive) -> None:
 def test_the_solution_of_another_dive(scenario: str, dive: Dive, tmp_path: Path) -> None:
     other = simulate_dive(scenario, seed=3, duration_s=220.0, imu_rate_hz=50.0)
     run = replay_dive(other, config()).histories[0]
-    write_solution(tmp_path / "other.csv", Solution(run.time_ns, run.position, run.velocity_n, run.mat_nb))
+    write_solution(
+        tmp_path / "other.csv", Solution(run.time_ns, run.position, run.velocity_n, run.mat_nb)
+    )
     replay = replay_dive(dive, config(program(tmp_path, copying(tmp_path / "other.csv"))))
     assert "not of this dive" in replay.verdicts["mine"].sentence
 
@@ -300,10 +362,15 @@ def test_a_solution_that_turns_as_the_gyros_is_of_this_dive_though_the_baseline_
     own, velocities = alone.histories[0], dvl_velocities(dive.dvl)
     heading = np.linspace(0.0, 6.0, len(own.time_ns))
     turning = mat_from_rpy(np.column_stack([0.0 * heading, 0.0 * heading, heading])) @ own.mat_nb
-    right, wrong = (Solution(own.time_ns, own.position, own.velocity_n, mat_nb) for mat_nb in (own.mat_nb, turning))
+    right, wrong = (
+        Solution(own.time_ns, own.position, own.velocity_n, mat_nb)
+        for mat_nb in (own.mat_nb, turning)
+    )
     start, none = start_of(dive), own.time_ns[:0]
     bad_baseline = replace(own, mat_nb=turning)
-    history_of_candidate("mine", right, start, start.time_ns, dive.imu, velocities, bad_baseline, none)
+    history_of_candidate(
+        "mine", right, start, start.time_ns, dive.imu, velocities, bad_baseline, none
+    )
     with pytest.raises(CandidateError, match="its turns in 10 s differ from the gyros' by 16 deg"):
         history_of_candidate("mine", wrong, start, start.time_ns, dive.imu, velocities, own, none)
 
@@ -387,7 +454,12 @@ class Unfinished(Candidate):
     ],
 )
 def test_a_class_that_fails(
-    word: str, reason: str, printed: str, dive: Dive, alone: Replay, capfd: pytest.CaptureFixture[str]
+    word: str,
+    reason: str,
+    printed: str,
+    dive: Dive,
+    alone: Replay,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:{word}")))
     assert reason in replay.verdicts["mine"].sentence
@@ -410,7 +482,9 @@ def test_a_process_that_a_class_left_behind_is_not_waited_for(dive: Dive) -> Non
     assert time.monotonic() - began_s < 15.0
 
 
-def test_a_class_may_return_its_own_kind_of_solution(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_class_may_return_its_own_kind_of_solution(
+    dive: Dive, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delattr(sys.modules[__name__], "OwnSolution")  # this process does not know it
     replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Deriving")))
     assert replay.verdicts["mine"].verdict == Verdict.NO_EFFECT
@@ -481,9 +555,15 @@ def test_settings_that_make_no_sense_are_refused(settings: str, said: str) -> No
 
 def test_settings_of_a_program_are_written_and_read(tmp_path: Path) -> None:
     words = '["./mine", "{dive}", "../{solution}"]'
-    (tmp_path / "a.toml").write_text(f'[filters.baseline]\naiding = ["velocity"]\n[filters.mine]\nprogram = {words}\n')
+    (tmp_path / "a.toml").write_text(
+        f'[filters.baseline]\naiding = ["velocity"]\n[filters.mine]\nprogram = {words}\n'
+    )
     found = load_config(file=tmp_path / "a.toml", allow_code=True)
-    assert found.filters["mine"].program == (str(tmp_path / "mine"), "{dive}", str(tmp_path / "../{solution}"))
+    assert found.filters["mine"].program == (
+        str(tmp_path / "mine"),
+        "{dive}",
+        str(tmp_path / "../{solution}"),
+    )
     (tmp_path / "b.toml").write_text(render_toml(found))
     assert load_config(file=tmp_path / "b.toml", allow_code=True) == found
     assert found.without_code().filters.keys() == {"baseline"}
@@ -496,12 +576,19 @@ def test_settings_of_a_program_are_written_and_read(tmp_path: Path) -> None:
 def test_the_baseline_as_a_program_has_no_effect_in_any_evidence(dive: Dive) -> None:
     script = str(Path(__file__).with_name(f"{HERE}.py"))
     replay = replay_dive(
-        dive, config(Filter(program=(sys.executable, script, "{dive}", "{start}", "{solution}")), starts=16)
+        dive,
+        config(
+            Filter(program=(sys.executable, script, "{dive}", "{start}", "{solution}")), starts=16
+        ),
     )
     rows = evidence(replay)
     assert {"drift_30s", "level", "heading", "outage_30s", "convergence_velocity"} <= set(rows)
     assert {row.starts for row in rows.values()} == {1, 15, 16}
-    ratios = {quantity: row.ratio for quantity, row in rows.items() if row.ratio is not None and row.ratio > 0.0}
+    ratios = {
+        quantity: row.ratio
+        for quantity, row in rows.items()
+        if row.ratio is not None and row.ratio > 0.0
+    }
     assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=1e-6)
     assert replay.verdicts["mine"].verdict == Verdict.NO_EFFECT
 
@@ -549,10 +636,19 @@ def test_the_files_of_a_program_hold_what_a_class_is_given(dive: Dive, tmp_path:
 
 
 def test_standard_deviations_of_a_file_become_a_covariance(tmp_path: Path) -> None:
-    names = ("velocity_n_mps", "velocity_e_mps", "velocity_d_mps", "roll_deg", "pitch_deg", "heading_deg")
+    names = (
+        "velocity_n_mps",
+        "velocity_e_mps",
+        "velocity_d_mps",
+        "roll_deg",
+        "pitch_deg",
+        "heading_deg",
+    )
     header = ",".join(["time_ns", *names, *(f"{name}_sd" for name in names)])
     (tmp_path / "a.csv").write_text(f"{header}\n5,1,0,0,0,0,90,0.1,0.2,0.3,1,2,3\n")
-    cov = read_solution(tmp_path / "a.csv", start_of(simulate_dive("straight", duration_s=20.0))).cov
+    cov = read_solution(
+        tmp_path / "a.csv", start_of(simulate_dive("straight", duration_s=20.0))
+    ).cov
     assert cov is not None
     np.testing.assert_allclose(np.diagonal(cov[0])[:3], [0.01, 0.04, 0.09])
     # At a heading of 90 deg, roll is about east and pitch about south.
@@ -569,7 +665,9 @@ def write_odometry(path: Path, solution: Solution, origin: np.ndarray, *, fix: b
     assert solution.velocity_n is not None
     assert solution.mat_nb is not None
     time_ns, quat = solution.time_ns, quat_enu_flu(solution.mat_nb)
-    enu_m = north_east_down_m(solution.position, np.broadcast_to(origin, solution.position.shape))[:, [1, 0, 2]]
+    enu_m = north_east_down_m(solution.position, np.broadcast_to(origin, solution.position.shape))[
+        :, [1, 0, 2]
+    ]
     twist_b = np.einsum("kji,kj->ki", solution.mat_nb, solution.velocity_n) * [1.0, -1.0, -1.0]
     columns = {
         **components("pose.pose.position", enu_m * [1.0, 1.0, -1.0]),
@@ -582,23 +680,34 @@ def write_odometry(path: Path, solution: Solution, origin: np.ndarray, *, fix: b
     batches = [stamped("/odometry", "nav_msgs/msg/Odometry", time_ns, "odom", columns)]
     if fix:
         latitude_deg, longitude_deg = np.rad2deg(solution.position[:, :2]).T
-        columns = {"latitude": latitude_deg, "longitude": longitude_deg, "altitude": solution.position[:, 2]}
+        columns = {
+            "latitude": latitude_deg,
+            "longitude": longitude_deg,
+            "altitude": solution.position[:, 2],
+        }
         batches.append(stamped("/fix", "sensor_msgs/msg/NavSatFix", time_ns, "base_link", columns))
     write_log(path, batches, {})
 
 
 @pytest.mark.parametrize("kind", ["odometry", "odometry with fixes", "tum"])
-def test_solutions_in_other_formats_are_recognised_by_their_first_bytes(kind: str, dive: Dive, tmp_path: Path) -> None:
+def test_solutions_in_other_formats_are_recognised_by_their_first_bytes(
+    kind: str, dive: Dive, tmp_path: Path
+) -> None:
     assert dive.reference is not None
     start, path = start_of(dive), tmp_path / "solution"
     motion = dive.reference.rows(np.arange(0, len(dive.reference.time_ns), 5))
     solution = Solution(motion.time_ns, motion.position, motion.velocity_n, motion.mat_nb)
     origin = moved_position(start.position, np.array([30.0, -20.0, 5.0]))
     if kind == "tum":
-        enu_m = north_east_down_m(motion.position, np.broadcast_to(origin, motion.position.shape))[:, [1, 0, 2]]
+        enu_m = north_east_down_m(motion.position, np.broadcast_to(origin, motion.position.shape))[
+            :, [1, 0, 2]
+        ]
         poses = np.column_stack([enu_m * [1.0, 1.0, -1.0], quat_enu_flu(motion.mat_nb)])
         times = [f"{time // 10**9}.{time % 10**9:09d}" for time in motion.time_ns.tolist()]
-        rows = (f"{time} {' '.join(map(repr, row))}\n" for time, row in zip(times, poses.tolist(), strict=True))
+        rows = (
+            f"{time} {' '.join(map(repr, row))}\n"
+            for time, row in zip(times, poses.tolist(), strict=True)
+        )
         path.write_text("# time x y z qx qy qz qw\n" + "".join(rows))
     else:
         write_odometry(path, solution, origin, fix="fixes" in kind)
@@ -623,10 +732,15 @@ def test_solutions_in_other_formats_are_recognised_by_their_first_bytes(kind: st
         (b"5 0 0 0\n", "line 1 is no pose"),
         (b"\x89MCAP0\r\n", "cannot be read"),
         (b"PK\x03\x04 and more", "not of run_as_program"),
-        (b"time_ns,velocity_n_mps,velocity_e_mps,velocity_d_mps\n1,1,5,1,7,0,3\n", "longer than its header"),
+        (
+            b"time_ns,velocity_n_mps,velocity_e_mps,velocity_d_mps\n1,1,5,1,7,0,3\n",
+            "longer than its header",
+        ),
     ],
 )
-def test_files_that_are_no_solutions(content: bytes, reason: str, dive: Dive, tmp_path: Path) -> None:
+def test_files_that_are_no_solutions(
+    content: bytes, reason: str, dive: Dive, tmp_path: Path
+) -> None:
     (tmp_path / "solution").write_bytes(content)
     with pytest.raises(CandidateError, match=reason):
         read_solution(tmp_path / "solution", start_of(dive))
@@ -636,10 +750,16 @@ def test_files_that_are_no_solutions(content: bytes, reason: str, dive: Dive, tm
     ("changes", "reason"),
     [
         ({"time_ns": np.array([3, 2, 1], np.uint64)}, "times that are not increasing"),
-        ({"cov": np.broadcast_to(np.eye(9), (3, 9, 9)), "cov_ns": np.array([0.0, 1.0, 2.0])}, "cov_ns that are not"),
+        (
+            {"cov": np.broadcast_to(np.eye(9), (3, 9, 9)), "cov_ns": np.array([0.0, 1.0, 2.0])},
+            "cov_ns that are not",
+        ),
         ({"cov": np.broadcast_to(-np.eye(9), (3, 9, 9))}, "cov with negative variances"),
         ({"innovation_b": np.zeros((3, 3))}, "innovations without their covariance"),
-        ({"mat_nb": np.multiply.outer([1.0, -1.0, 2.0], np.eye(3))}, "no rotations in 2 of 3 rows, the first is row 1"),
+        (
+            {"mat_nb": np.multiply.outer([1.0, -1.0, 2.0], np.eye(3))},
+            "no rotations in 2 of 3 rows, the first is row 1",
+        ),
     ],
 )
 def test_columns_that_make_no_sense(changes: dict[str, np.ndarray], reason: str) -> None:
@@ -662,7 +782,9 @@ def test_a_late_solution_begins_where_the_baseline_is(dive: Dive, tmp_path: Path
 
 
 @pytest.mark.nightly
-def test_the_example_as_a_program_gives_the_same(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_example_as_a_program_gives_the_same(
+    dive: Dive, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
     words = (sys.executable, str(EXAMPLES / "dead_reckoning.py"), "{dive}", "{start}", "{solution}")
@@ -673,4 +795,6 @@ def test_the_example_as_a_program_gives_the_same(dive: Dive, monkeypatch: pytest
     assert found[0].keys() == found[1].keys()
     for quantity, row in found[0].items():
         if row.value is not None:
-            assert found[1][quantity].value == pytest.approx(row.value, rel=1e-6, abs=1e-9, nan_ok=True)
+            assert found[1][quantity].value == pytest.approx(
+                row.value, rel=1e-6, abs=1e-9, nan_ok=True
+            )

@@ -42,12 +42,18 @@ def is_whole(result: CommandResult, tables: set[str], place: Path) -> None:
 
 def test_inspect(tmp_path: Path) -> None:
     found = insdvl_replay.inspect(ARCHIVE / "dives" / "transit.mcap", deep=True)
-    is_whole(found, {"file", "topics", "roles", "clocks", "pings", "reference", "notes"}, tmp_path / "saved")
+    is_whole(
+        found,
+        {"file", "topics", "roles", "clocks", "pings", "reference", "notes"},
+        tmp_path / "saved",
+    )
     assert set(found.tables["roles"]["role"]) >= {"imu", "dvl", "reference"}
 
 
 def test_propose_and_calibrate_find_settings(tmp_path: Path) -> None:
-    log = insdvl_replay.simulate("calibration", tmp_path / "dive.mcap", duration_s=60.0, lever_arm_m=(0.5, 0.0, 0.0))
+    log = insdvl_replay.simulate(
+        "calibration", tmp_path / "dive.mcap", duration_s=60.0, lever_arm_m=(0.5, 0.0, 0.0)
+    )
     with pytest.raises(UserError, match="exists"):
         insdvl_replay.simulate("static", log)
     proposed = insdvl_replay.propose(log)
@@ -62,17 +68,23 @@ def test_propose_and_calibrate_find_settings(tmp_path: Path) -> None:
 
 def test_settings_are_compared(tmp_path: Path) -> None:
     after = load_config(settings={"evaluation.starts": 1, "dvl.scale": 1.05})
-    found = insdvl_replay.compare_settings(ARCHIVE / "dives" / "transit.mcap", FAST, after, tmp_path / "out")
+    found = insdvl_replay.compare_settings(
+        ARCHIVE / "dives" / "transit.mcap", FAST, after, tmp_path / "out"
+    )
     is_whole(found, {"answer", "difference", "dive", "aggregate", "change"}, tmp_path / "compared")
     scale = found.tables["difference"].query("key == 'dvl.scale'")
     assert scale[["old", "new"]].to_numpy().tolist() == [["1.0", "1.05"]]
     with pytest.raises(UserError, match=r"transit: .*dvl\.scale 1\.0 -> 1\.05\n"):
-        insdvl_replay.compare_settings(ARCHIVE / "dives" / "transit.mcap", after, FAST, tmp_path / "out")
+        insdvl_replay.compare_settings(
+            ARCHIVE / "dives" / "transit.mcap", after, FAST, tmp_path / "out"
+        )
 
 
 def test_compare_and_check(folder: Path, tmp_path: Path) -> None:
     changed = insdvl_replay.compare(folder / "transit", folder / "transit")
-    is_whole(changed, {"answer", "difference", "dive", "aggregate", "change"}, tmp_path / "compared")
+    is_whole(
+        changed, {"answer", "difference", "dive", "aggregate", "change"}, tmp_path / "compared"
+    )
     assert changed.tables["dive"]["log"].tolist() == ["transit"]
     gates = tmp_path / "gates.toml"
     gates.write_text(
@@ -83,7 +95,9 @@ def test_compare_and_check(folder: Path, tmp_path: Path) -> None:
     is_whole(checked, {"gates"}, tmp_path / "checked")
     assert set(checked.tables["gates"]["gate"]) == {"fast", "good"}
     assert set(checked.tables["gates"].query("gate == 'good'")["status"]) == {"failed"}
-    again = insdvl_replay.check(gates, ARCHIVE / "dives" / "transit.mcap", FAST, results=tmp_path / "results")
+    again = insdvl_replay.check(
+        gates, ARCHIVE / "dives" / "transit.mcap", FAST, results=tmp_path / "results"
+    )
     assert set(again.tables["gates"]["dive"]) == {"transit"}
 
 
@@ -93,7 +107,9 @@ def test_many_dives_have_pooled_evidence(folder: Path, tmp_path: Path) -> None:
     assert results.words == {"aided": "undecided"}
     tables = results.tables
     assert set(tables["evidence"]["log"]) == {"outage", "transit"}
-    assert len(tables["evidence"]) == sum(len(dive.tables["evidence"]) for dive in results.dives.values())
+    assert len(tables["evidence"]) == sum(
+        len(dive.tables["evidence"]) for dive in results.dives.values()
+    )
     assert (tables["pooled"]["log"] == "*").all()
     assert tables["summary"]["log"].tolist() == ["outage", "transit"]
     assert results.dives["transit"].reference["position_n_m"].notna().all()
@@ -122,10 +138,17 @@ def test_settings_may_be_given_as_files(tmp_path: Path) -> None:
         (lambda *_: read_results(3), "folder"),
         (lambda *_: insdvl_replay.check(FAST), "gates"),
         (lambda log, folder: insdvl_replay.compare_settings(log, FAST, 3, folder), "after"),
-        (lambda _, folder: insdvl_replay.compare(insdvl_replay.read_result(folder / "transit"), folder), "old"),
+        (
+            lambda _, folder: insdvl_replay.compare(
+                insdvl_replay.read_result(folder / "transit"), folder
+            ),
+            "old",
+        ),
     ],
 )
-def test_an_argument_of_another_kind_is_named(call: Callable[..., Any], argument: str, folder: Path) -> None:
+def test_an_argument_of_another_kind_is_named(
+    call: Callable[..., Any], argument: str, folder: Path
+) -> None:
     with pytest.raises(TypeError) as refusal:
         call(ARCHIVE / "dives" / "transit.mcap", folder)
     assert isinstance(refusal.value, UserError)

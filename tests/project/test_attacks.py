@@ -38,7 +38,9 @@ def test_damaged_logs_end_in_a_sentence_or_in_tables_that_say_what_is_lost() -> 
     assert found.returncode == 0, found.stdout + found.stderr
     assert sum(row("mutants", found.stdout)) == MUTANTS
     assert all(number > 10 for number in row("runs", found.stdout))
-    assert sum(row("differs, noted", found.stdout)) > 10  # the sample reaches tables, not only refusals
+    assert (
+        sum(row("differs, noted", found.stdout)) > 10
+    )  # the sample reaches tables, not only refusals
 
 
 def ended(code: int, said: str = "", peak_mb: float = 300.0) -> victim.Ended:
@@ -72,7 +74,9 @@ def result(folder: Path, table: str, notes: list[dict[str, str]]) -> None:
     (folder / "dive" / "report.json").write_text(json.dumps({"notes": notes}), "utf-8")
 
 
-CLEAN = victim.Result({f"{name}": b"1.0" for name in victim.DIVE_FILES if name.endswith(".csv")}, {})
+CLEAN = victim.Result(
+    {f"{name}": b"1.0" for name in victim.DIVE_FILES if name.endswith(".csv")}, {}
+)
 NOTE = {"code": "damaged", "text": "a chunk is lost"}
 
 
@@ -89,13 +93,17 @@ def test_tables_that_differ_need_a_note(
     table: str, notes: list[dict[str, str]], same_content: bool, expected: str, tmp_path: Path
 ) -> None:
     result(tmp_path, table, notes)
-    judged = victim.verdict_on_result(ended(0), tmp_path, CLEAN, protected=True, same_content=same_content)
+    judged = victim.verdict_on_result(
+        ended(0), tmp_path, CLEAN, protected=True, same_content=same_content
+    )
     assert judged == expected
 
 
 def test_what_is_left_of_a_result_is_a_defect(tmp_path: Path) -> None:
     result(tmp_path, "1.0", [])
-    judge = partial(victim.verdict_on_result, folder=tmp_path, clean=CLEAN, protected=True, same_content=True)
+    judge = partial(
+        victim.verdict_on_result, folder=tmp_path, clean=CLEAN, protected=True, same_content=True
+    )
     assert judge(ended(3)) == "leftovers"
     (tmp_path / "dive" / "report.json").unlink()
     assert judge(ended(0)) == "leftovers"
@@ -106,7 +114,9 @@ def test_a_log_put_together_again_says_the_same(kind: str) -> None:
     """The official reader checks the checksums, lengths and offsets of what was written."""
     log = file_of(content_of(small_log(kind, extras=True)))
     found = make_reader(BytesIO(log), validate_crcs=True).iter_messages()
-    assert {(channel.topic, message.log_time, message.data) for _, channel, message in found} == true_messages()
+    assert {
+        (channel.topic, message.log_time, message.data) for _, channel, message in found
+    } == true_messages()
     reader = make_reader(BytesIO(log), validate_crcs=True)
     assert [one.name for one in reader.iter_attachments()] == ["notes.txt"]
     assert [one.name for one in reader.iter_metadata()] == ["vehicle"]

@@ -50,8 +50,16 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> benchmark.Place:
         part.mkdir(parents=True)
     entries = []
     for seed, name in enumerate(("one", "two")):
-        write_dive(place.data / f"{name}.mcap", simulate_dive("figure-eight", seed=seed, duration_s=60.0))
-        entries.append((hashlib.sha256((place.data / f"{name}.mcap").read_bytes()).hexdigest(), f"set_{name}", name))
+        write_dive(
+            place.data / f"{name}.mcap", simulate_dive("figure-eight", seed=seed, duration_s=60.0)
+        )
+        entries.append(
+            (
+                hashlib.sha256((place.data / f"{name}.mcap").read_bytes()).hexdigest(),
+                f"set_{name}",
+                name,
+            )
+        )
     entries.append(("0" * 64, "set_two", "three"))
     (place.public / "dives.toml").write_text(
         "".join(
@@ -60,7 +68,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> benchmark.Place:
             for digest, data_set, name in entries
         )
     )
-    (place.public / "settings" / "vehicle.toml").write_text(f"{NOISE}\n[filters.baseline]\n{VELOCITY}\n")
+    (place.public / "settings" / "vehicle.toml").write_text(
+        f"{NOISE}\n[filters.baseline]\n{VELOCITY}\n"
+    )
     for name, text in CANDIDATES.items():
         (place.public / "candidates" / f"{name}.toml").write_text(f"[filters.{name}]\n{text}\n")
     return place
@@ -79,13 +89,17 @@ def page_of(cells: list[benchmark.Cell], place: benchmark.Place) -> str:
 
 def rows_of(page: str) -> list[list[str]]:
     """The rows of all cells, as lists of texts."""
-    lines = [line.strip("| ").split(" | ") for line in page.splitlines() if "`insdvl-replay run" in line]
+    lines = [
+        line.strip("| ").split(" | ") for line in page.splitlines() if "`insdvl-replay run" in line
+    ]
     return [[text.strip() for text in line] for line in lines]
 
 
 def test_rows_are_those_of_the_results(cells: list[benchmark.Cell], place: benchmark.Place) -> None:
     evidence = read_result(place.build / "planted_worse" / "set_one" / "one").tables["evidence"]
-    (cell,) = (cell for cell in cells if (cell.candidate, cell.data_set) == ("planted_worse", "set_one"))
+    (cell,) = (
+        cell for cell in cells if (cell.candidate, cell.data_set) == ("planted_worse", "set_one")
+    )
     row = evidence[evidence["quantity"] == cell.rows[0].quantity].iloc[0]
     shown = next(
         row
@@ -106,7 +120,9 @@ def test_a_second_build_replays_nothing_and_gives_the_same_bytes(
     assert len(written) == 8
     assert {file: file.stat().st_mtime_ns for file in written} == written
     assert page_of(again, place) == page_of(cells, place)
-    assert benchmark.picture(benchmark.by_data_set(again)) == benchmark.picture(benchmark.by_data_set(cells))
+    assert benchmark.picture(benchmark.by_data_set(again)) == benchmark.picture(
+        benchmark.by_data_set(cells)
+    )
     assert str(place.build.parent) not in page_of(cells, place)
     assert "| set_one | one | no link | unknown | unknown |" in page_of(cells, place)
 
@@ -114,13 +130,18 @@ def test_a_second_build_replays_nothing_and_gives_the_same_bytes(
 def test_the_command_of_a_cell_repeats_it(
     cells: list[benchmark.Cell], place: benchmark.Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (cell,) = (cell for cell in cells if (cell.candidate, cell.data_set) == ("windowed_fitted", "set_one"))
+    (cell,) = (
+        cell for cell in cells if (cell.candidate, cell.data_set) == ("windowed_fitted", "set_one")
+    )
     shutil.copy(place.data / "one.mcap", place.public)
     monkeypatch.chdir(place.public)
     assert cell.variables == ""
     program, *arguments = cell.command.split()
     assert program == "insdvl-replay"
-    assert run_command_line([*arguments, "--output", str(place.build.parent / "again"), "--quiet"]) == 0
+    assert (
+        run_command_line([*arguments, "--output", str(place.build.parent / "again"), "--quiet"])
+        == 0
+    )
     _, report = read_one_result(place.build.parent / "again", Report)
     again = replace(cell, reports={"one": report})
     assert (again.digest, again.rows) == (cell.digest, cell.rows)
@@ -129,9 +150,14 @@ def test_the_command_of_a_cell_repeats_it(
 def test_missing_cells_have_a_reason(cells: list[benchmark.Cell], place: benchmark.Place) -> None:
     page = page_of(cells, place)
     reasons = {(row[0], row[-1].partition("#")[2][:7]): row[-3] for row in rows_of(page)}
-    assert all("depth" in reasons["`with_depth`", data_set] for data_set in ("", "set_one", "set_two"))
+    assert all(
+        "depth" in reasons["`with_depth`", data_set] for data_set in ("", "set_one", "set_two")
+    )
     nowhere = "its log is not published in this form"
-    assert reasons["`windowed_fitted`", "set_two"] == f"not evaluated on 1 of 2 dives (three): {nowhere}"
+    assert (
+        reasons["`windowed_fitted`", "set_two"]
+        == f"not evaluated on 1 of 2 dives (three): {nowhere}"
+    )
     assert reasons["`published`", ""].endswith(f"not evaluated on 1 of 3 dives: {nowhere}")
 
 
@@ -154,13 +180,17 @@ def test_rows_of_one_filter_or_of_fewer_dives_are_printed_and_the_page_stays(
     before = page.read_bytes()
     benchmark.main(candidates)
     said = capsys.readouterr().out
-    assert {row[0] for row in rows_of(said)} == {"`windowed_fitted`" if candidates != "*" else "`published`"}
+    assert {row[0] for row in rows_of(said)} == {
+        "`windowed_fitted`" if candidates != "*" else "`published`"
+    }
     assert len(rows_of(said)) == 3
     assert "The page stays as it is, since 1 dive of it cannot be had: three." in said
     assert page.read_bytes() == before
 
 
-def test_dives_with_one_name_and_files_with_another_filter_are_refused(place: benchmark.Place, tmp_path: Path) -> None:
+def test_dives_with_one_name_and_files_with_another_filter_are_refused(
+    place: benchmark.Place, tmp_path: Path
+) -> None:
     again = replace(place, public=shutil.copytree(place.public, tmp_path / "public"))
     candidates = again.public / "candidates"
     (candidates / "windowed_fitted.toml").rename(candidates / "mine.toml")
@@ -175,17 +205,26 @@ def test_dives_with_one_name_and_files_with_another_filter_are_refused(place: be
 
 
 def test_reasons_are_plain() -> None:
-    assert benchmark.plain_reason(f"one: {benchmark.PROJECT}/docs is a folder", "one") == "docs is a folder"
+    assert (
+        benchmark.plain_reason(f"one: {benchmark.PROJECT}/docs is a folder", "one")
+        == "docs is a folder"
+    )
     of_class = "my:Net: readings(self, dive) fails in line 4 of examples/my.py: ValueError: the DVL has no single beams"
     of_filter = "filters.mine is aided by beams, but the DVL has velocities only"
     assert benchmark.plain_reason(of_class, "one") == benchmark.plain_reason(of_filter, "one")
-    assert benchmark.plain_reason(of_filter, "one") == "the DVL gives no velocity along single beams"
+    assert (
+        benchmark.plain_reason(of_filter, "one") == "the DVL gives no velocity along single beams"
+    )
 
 
-def test_planted_candidates_come_out_as_they_must(cells: list[benchmark.Cell], place: benchmark.Place) -> None:
+def test_planted_candidates_come_out_as_they_must(
+    cells: list[benchmark.Cell], place: benchmark.Place
+) -> None:
     """A copy is proved to be one on a single dive, and of two dives the worst filter is only the last."""
     verdicts = {(cell.candidate, cell.data_set): cell.verdict for cell in cells if cell.answer}
-    assert {verdicts["planted_copy", name] for name in ("set_one", "set_two", benchmark.ALL)} == {"no effect"}
+    assert {verdicts["planted_copy", name] for name in ("set_one", "set_two", benchmark.ALL)} == {
+        "no effect"
+    }
     for ranked in benchmark.by_data_set(cells).values():
         assert [cell.candidate for cell in ranked if cell.answer][-1] == "planted_worse"
     copies = [row for row in rows_of(page_of(cells, place)) if row[0] == "`planted_copy`"]
@@ -200,10 +239,14 @@ def test_each_dive_is_named_and_its_settings_and_candidates_are_valid() -> None:
         assert len(dive["tags"]) == 2
         assert dive["licence"]
         assert dive["faults"]
-        assert "path" in dive or re.match(r"https://raw\.githubusercontent\.com/[^/]+/[^/]+/[0-9a-f]{40}/", dive["url"])
+        assert "path" in dive or re.match(
+            r"https://raw\.githubusercontent\.com/[^/]+/[^/]+/[0-9a-f]{40}/", dive["url"]
+        )
         for candidate in sorted((PLACE.public / "candidates").rglob("*.toml")):
             if candidate.parent.name in ("candidates", dive["tags"][0]):
-                config = load_config(file=[PLACE.public / dive["settings"], candidate], allow_code=True)
+                config = load_config(
+                    file=[PLACE.public / dive["settings"], candidate], allow_code=True
+                )
                 assert [*config.filters] == ["baseline", candidate.stem]
 
 
@@ -221,7 +264,9 @@ def test_the_page_is_what_the_program_writes(snapir: Path) -> None:
     benchmark.prepare(PLACE)
     cells = benchmark.build(PLACE)
     assert page_of(cells, PLACE) == benchmark.PAGE.read_text("utf-8"), "run `make benchmark`"
-    candidates = benchmark.by_data_set(cell for cell in cells if cell.candidate not in benchmark.WORDS["planted"])
+    candidates = benchmark.by_data_set(
+        cell for cell in cells if cell.candidate not in benchmark.WORDS["planted"]
+    )
     assert benchmark.picture(candidates) == benchmark.PICTURE.read_bytes(), "run `make benchmark`"
     for page in benchmark.QUOTING:
         assert benchmark.quote(candidates) in page.read_text("utf-8"), "run `make benchmark`"

@@ -23,7 +23,9 @@ from insdvl_replay import __version__, nav, preparation
 from insdvl_replay.cli.app import app
 
 PROJECT = Path(__file__).resolve().parents[2]
-CHAPTERS = sorted(f"docs/equations/{path.name}" for path in (PROJECT / "docs" / "equations").glob("*.md"))
+CHAPTERS = sorted(
+    f"docs/equations/{path.name}" for path in (PROJECT / "docs" / "equations").glob("*.md")
+)
 PAGES = sorted(f"docs/{path.name}" for path in (PROJECT / "docs").glob("*.md"))
 DOCUMENTS = ("README.md", *PAGES, *CHAPTERS, "CONTRIBUTING.md", "CHANGELOG.md")
 WIDTH = 140
@@ -37,7 +39,11 @@ def text_of(name: str) -> str:
 def project_files() -> Iterator[Path]:
     """Every file of the project, without what tools leave behind."""
     for folder, below, files in os.walk(PROJECT):
-        below[:] = [name for name in below if name == ".ci" or (not name.startswith(".") and name not in LEFT_BEHIND)]
+        below[:] = [
+            name
+            for name in below
+            if name == ".ci" or (not name.startswith(".") and name not in LEFT_BEHIND)
+        ]
         yield from (Path(folder, name) for name in files if name != ".git")  # a file in a worktree
 
 
@@ -71,7 +77,9 @@ def equations() -> list[Entry]:
             found = FORM.fullmatch(re.split(r"^## ", text, maxsplit=1, flags=re.MULTILINE)[0])
             assert found, f"{chapter}: {text.splitlines()[0]} has not the form of the others"
             part = {name: value or "" for name, value in found.groupdict().items()}
-            part["source"] = re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", " ".join(part["source"].split()))
+            part["source"] = re.sub(
+                r"\[([^]]+)\]\([^)]+\)", r"\1", " ".join(part["source"].split())
+            )
             functions, tests = code_words(part.pop("functions")), code_words(part.pop("tests"))
             entries.append(Entry(**part, functions=functions, tests=tests))
     return entries
@@ -145,7 +153,11 @@ def test_every_numbered_equation_of_the_paper_has_an_entry(paper: Path) -> None:
 
 def test_every_module_of_the_mathematics_has_an_equation() -> None:
     rooms = (nav, preparation)
-    found = [module.name for room in rooms for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}.")]
+    found = [
+        module.name
+        for room in rooms
+        for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}.")
+    ]
     modules = {name.removeprefix("insdvl_replay.") for name in found}
     # They hand settings, gaps, readings and states to the mathematics, a start to the filter, results to the history.
     without = {
@@ -160,13 +172,19 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
         "nav.user_candidate",
         "nav.user_measurement",
     }
-    named = {".".join(function.split(".")[:2]) for entry in equations() for function in entry.functions}
-    assert modules - without == {name for name in named if name.startswith(("nav.", "preparation."))}
+    named = {
+        ".".join(function.split(".")[:2]) for entry in equations() for function in entry.functions
+    }
+    assert modules - without == {
+        name for name in named if name.startswith(("nav.", "preparation."))
+    }
 
 
 @pytest.mark.parametrize("chapter", CHAPTERS)
 def test_no_line_of_the_equations_is_wide(chapter: str) -> None:
-    wide = [number for number, line in enumerate(text_of(chapter).splitlines(), 1) if len(line) > WIDTH]
+    wide = [
+        number for number, line in enumerate(text_of(chapter).splitlines(), 1) if len(line) > WIDTH
+    ]
     assert wide == []
 
 
@@ -200,7 +218,11 @@ def _commands(name: str, command: Any) -> Iterator[tuple[str, set[str]]]:
     yield (
         name,
         {"--help"}
-        | {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)},
+        | {
+            option
+            for parameter in command.params
+            for option in (*parameter.opts, *parameter.secondary_opts)
+        },
     )
     for below, child in getattr(command, "commands", {}).items():
         yield from _commands(f"{name} {below}".strip(), child)
@@ -211,7 +233,9 @@ def code_of(document: str) -> list[str]:
     text = text_of(document)
     fenced = re.findall(r"^```\w*\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     lines = "\n".join(fenced).replace("\\\n", " ").splitlines()
-    return lines + re.findall(r"`([^`\n]+)`", re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL))
+    return lines + re.findall(
+        r"`([^`\n]+)`", re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
+    )
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
@@ -227,7 +251,11 @@ def test_commands_and_options_exist(document: str) -> None:
             assert command in known, f"insdvl-replay{call}"
             options = {word.split("=")[0] for word in words if re.match(r"--?[a-z]", word)}
             assert options <= known[command], f"insdvl-replay{call}"
-    alone = {word.split("=")[0] for line in code_of(document) for word in re.findall(r"^--[a-z][\w=-]*", line)}
+    alone = {
+        word.split("=")[0]
+        for line in code_of(document)
+        for word in re.findall(r"^--[a-z][\w=-]*", line)
+    }
     assert alone <= set().union(*known.values())
 
 
@@ -249,7 +277,11 @@ def test_python_in_the_pages_names_what_there_is(document: str) -> None:
             module = importlib.import_module(str(node.module))
             assert all(hasattr(module, alias.name) for alias in node.names)
         for node in ast.walk(tree):
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "result":
+            if (
+                isinstance(node, ast.Attribute)
+                and isinstance(node.value, ast.Name)
+                and node.value.id == "result"
+            ):
                 found = insdvl_replay.DiveResult
                 assert hasattr(found, node.attr) or node.attr in found.__annotations__
     assert blocks or document != "docs/python.md"
@@ -257,13 +289,19 @@ def test_python_in_the_pages_names_what_there_is(document: str) -> None:
 
 def test_notes_of_the_troubleshooting_page_exist() -> None:
     """A code is written whole, or as the role of a topic and what was noticed of it."""
-    source = "\n".join(path.read_text("utf-8") for path in (PROJECT / "insdvl_replay").rglob("*.py"))
+    source = "\n".join(
+        path.read_text("utf-8") for path in (PROJECT / "insdvl_replay").rglob("*.py")
+    )
     cells = re.findall(r"^\| (`.*?) \|", text_of("docs/troubleshooting.md"), re.MULTILINE)
     codes = [code for cell in cells for code in re.findall(r"`([a-z]+(?:_[a-z]+)+)`", cell)]
     assert len(codes) > 50
     for code in codes:
         ends = [code.split("_", part)[-1] for part in range(1, code.count("_") + 1)]
-        found = (f'"{code}"', f'"{code} ', *(mark + end + '"' for end in ends for mark in ('"', "}_")))
+        found = (
+            f'"{code}"',
+            f'"{code} ',
+            *(mark + end + '"' for end in ends for mark in ('"', "}_")),
+        )
         assert any(text in source for text in found), code
 
 
@@ -276,10 +314,15 @@ def test_every_page_of_the_site_can_be_reached(tmp_path: Path) -> None:
     contents = YAML(typ="safe").load(text_of("mkdocs.yml"))
     named = {place for entry in contents["nav"] for place in entry.values()}
     made = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.md")}
-    assert made - named == {place for place in made if place.startswith("equations/")} - {"equations/README.md"}
+    assert made - named == {place for place in made if place.startswith("equations/")} - {
+        "equations/README.md"
+    }
     for path in tmp_path.rglob("*.md"):
         for target in re.findall(r"\]\(([^)\s#]+)(?:#[^)]*)?\)", path.read_text("utf-8")):
-            assert re.match(r"[a-z]+:", target) or (path.parent / target).is_file(), (path.name, target)
+            assert re.match(r"[a-z]+:", target) or (path.parent / target).is_file(), (
+                path.name,
+                target,
+            )
 
 
 def test_the_site_is_built_strictly(tmp_path: Path) -> None:
@@ -316,7 +359,9 @@ def test_exit_codes_are_those_of_the_contract() -> None:
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_make_targets_exist(document: str) -> None:
     targets = set(re.findall(r"^(\w+):", text_of("Makefile"), re.MULTILINE))
-    assert {target for line in code_of(document) for target in re.findall(r"\bmake (\w+)", line)} <= targets
+    assert {
+        target for line in code_of(document) for target in re.findall(r"\bmake (\w+)", line)
+    } <= targets
 
 
 def test_continuous_integration_runs_everything() -> None:
@@ -359,7 +404,15 @@ def test_nothing_is_left_to_do_and_no_machine_is_named() -> None:
 def test_citation_has_what_it_needs_and_the_version() -> None:
     citation = YAML(typ="safe").load(text_of("CITATION.cff"))
     assert citation["cff-version"] == "1.2.0"
-    assert {"message", "title", "type", "authors", "license", "version", "references"} <= citation.keys()
+    assert {
+        "message",
+        "title",
+        "type",
+        "authors",
+        "license",
+        "version",
+        "references",
+    } <= citation.keys()
     assert (citation["type"], citation["license"]) == ("software", "Apache-2.0")
     assert citation["version"] == __version__
     paper, *_ = citation["references"]
@@ -374,5 +427,9 @@ def test_changelog_reports_of_this_version() -> None:
 def test_each_table_of_measurements_has_date_and_commit() -> None:
     sections = re.split(r"^# ", text_of("benchmarks/RESULTS.md"), flags=re.MULTILINE)[1:]
     assert len(sections) > 20
-    undated = [part.partition("\n")[0] for part in sections if not re.search(r"20\d\d-\d\d-\d\d, [0-9a-f]{8}\b", part)]
+    undated = [
+        part.partition("\n")[0]
+        for part in sections
+        if not re.search(r"20\d\d-\d\d-\d\d, [0-9a-f]{8}\b", part)
+    ]
     assert undated == []

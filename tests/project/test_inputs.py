@@ -37,14 +37,20 @@ def test_lines_for_arrays_write_a_dive(tmp_path: Path) -> None:
     (lines,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     subprocess.run([sys.executable, "-c", lines], cwd=tmp_path, check=True)
     imu = Imu(topic="dive.npz/imu", specific_force="acc", angular_rate="gyro")
-    dive = read_dive(tmp_path / "dive.npz", Config(imu=imu, dvl=Dvl(topic="dive.npz/dvl", velocity="velocity")))
+    dive = read_dive(
+        tmp_path / "dive.npz", Config(imu=imu, dvl=Dvl(topic="dive.npz/dvl", velocity="velocity"))
+    )
     np.testing.assert_allclose(dive.imu.specific_force_b, np.tile([0.0, 0.0, -9.8], (1000, 1)))
     assert len(dive.dvl.time_ns) == 50
 
 
 TLOG = (1_700_000_000_000_000).to_bytes(8, "big") + b"\xfd\x1c\x00\x00" + bytes(40)
-FILES = [(known, bytes.fromhex(start) + bytes(60)) for known in OTHER_FORMATS for start in known.starts] + [
-    (known, TLOG if ".tlog" in known.endings else b"time,ax,ay\n" * 9) for known in OTHER_FORMATS if not known.starts
+FILES = [
+    (known, bytes.fromhex(start) + bytes(60)) for known in OTHER_FORMATS for start in known.starts
+] + [
+    (known, TLOG if ".tlog" in known.endings else b"time,ax,ay\n" * 9)
+    for known in OTHER_FORMATS
+    if not known.starts
 ]
 
 
@@ -54,7 +60,9 @@ def test_file_that_is_not_read_is_reported_by_its_bytes_with_the_step_that_helps
 ) -> None:
     # Named like something else, where bytes alone tell.
     named_otherwise = "dive.csv" if known.any_name else "dive.mcap"
-    tells = (known.starts and other_format(Path(named_otherwise), data) is known) or ".tlog" in known.endings
+    tells = (
+        known.starts and other_format(Path(named_otherwise), data) is known
+    ) or ".tlog" in known.endings
     name = named_otherwise if tells else f"dive{known.endings[0]}"
     (tmp_path / name).write_bytes(data)
     with pytest.raises(LogError) as raised:

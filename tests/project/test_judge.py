@@ -18,7 +18,16 @@ from judge import (
     tasks_of,
     truth_of,
 )
-from judged import REFUSED, Record, level_of, over_dives, verdict_over, verdicts_over, word_counts, words_of_groups
+from judged import (
+    REFUSED,
+    Record,
+    level_of,
+    over_dives,
+    verdict_over,
+    verdicts_over,
+    word_counts,
+    words_of_groups,
+)
 from scatter_judge import Truth
 from true_errors import TrueRatio, mean_squares, ratio_of_logs, true_ratios
 from worlds import WORLDS, made_dive
@@ -74,7 +83,12 @@ def test_drift_is_the_change_of_the_error_over_a_minute() -> None:
     drifting_m = np.outer(time_s, [0.003, 0.004, 1.0])
     velocity_n = np.tile([0.03, 0.04, 1.0], (len(time_s), 1))
     errors = ReferenceErrors(
-        np.rint(time_s * NS_PER_S).astype(np.int64), drifting_m, velocity_n, velocity_n, 300.0, drifting_m
+        np.rint(time_s * NS_PER_S).astype(np.int64),
+        drifting_m,
+        velocity_n,
+        velocity_n,
+        300.0,
+        drifting_m,
     )
     squares = mean_squares(errors)
     assert (squares.drift_m2, squares.velocity_m2ps2) == pytest.approx((0.3**2, 0.05**2), rel=1e-9)
@@ -93,7 +107,10 @@ def test_the_ratio_of_a_world_has_an_interval_that_holds_the_truth_95_times_of_1
 def test_true_ratios_are_geometric_means_of_roots_of_mean_squares() -> None:
     squares = {"baseline": (1.0, 4.0), "aided": (0.25, 4.0)}
     made = np.array([np.full(5, value) for value in squares["baseline"]])
-    dives = [{"baseline": before, "aided": after} for before, after in zip(made, made * [[0.25], [1.0]], strict=True)]
+    dives = [
+        {"baseline": before, "aided": after}
+        for before, after in zip(made, made * [[0.25], [1.0]], strict=True)
+    ]
     found = true_ratios(dives, "baseline", "aided")  # type: ignore[arg-type]
     assert found[PRIMARY].value == pytest.approx(math.sqrt(0.5))
     assert found[PRIMARY].scatter == pytest.approx(math.log(2.0) / math.sqrt(2.0))
@@ -111,7 +128,9 @@ def test_true_ratios_are_geometric_means_of_roots_of_mean_squares() -> None:
         (1.2, 1.3, "worse 10 %"),
     ],
 )
-def test_a_truth_is_certain_if_its_interval_allows_for_no_other(low: float, high: float, kind: str) -> None:
+def test_a_truth_is_certain_if_its_interval_allows_for_no_other(
+    low: float, high: float, kind: str
+) -> None:
     ratios = {PRIMARY: TrueRatio(math.sqrt(low * high), low, high, 0.1)}
     truth = truth_of(WORLDS[number_of(TOO_LARGE)], ratios, is_copy=False)
     assert Judged("", truth, ratios, {}, "", 0).kind == kind
@@ -127,7 +146,9 @@ def test_a_copy_is_the_same_and_of_dead_filters_nothing_is_true() -> None:
 # --- Words over dives, as the tool says them.
 
 
-def record(ratio: float, acts: float = 0.5, vehicle: str = "", quantity: str = "position") -> Record:
+def record(
+    ratio: float, acts: float = 0.5, vehicle: str = "", quantity: str = "position"
+) -> Record:
     """Make a dive that has the one row that decides."""
     row = EvidenceRow(
         log="dive",
@@ -181,7 +202,10 @@ def test_several_candidates_share_the_error_rate_of_one() -> None:
 
 
 def test_candidates_without_effect_do_not_share() -> None:
-    dives, copies = [record(0.8 * math.exp(off)) for off in (-0.07, 0.0, 0.07)], [record(1.0, acts=0.0)] * 3
+    dives, copies = (
+        [record(0.8 * math.exp(off)) for off in (-0.07, 0.0, 0.07)],
+        [record(1.0, acts=0.0)] * 3,
+    )
     found = verdicts_over("baseline", {"aided": dives, "copy1": copies, "copy2": copies})
     assert found == {"aided": "better", "copy1": "no effect", "copy2": "no effect"}
 
@@ -217,15 +241,21 @@ def test_groups_are_drawn_from_the_dives_that_were_replayed() -> None:
 
 
 def test_long_dives_are_fewer_and_dead_ones_tell_no_truth() -> None:
-    usual, long, dead = (number_of(name) for name in (TOO_LARGE, "sea: tactical survey of 2 h", DEAD))
+    usual, long, dead = (
+        number_of(name) for name in (TOO_LARGE, "sea: tactical survey of 2 h", DEAD)
+    )
     assert [task.is_replayed for task in tasks_of(usual, 4, 2, 1)] == [True] * 4 + [False] * 2
     assert [task.is_replayed for task in tasks_of(long, 4, 2, 1)] == [True, True, False]
     assert tasks_of(dead, 20, 5, 1) == [Task(dead, dive, 1, True) for dive in range(8)]
 
 
-def of_words(kind: str, low: float, high: float, words: Counter[str], *, is_copy: bool = False) -> Judged:
+def of_words(
+    kind: str, low: float, high: float, words: Counter[str], *, is_copy: bool = False
+) -> Judged:
     """Make the words on groups of three dives."""
-    return Judged(kind, Truth(kind, low, high), {}, {3: words, 5: Counter(), 8: Counter()}, "", 600, is_copy)
+    return Judged(
+        kind, Truth(kind, low, high), {}, {3: words, 5: Counter(), 8: Counter()}, "", 600, is_copy
+    )
 
 
 def test_words_are_wrong_where_the_truth_is_another() -> None:
@@ -237,10 +267,20 @@ def test_words_are_wrong_where_the_truth_is_another() -> None:
     found = dict(zip((question.asks for question in QUESTIONS), rows, strict=True))
     assert not is_met
     assert "| 60.0 (60 of 100) | - | - |  |" in found["better by 10 % or more, said better"]
-    assert "| 10.0 (10 of 100) * | - | - | at most 1 |" in found["better or worse, said the opposite"]
-    assert "| 10.0 (10 of 100) * | - | - | at most 5 |" in found["the same, said better, worse or mixed"]
-    assert "| 1.0 (1 of 100) * | - | - | at most 0 |" in found["copies, said anything but *no effect*"]
-    assert "| 5.0 (5 of 100) * | - | - | at most 0 |" in found["dead or unfit, said anything but *not evaluated*"]
+    assert (
+        "| 10.0 (10 of 100) * | - | - | at most 1 |" in found["better or worse, said the opposite"]
+    )
+    assert (
+        "| 10.0 (10 of 100) * | - | - | at most 5 |"
+        in found["the same, said better, worse or mixed"]
+    )
+    assert (
+        "| 1.0 (1 of 100) * | - | - | at most 0 |" in found["copies, said anything but *no effect*"]
+    )
+    assert (
+        "| 5.0 (5 of 100) * | - | - | at most 0 |"
+        in found["dead or unfit, said anything but *not evaluated*"]
+    )
     # Ten that are worse, ten that are equivalent, and ten that are better.
     assert "| 4 | 7.5 (30 of 400) * | - | - | at most 5 |" in found["all, wrong words"]
 
@@ -254,7 +294,9 @@ def test_rates_that_are_as_asked_are_met() -> None:
 def test_words_are_written_in_the_order_of_the_tool() -> None:
     assert word_counts(Counter(worse=1, better=3)) == "75 better, 25 worse"
     assert word_counts(Counter()) == "-"
-    assert word_counts(Counter(dict.fromkeys(Verdict, 1))).startswith("9 better, 9 better without DVL,")
+    assert word_counts(Counter(dict.fromkeys(Verdict, 1))).startswith(
+        "9 better, 9 better without DVL,"
+    )
 
 
 def test_words_are_of_drawn_groups() -> None:

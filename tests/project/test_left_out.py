@@ -13,7 +13,11 @@ PROJECT = Path(__file__).parents[2]
 
 
 def test_each_thing_that_is_missing_has_a_line() -> None:
-    reasons = ["Skipped: needs Chromium"] + ["Skipped: needs ../shared/a"] * 2 + ["Skipped: only on the moon"]
+    reasons = (
+        ["Skipped: needs Chromium"]
+        + ["Skipped: needs ../shared/a"] * 2
+        + ["Skipped: only on the moon"]
+    )
     logs, chromium, moon = left_out(reasons)
     assert logs.startswith("2 tests ")
     assert re.match(r"1 test .*Chromium .*`make extras`", chromium)
@@ -23,7 +27,9 @@ def test_each_thing_that_is_missing_has_a_line() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("workers", ["0", "1"])
-def test_where_there_is_neither_browser_nor_node_the_last_lines_say_so(workers: str, tmp_path: Path) -> None:
+def test_where_there_is_neither_browser_nor_node_the_last_lines_say_so(
+    workers: str, tmp_path: Path
+) -> None:
     tests = [
         "tests/results/test_browser.py",
         "tests/results/test_elsewhere.py",
@@ -31,7 +37,17 @@ def test_where_there_is_neither_browser_nor_node_the_last_lines_say_so(workers: 
         "browser or print or foxgloves_libraries",
     ]
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--numprocesses", workers, *tests],
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            "--numprocesses",
+            workers,
+            *tests,
+        ],
         cwd=PROJECT,
         env=os.environ | {"PATH": str(tmp_path)},
         capture_output=True,

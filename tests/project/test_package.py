@@ -16,13 +16,26 @@ PROJECT = Path(__file__).resolve().parents[2]
 
 
 def test_wheel_holds_types_presets_and_message_definitions(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), str(PROJECT)]
+    command = [
+        sys.executable,
+        "-m",
+        "build",
+        "--wheel",
+        "--no-isolation",
+        "--outdir",
+        str(tmp_path),
+        str(PROJECT),
+    ]
     subprocess.run(command, check=True, capture_output=True)
     (wheel,) = tmp_path.glob("*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
     messages = (PROJECT / "schemas" / "insdvl_msgs" / "msg").glob("*.msg")
     definitions = (PROJECT / "insdvl_replay" / "logs" / "definitions").rglob("*.msg")
-    wanted = {"insdvl_replay/py.typed", "insdvl_replay/presets/fog.toml", "insdvl_replay/core/notes.toml"}
+    wanted = {
+        "insdvl_replay/py.typed",
+        "insdvl_replay/presets/fog.toml",
+        "insdvl_replay/core/notes.toml",
+    }
     wanted |= {"insdvl_replay/show/page.css"}
     wanted |= {f"insdvl_replay/schemas/insdvl_msgs/msg/{path.name}" for path in messages}
     wanted |= {path.relative_to(PROJECT).as_posix() for path in definitions}
@@ -32,7 +45,9 @@ def test_wheel_holds_types_presets_and_message_definitions(tmp_path: Path) -> No
     (described,) = (name for name in names if name.endswith("/METADATA"))
     text = zipfile.ZipFile(wheel).read(described).decode()
     assert "# insdvl-replay" in text
-    assert not re.findall(r"\]\((?![a-z]+:|#)", text)  # no link of the README leads to a file that an index lacks
+    assert not re.findall(
+        r"\]\((?![a-z]+:|#)", text
+    )  # no link of the README leads to a file that an index lacks
 
 
 def test_links_of_the_readme_lead_to_the_repository_from_an_index() -> None:
@@ -63,13 +78,25 @@ def test_no_module_is_named_like_one_of_the_standard_library() -> None:
 @pytest.mark.nightly
 def test_scripts_call_the_package_as_it_is(tmp_path: Path) -> None:
     """No test runs every benchmark, so a renamed function would be missed."""
-    command = [sys.executable, "-m", "mypy", "--config-file", os.devnull, "--cache-dir", str(tmp_path)]
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--config-file",
+        os.devnull,
+        "--cache-dir",
+        str(tmp_path),
+    ]
     command += ["--check-untyped-defs", "--ignore-missing-imports", "benchmarks", "docs/generate"]
     env = {**os.environ, "MYPYPATH": "tests:benchmarks:docs/generate"}
-    done = subprocess.run(command, cwd=PROJECT, env=env, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=PROJECT, env=env, capture_output=True, text=True, check=False
+    )
     assert "source files" in done.stdout, done.stderr
     found = [
-        line for line in done.stdout.splitlines() if line.endswith(("[attr-defined]", "[call-arg]", "[name-defined]"))
+        line
+        for line in done.stdout.splitlines()
+        if line.endswith(("[attr-defined]", "[call-arg]", "[name-defined]"))
     ]
     # numba's stubs lack a module that it has; a starred map has as many parts as it needs
     known = ("_nrt_python", 'Too many arguments for "MeanSquares"')

@@ -10,14 +10,62 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "insdvl_replay"
 NETWORK = (
-    *("socket", "ssl", "http", "urllib.request", "urllib3", "requests", "aiohttp", "asyncio", "ftplib", "smtplib"),
+    *(
+        "socket",
+        "ssl",
+        "http",
+        "urllib.request",
+        "urllib3",
+        "requests",
+        "aiohttp",
+        "asyncio",
+        "ftplib",
+        "smtplib",
+    ),
     *("socketserver", "xmlrpc", "fsspec", "s3fs", "gcsfs", "distributed", "webbrowser"),
 )
-PROCESSES = ("subprocess", "multiprocessing", "pty", "os.system", "os.popen", "os.fork", "os.posix_spawn", "os.execv")
+PROCESSES = (
+    "subprocess",
+    "multiprocessing",
+    "pty",
+    "os.system",
+    "os.popen",
+    "os.fork",
+    "os.posix_spawn",
+    "os.execv",
+)
 WRITING = {
-    *("write_text", "write_bytes", "touch", "mkdir", "makedirs", "rmdir", "unlink", "rmtree", "rename", "symlink_to"),
-    *("hardlink_to", "chmod", "save", "savez", "savez_compressed", "savefig", "write_table", "mkdtemp", "mkstemp"),
-    *("TemporaryDirectory", "TemporaryFile", "NamedTemporaryFile", "ParquetWriter", "to_csv", "to_parquet"),
+    *(
+        "write_text",
+        "write_bytes",
+        "touch",
+        "mkdir",
+        "makedirs",
+        "rmdir",
+        "unlink",
+        "rmtree",
+        "rename",
+        "symlink_to",
+    ),
+    *(
+        "hardlink_to",
+        "chmod",
+        "save",
+        "savez",
+        "savez_compressed",
+        "savefig",
+        "write_table",
+        "mkdtemp",
+        "mkstemp",
+    ),
+    *(
+        "TemporaryDirectory",
+        "TemporaryFile",
+        "NamedTemporaryFile",
+        "ParquetWriter",
+        "to_csv",
+        "to_parquet",
+    ),
 }
 
 
@@ -35,12 +83,18 @@ def used_names(path: Path) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             yield f"{node.value.id}.{node.attr}"
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module") and node.args:
+        elif (
+            isinstance(node, ast.Call)
+            and ast.unparse(node.func).endswith("import_module")
+            and node.args
+        ):
             yield ast.unparse(node.args[0]).strip("'")
 
 
 def uses(path: Path, wanted: tuple[str, ...]) -> bool:
-    return any(name == one or name.startswith(f"{one}.") for name in used_names(path) for one in wanted)
+    return any(
+        name == one or name.startswith(f"{one}.") for name in used_names(path) for one in wanted
+    )
 
 
 def writes(path: Path) -> bool:
@@ -48,9 +102,17 @@ def writes(path: Path) -> bool:
     for node in ast.walk(tree(path)):
         if not isinstance(node, ast.Call):
             continue
-        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-        words = [one.value for one in node.args if isinstance(one, ast.Constant) and isinstance(one.value, str)]
-        is_open = name in ("open", "fdopen") and any(re.fullmatch("[rwxabt+]{1,3}", one) for one in words)
+        name = (
+            node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+        )
+        words = [
+            one.value
+            for one in node.args
+            if isinstance(one, ast.Constant) and isinstance(one.value, str)
+        ]
+        is_open = name in ("open", "fdopen") and any(
+            re.fullmatch("[rwxabt+]{1,3}", one) for one in words
+        )
         if name in WRITING or (is_open and any(set(one) & set("wxa+") for one in words)):
             return True
     return False
@@ -58,7 +120,9 @@ def writes(path: Path) -> bool:
 
 def named(row: str) -> set[str]:
     """Read the modules that a row of SECURITY.md names."""
-    (line,) = re.findall(rf"^\| {row} \|(.*)$", (ROOT / "SECURITY.md").read_text("utf-8"), re.MULTILINE)
+    (line,) = re.findall(
+        rf"^\| {row} \|(.*)$", (ROOT / "SECURITY.md").read_text("utf-8"), re.MULTILINE
+    )
     return set(re.findall(r"`([\w/]+\.py)`", line))
 
 

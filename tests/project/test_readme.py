@@ -50,8 +50,12 @@ def test_page_of_a_vehicle_shows_what_is_found_of_a_real_one() -> None:
 @pytest.mark.all_starts
 def test_readme_shows_what_the_program_makes_of_a_foreign_vehicle(ros1: readme.Path) -> None:
     assert ros1 == readme.BAG.parent
-    assert readme.written({"foreign": readme.foreign}) == readme.README.read_text("utf-8"), "run `make readme`"
+    assert readme.written({"foreign": readme.foreign}) == readme.README.read_text("utf-8"), (
+        "run `make readme`"
+    )
     arm = re.search(r"^lever_arm_m = \[(.+)\]$", readme.README.read_text("utf-8"), re.MULTILINE)
     assert arm
     found = np.array(arm[1].split(","), dtype=float)
-    np.testing.assert_allclose(found, [0.3, -0.5, 0.68], atol=0.0145)  # its launch file has x forward, y port, z up
+    np.testing.assert_allclose(
+        found, [0.3, -0.5, 0.68], atol=0.0145
+    )  # its launch file has x forward, y port, z up

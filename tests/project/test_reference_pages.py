@@ -7,7 +7,9 @@ import reference
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", reference.PAGES)
 def test_page_is_current(name: str) -> None:
-    assert reference.PAGES[name]() == (reference.FOLDER / f"{name}.md").read_text("utf-8"), "run `make reference`"
+    assert reference.PAGES[name]() == (reference.FOLDER / f"{name}.md").read_text("utf-8"), (
+        "run `make reference`"
+    )
 
 
 def test_every_page_is_written() -> None:

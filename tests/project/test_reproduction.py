@@ -25,12 +25,17 @@ def found(snapir: Path) -> reproduction.Findings:
 @pytest.mark.nightly
 @pytest.mark.all_starts
 def test_page_is_what_the_program_gives(found: reproduction.Findings) -> None:
-    assert reproduction.written(found) == reproduction.PAGE.read_text("utf-8"), "run `make reproduce`"
+    assert reproduction.written(found) == reproduction.PAGE.read_text("utf-8"), (
+        "run `make reproduce`"
+    )
 
 
 @pytest.mark.nightly
 def test_page_shows_every_picture_and_each_is_there(found: reproduction.Findings) -> None:
-    shown = {f"docs/{name}" for name in re.findall(r"\]\((\w+\.svg)\)", reproduction.PAGE.read_text("utf-8"))}
+    shown = {
+        f"docs/{name}"
+        for name in re.findall(r"\]\((\w+\.svg)\)", reproduction.PAGE.read_text("utf-8"))
+    }
     assert shown == {*pictures.PICTURES, *reproduction.drawn(found)}
     assert all((reproduction.PROJECT / name).is_file() for name in shown)
 
@@ -44,7 +49,9 @@ def test_words_follow_from_the_numbers() -> None:
     assert paper_tables.points(1.5, np.nan) == "+1.5"
 
 
-@pytest.mark.parametrize(("name", "published"), [("straight", "straight.csv"), ("figure_eight", "eight.csv")])
+@pytest.mark.parametrize(
+    ("name", "published"), [("straight", "straight.csv"), ("figure_eight", "eight.csv")]
+)
 def test_published_figures_are_the_papers(name: str, published: str, paper: Path) -> None:
     rows = paper_tables.FACTS.with_name(paper_tables.read_facts()[name]["rows"])
     assert rows.read_text("utf-8") == (paper / published).read_text("utf-8")
@@ -56,10 +63,14 @@ def test_published_means_are_those_of_the_rows_where_none_counts_as_nothing(name
     assert list(course.rows.index) == [state.id for state in NINE]
     rows = course.rows.fillna(0.0)
     assert rows["improvement_pct"].mean() == pytest.approx(course.mean_improvement_pct, abs=0.006)
-    assert rows["convergence_improvement_pct"].mean() == pytest.approx(course.mean_convergence_pct, abs=0.006)
+    assert rows["convergence_improvement_pct"].mean() == pytest.approx(
+        course.mean_convergence_pct, abs=0.006
+    )
     reached = course.rows["reached_s"].dropna()
     sooner_pct = 100.0 * (1.0 - reached / course.duration_s)
-    np.testing.assert_allclose(course.rows.loc[reached.index, "convergence_improvement_pct"], sooner_pct, atol=0.006)
+    np.testing.assert_allclose(
+        course.rows.loc[reached.index, "convergence_improvement_pct"], sooner_pct, atol=0.006
+    )
 
 
 def test_figure_eight_next_to_the_paper() -> None:
@@ -69,7 +80,9 @@ def test_figure_eight_next_to_the_paper() -> None:
     published = found.course.rows
     improvement = found.improvement.loc[published.index, "improvement_pct"]
     assert (improvement - published["improvement_pct"]).abs().max() < 2.0
-    off_pct = 100.0 * (found.improvement.loc[published.index, "baseline_sd"] / published["baseline_sd"] - 1.0)
+    off_pct = 100.0 * (
+        found.improvement.loc[published.index, "baseline_sd"] / published["baseline_sd"] - 1.0
+    )
     assert list(off_pct.index[off_pct.abs() > 5.0]) == ["ba_x", "ba_y", "bg_x", "bg_y"]
     agreeing = [
         state
@@ -94,8 +107,12 @@ def test_reasons_given_for_the_rows_that_disagree_hold() -> None:
     assert f"at its largest, {aided.sd[:, phi_n.index].max() / phi_n.factor:.2f} mrad" in text
     override = "initial.misalignment_sd_deg=[0.485,0.485,0.5]"
     assert f"`--set {override}`" in text
-    rows = frame(replay_log(SAMPLE, load_config(overrides=[override])).tables.improvement).set_index("state")
+    rows = frame(
+        replay_log(SAMPLE, load_config(overrides=[override])).tables.improvement
+    ).set_index("state")
     published = paper_tables.read_course("straight").rows
     for state in ("phi_n", "phi_e", "ba_x", "ba_y"):
-        assert rows.loc[state, "baseline_sd"] == pytest.approx(published.loc[state, "baseline_sd"], rel=0.03)
+        assert rows.loc[state, "baseline_sd"] == pytest.approx(
+            published.loc[state, "baseline_sd"], rel=0.03
+        )
         assert rows.loc[state, "sd"] == pytest.approx(published.loc[state, "aided_sd"], rel=0.03)

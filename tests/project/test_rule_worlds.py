@@ -7,12 +7,25 @@ import numpy as np
 import pytest
 import rule_worlds
 from judged import Found
-from rule_worlds import SHAPES, Tally, at_least, at_most, contradicts, family, looks, of_vehicles, pairs, pairs_row
+from rule_worlds import (
+    SHAPES,
+    Tally,
+    at_least,
+    at_most,
+    contradicts,
+    family,
+    looks,
+    of_vehicles,
+    pairs,
+    pairs_row,
+)
 
 REPEATS = 300
 
 
-def use_rule(monkeypatch: pytest.MonkeyPatch, word: Callable[[Sequence[float], float], str]) -> None:
+def use_rule(
+    monkeypatch: pytest.MonkeyPatch, word: Callable[[Sequence[float], float], str]
+) -> None:
     """Let a rule of the test stand in for the tool's: a word of the log ratios and the level."""
 
     def over_dives(
@@ -60,11 +73,15 @@ def test_skewed_scatter_is_skewed() -> None:
         ("undecided", 0.5, False),
     ],
 )
-def test_a_word_is_false_where_the_truth_contradicts_it(word: str, ratio: float, is_false: bool) -> None:
+def test_a_word_is_false_where_the_truth_contradicts_it(
+    word: str, ratio: float, is_false: bool
+) -> None:
     assert contradicts(word, math.log(ratio)) is is_false
 
 
-def test_a_rule_that_believes_every_mean_is_wrong_on_all_equal_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rule_that_believes_every_mean_is_wrong_on_all_equal_pairs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     use_rule(monkeypatch, by_mean)
     equal, changed = (pairs("normal", 0.1, 5, ratio, REPEATS) for ratio in (1.0, 0.8))
     assert equal.wrong == equal.archives == REPEATS
@@ -82,7 +99,9 @@ def test_a_rule_that_says_nothing_finds_nothing(monkeypatch: pytest.MonkeyPatch)
     assert pairs_row("exponential", 0.1, 5, REPEATS).is_met
 
 
-def test_an_interval_that_does_not_hold_the_truth_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interval_that_does_not_hold_the_truth_is_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     use_rule(monkeypatch, lambda *_: "undecided")
     assert pairs("normal", 0.1, 5, 1.0, REPEATS).missed == 0
     # Half to twice the mean, of one dive with a scatter of 1.
@@ -112,7 +131,10 @@ def test_a_word_on_any_candidate_counts_once(monkeypatch: pytest.MonkeyPatch) ->
     use_rule(monkeypatch, by_mean)
     equal = family(5, 3, 0.1, named=False, ratio=1.0, repeats=50)
     assert (equal.wrong, equal.others_wrong) == (50, 50)
-    use_rule(monkeypatch, lambda logs, _: "better" if sum(logs) / len(logs) < math.log(0.9) else "undecided")
+    use_rule(
+        monkeypatch,
+        lambda logs, _: "better" if sum(logs) / len(logs) < math.log(0.9) else "undecided",
+    )
     changed = family(2, 20, 0.05, named=True, ratio=0.8, repeats=50)
     assert (changed.found, changed.wrong) == (50, 0)
 
@@ -120,7 +142,11 @@ def test_a_word_on_any_candidate_counts_once(monkeypatch: pytest.MonkeyPatch) ->
 def test_the_named_candidate_has_a_level_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     levels = list[float]()
     use_rule(monkeypatch, lambda _, level: levels.append(level) or "undecided")
-    monkeypatch.setattr(rule_worlds, "level_of", lambda _, *, named, is_named: 0.95 if is_named or not named else 0.99)
+    monkeypatch.setattr(
+        rule_worlds,
+        "level_of",
+        lambda _, *, named, is_named: 0.95 if is_named or not named else 0.99,
+    )
     family(3, 3, 0.1, named=True, ratio=1.0, repeats=2)
     assert levels == [0.95, 0.99, 0.99] * 2
 

@@ -27,7 +27,15 @@ def dives(tmp_path: Path) -> Path:
     folder = tmp_path / "dives"
     (folder / "insdvl_replay").mkdir(parents=True)
     (folder / "insdvl_replay" / "__init__.py").write_text("")
-    names = ("typer", "numpy", "pickle", "shlex", "selectors", "multiprocessing", "insdvl_replay/__main__")
+    names = (
+        "typer",
+        "numpy",
+        "pickle",
+        "shlex",
+        "selectors",
+        "multiprocessing",
+        "insdvl_replay/__main__",
+    )
     for name in names:
         (folder / f"{name}.py").write_text(STRANGE)
     return folder
@@ -35,7 +43,11 @@ def dives(tmp_path: Path) -> Path:
 
 def environment(**more: str) -> dict[str, str]:
     """The environment without what this test process was told of paths."""
-    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONSAFEPATH")}
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("PYTHONPATH", "PYTHONSAFEPATH")
+    }
     return kept | more
 
 
@@ -43,7 +55,9 @@ def image() -> tuple[dict[str, str], list[str], str]:
     """Read from the Dockerfile what its program is started with: variables, words, and by whom."""
     text = (ROOT / "examples" / "ci" / "Dockerfile").read_text("utf-8").replace("\\\n", " ")
     lines = [line.partition(" ") for line in text.splitlines()]
-    variables = [word.split("=", 1) for name, _, rest in lines if name == "ENV" for word in shlex.split(rest)]
+    variables = [
+        word.split("=", 1) for name, _, rest in lines if name == "ENV" for word in shlex.split(rest)
+    ]
     (entry,) = re.findall(r"^ENTRYPOINT (.+)", text, re.MULTILINE)
     (user,) = re.findall(r"^USER (.+)", text, re.MULTILINE)
     found = {name: value.replace("/opt/insdvl-replay", str(ROOT)) for name, value in variables}
@@ -60,7 +74,9 @@ def test_the_image_imports_nothing_of_the_folder_of_the_dives(dives: Path, tmp_p
     assert variables["PYTHONSAFEPATH"] == "1"  # for each Python that is started in it
     variables["INSDVL_REPLAY_CACHE"] = str(tmp_path)
     command = [sys.executable, *words[1:], "check", "gates.toml"]
-    done = subprocess.run(command, cwd=dives, env=environment(**variables), capture_output=True, text=True)
+    done = subprocess.run(
+        command, cwd=dives, env=environment(**variables), capture_output=True, text=True
+    )
     assert (done.returncode, ran(dives)) == (2, []), done.stderr
     assert "gates.toml" in done.stderr
 
@@ -72,7 +88,12 @@ def test_the_action_imports_nothing_of_the_folder_of_the_dives(dives: Path, tmp_
         body = f'exec {sys.executable} "$@"' if name == "python" else "exit 0"
         (tools / name).write_text(f"#!/bin/sh\n{body}\n")
         (tools / name).chmod(0o755)
-    given = {"PATH": f"{tools}:{os.environ['PATH']}", "SOURCE": str(ROOT), "GATES": "gates.toml", "JOBS": "2"}
+    given = {
+        "PATH": f"{tools}:{os.environ['PATH']}",
+        "SOURCE": str(ROOT),
+        "GATES": "gates.toml",
+        "JOBS": "2",
+    }
     given |= {"OPTIONS": "--only 'x y'", "GITHUB_STEP_SUMMARY": str(tmp_path / "summary.md")}
     steps = {step["name"]: step for step in ACTION["runs"]["steps"] if "run" in step}
     assert all(step["env"]["PYTHONSAFEPATH"] == "1" for step in steps.values())
@@ -89,7 +110,9 @@ def test_a_module_of_the_program_imports_nothing_of_the_folder_of_the_dives(dive
         (dives / name).unlink()
     (dives / "insdvl_replay").rmdir()
     command = [sys.executable, "-m", "insdvl_replay", "config", "--help"]
-    done = subprocess.run(command, cwd=dives, env=environment(PYTHONPATH=str(ROOT)), capture_output=True, text=True)
+    done = subprocess.run(
+        command, cwd=dives, env=environment(PYTHONPATH=str(ROOT)), capture_output=True, text=True
+    )
     assert (done.returncode, ran(dives)) == (0, []), done.stderr
 
 
@@ -97,5 +120,7 @@ def test_workers_import_nothing_of_the_folder_of_the_dives(dives: Path, tmp_path
     script = tmp_path / "script.py"
     script.write_text(NEW_WORKERS)
     command = [sys.executable, str(script)]
-    done = subprocess.run(command, cwd=dives, env=environment(PYTHONPATH=str(ROOT)), capture_output=True, text=True)
+    done = subprocess.run(
+        command, cwd=dives, env=environment(PYTHONPATH=str(ROOT)), capture_output=True, text=True
+    )
     assert (done.stdout, ran(dives)) == ("[1, 2]\n", []), done.stderr

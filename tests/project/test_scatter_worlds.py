@@ -21,7 +21,17 @@ from scatter_judge import (
     plain,
     tasks_of,
 )
-from scatter_worlds import FIVE, OTHER, WORLDS, ScatterWorld, dive_of, exchanged, factors, reference_of, true_errors_of
+from scatter_worlds import (
+    FIVE,
+    OTHER,
+    WORLDS,
+    ScatterWorld,
+    dive_of,
+    exchanged,
+    factors,
+    reference_of,
+    true_errors_of,
+)
 
 from insdvl_replay.core.words import Verdict
 
@@ -60,9 +70,13 @@ def test_worlds_draw_dives_of_their_own_and_the_same_again() -> None:
     first, again, next_ = (dive_of(world_of(EQUAL[0]), number) for number in (0, 0, 1))
     other = dive_of(world_of("two compasses, s 0.2"), 0)
     assert first.told == again.told
-    np.testing.assert_array_equal(first.reported.imu.specific_force_b, again.reported.imu.specific_force_b)
+    np.testing.assert_array_equal(
+        first.reported.imu.specific_force_b, again.reported.imu.specific_force_b
+    )
     for different in (next_, other):
-        assert not np.array_equal(first.reported.imu.specific_force_b, different.reported.imu.specific_force_b)
+        assert not np.array_equal(
+            first.reported.imu.specific_force_b, different.reported.imu.specific_force_b
+        )
 
 
 def test_a_late_reference_is_late_and_says_the_same() -> None:
@@ -79,11 +93,15 @@ def test_a_better_start_makes_the_same_compass_worse() -> None:
     for sd_deg in ("0.02", "1"):
         world = world_of(f"a compass, start heading good to {sd_deg} deg")
         dives = [true_errors_of(world, dive_of(world, number)) for number in range(8)]
-        ratios.append(np.median([dive["compass"].heading / dive["baseline"].heading for dive in dives]))
+        ratios.append(
+            np.median([dive["compass"].heading / dive["baseline"].heading for dive in dives])
+        )
     assert ratios[0] > 1.0 > ratios[1]
 
 
-def test_a_class_without_a_change_is_a_copy_of_the_baseline(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_class_without_a_change_is_a_copy_of_the_baseline(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv(CASE, "")
     found = judged_dive(Task(number_of("a copy that is a class"), 0, 5, is_replayed=True))
     assert found.errors[OTHER] == pytest.approx(found.errors["baseline"], rel=1e-9)
@@ -91,7 +109,9 @@ def test_a_class_without_a_change_is_a_copy_of_the_baseline(monkeypatch: pytest.
         assert log_ratio_of(found.records[OTHER], quantity) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_tool_reports_the_true_ratio_and_a_page_tells_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_tool_reports_the_true_ratio_and_a_page_tells_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv(CASE, "")
     number = number_of("errors times 0.8, s 0.1")
     dives = [judged_dive(Task(number, dive, 5, is_replayed=True)) for dive in range(3)]
@@ -120,7 +140,9 @@ def test_a_dive_that_tells_the_truth_alone_is_not_replayed() -> None:
     assert set(found.errors) == {"baseline", "copy"}
 
 
-BETTER, WORSE, SAME = (Truth("ensemble", *ends) for ends in ((0.75, 0.85), (1.2, 1.3), (0.97, 1.03)))
+BETTER, WORSE, SAME = (
+    Truth("ensemble", *ends) for ends in ((0.75, 0.85), (1.2, 1.3), (0.97, 1.03))
+)
 EXCHANGEABLE, NOBODY = Truth("equal", 1.0, 1.0), Truth("no word", 0.7, 0.8)
 UNSURE = Truth("ensemble", 0.9, 1.1)
 
@@ -211,7 +233,9 @@ def test_a_vehicle_has_a_factor_of_its_own_and_the_tool_is_told_its_name() -> No
 def test_one_of_five_filters_is_better_and_is_named_before_anything_is_run() -> None:
     world = world_of("five at once, the first is named and 0.8 of the baseline")
     assert (world.candidates, world.config.evaluation.candidate) == (FIVE, "first")
-    factors_of = [[dive_of(world, number).told[name].factor for name in FIVE] for number in range(12)]
+    factors_of = [
+        [dive_of(world, number).told[name].factor for name in FIVE] for number in range(12)
+    ]
     first, *others = np.log(factors_of).T.mean(axis=1)
     assert first == pytest.approx(np.log(0.8), abs=0.1)
     assert others == pytest.approx(np.zeros(4), abs=0.1)
@@ -238,4 +262,6 @@ def test_the_factor_of_an_exchanged_filter_is_its_inverse() -> None:
     drawn = dive_of(world, 0)
     back = exchanged(drawn, OTHER)
     assert back.told[OTHER].factor == pytest.approx(1.0 / drawn.told[OTHER].factor)
-    np.testing.assert_array_equal(back.reported.imu.angular_rate_b, drawn.reported.imu.angular_rate_b)
+    np.testing.assert_array_equal(
+        back.reported.imu.angular_rate_b, drawn.reported.imu.angular_rate_b
+    )

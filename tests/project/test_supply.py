@@ -27,7 +27,11 @@ def plain(name: str) -> str:
 def pins() -> dict[str, str]:
     """Read constraints.txt."""
     lines = (ROOT / "constraints.txt").read_text("utf-8").splitlines()
-    return {plain(name): version for name, _, version in (line.partition("==") for line in lines) if version}
+    return {
+        plain(name): version
+        for name, _, version in (line.partition("==") for line in lines)
+        if version
+    }
 
 
 def locked() -> dict[str, tuple[str, list[str]]]:
@@ -44,7 +48,9 @@ def locked() -> dict[str, tuple[str, list[str]]]:
 
 def test_the_lock_has_the_versions_that_are_tested_with() -> None:
     expected = pins()
-    assert {name: version for name, (version, _) in locked().items()} == {name: expected[name] for name in locked()}
+    assert {name: version for name, (version, _) in locked().items()} == {
+        name: expected[name] for name in locked()
+    }
 
 
 def test_the_lock_has_all_that_the_program_needs_each_with_digests() -> None:
@@ -59,7 +65,9 @@ def test_what_installs_takes_packages_by_their_digests_alone(file: str) -> None:
     text = (ROOT / file).read_text("utf-8")
     installs = re.findall(r"pip install .*", text)
     assert len(installs) == 1
-    assert re.search(r"pip install --require-hashes --only-binary :all: -r \S*requirements\.lock", installs[0])
+    assert re.search(
+        r"pip install --require-hashes --only-binary :all: -r \S*requirements\.lock", installs[0]
+    )
 
 
 def test_the_base_image_can_be_pinned_by_digest() -> None:

@@ -20,7 +20,11 @@ def rows(text: str) -> list[list[str]]:
 
 
 def test_each_definition_has_its_line() -> None:
-    listed = [f"{package.strip('`')}/{name}" for package, names, *_ in rows(SHIPPED) for name in names.split(", ")]
+    listed = [
+        f"{package.strip('`')}/{name}"
+        for package, names, *_ in rows(SHIPPED)
+        for name in names.split(", ")
+    ]
     there = [f"{path.parts[-3]}/{path.stem}" for path in DEFINITIONS.glob("*/msg/*.msg")]
     assert sorted(listed) == sorted(there)
     assert len(there) == len(list(DEFINITIONS.rglob("*.msg")))

@@ -95,7 +95,9 @@ class Deep(UserMeasurement):
 
     def readings(self, dive: Dive) -> UserReadings:
         """Take those of the pressure gauge."""
-        return UserReadings(dive.sensors["depth"].time_ns, dive.sensors["depth"].values, np.array([self.sd]))
+        return UserReadings(
+            dive.sensors["depth"].time_ns, dive.sensors["depth"].values, np.array([self.sd])
+        )
 
     @staticmethod
     def predict(ins: Floats, z: Floats, H: Floats) -> None:
@@ -111,7 +113,9 @@ class Bow(UserMeasurement):
 
     def readings(self, dive: Dive) -> UserReadings:
         """Take those of the compass."""
-        return UserReadings(dive.sensors["heading"].time_ns, dive.sensors["heading"].values, np.array([self.sd]))
+        return UserReadings(
+            dive.sensors["heading"].time_ns, dive.sensors["heading"].values, np.array([self.sd])
+        )
 
     @staticmethod
     def predict(ins: Floats, z: Floats, H: Floats) -> None:
@@ -185,7 +189,9 @@ class Flat(Speed):
     def readings(self, dive: Dive) -> UserReadings:
         """Flatten them."""
         found = super().readings(dive)
-        return UserReadings(found.time_ns, found.values[:, 0], SD_MPS * (1.0 + np.arange(len(found.values))))
+        return UserReadings(
+            found.time_ns, found.values[:, 0], SD_MPS * (1.0 + np.arange(len(found.values)))
+        )
 
 
 class Uneven(Speed):
@@ -194,7 +200,9 @@ class Uneven(Speed):
     def readings(self, dive: Dive) -> UserReadings:
         """Have a column of noise."""
         found = super().readings(dive)
-        return UserReadings(found.time_ns, found.values, SD_MPS * (1.0 + np.arange(len(found.values))[:, None]))
+        return UserReadings(
+            found.time_ns, found.values, SD_MPS * (1.0 + np.arange(len(found.values))[:, None])
+        )
 
 
 NOT_A_CLASS = 3
@@ -245,7 +253,9 @@ class OtherTopic(Speed):
 
     def readings(self, dive: Dive) -> UserReadings:
         """Ask for what is not there."""
-        return UserReadings(dive.topics["sped"].time_ns, dive.topics["sped"].values, np.array([SD_MPS]))
+        return UserReadings(
+            dive.topics["sped"].time_ns, dive.topics["sped"].values, np.array([SD_MPS])
+        )
 
 
 class NoNumbers(Speed):
@@ -280,7 +290,9 @@ class Six(Speed):
     def readings(self, dive: Dive) -> UserReadings:
         """Repeat them."""
         found = super().readings(dive)
-        return UserReadings(found.time_ns, np.repeat(found.values, 6, axis=1), np.repeat(found.sd, 6))
+        return UserReadings(
+            found.time_ns, np.repeat(found.values, 6, axis=1), np.repeat(found.sd, 6)
+        )
 
 
 class Misspelt(Speed):

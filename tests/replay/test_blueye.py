@@ -16,7 +16,9 @@ DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "blueye_
 CONFIG = Path(__file__).parents[2] / "examples" / "blueye_x3.toml"
 GRAVITY_MPS2 = 9.822
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the real logs in ../shared/data are not here")
+pytestmark = pytest.mark.skipif(
+    not DATA.is_dir(), reason="the real logs in ../shared/data are not here"
+)
 
 
 @pytest.fixture(scope="module")
@@ -33,11 +35,19 @@ def test_square_stays_within_two_metres_of_the_satellite_track(replay: Replay) -
     assert rows.loc[("aided", "heading"), "status"] == "not in reference"
 
 
-def test_dive_with_stamps_in_bursts_is_reported_and_consistent_in_the_mean_with_the_settings_of_the_example() -> None:
-    overrides = ["initial.heading_deg=112.3", "dvl.scale=1.061", "initial.gyro_bias_degph=[0,0,412]"]
+def test_dive_with_stamps_in_bursts_is_reported_and_consistent_in_the_mean_with_the_settings_of_the_example() -> (
+    None
+):
+    overrides = [
+        "initial.heading_deg=112.3",
+        "dvl.scale=1.061",
+        "initial.gyro_bias_degph=[0,0,412]",
+    ]
     overrides += ["dvl.latency_s=0.124"]
     overrides += ["noise.accel_white_mps_rts=0.05", "noise.gyro_white_rad_rts=5e-4"]
-    replay = replay_log(DATA / "gnss_challenging.mcap", load_config(file=CONFIG, overrides=overrides))
+    replay = replay_log(
+        DATA / "gnss_challenging.mcap", load_config(file=CONFIG, overrides=overrides)
+    )
     assert [note.code for note in replay.notes if note.severity == "warning"] == ["imu_bursts"]
     judged = frame(replay.tables.consistency)
     of_all_axes = judged[judged["dof"] == 3]
@@ -60,13 +70,19 @@ def test_beams_add_up_to_the_velocity_next_to_them(replay: Replay) -> None:
     path = DATA / "auto_square.mcap"
     settings = {"topic": "blueye.protocol.DvlVelocityTel"}
     by_velocity = read_dive(
-        path, Config(imu=Imu(topic="blueye.protocol.Imu2Tel"), dvl=Dvl(kind="velocity", latency_s=0.138, **settings))
+        path,
+        Config(
+            imu=Imu(topic="blueye.protocol.Imu2Tel"),
+            dvl=Dvl(kind="velocity", latency_s=0.138, **settings),
+        ),
     )
     beams, vectors_d = replay.dive.dvl.beam_velocity_mps, replay.dive.dvl.beam_vectors_d
     assert beams is not None
     assert vectors_d is not None
     assert by_velocity.dvl.velocity_d is not None
-    _, ours, theirs = np.intersect1d(replay.dive.dvl.time_ns, by_velocity.dvl.time_ns, return_indices=True)
+    _, ours, theirs = np.intersect1d(
+        replay.dive.dvl.time_ns, by_velocity.dvl.time_ns, return_indices=True
+    )
     whole = np.isfinite(beams[ours]).all(axis=1)
     solved_d = beams[ours][whole] @ np.linalg.pinv(vectors_d).T
     apart_mps = np.linalg.norm(solved_d - by_velocity.dvl.velocity_d[theirs][whole], axis=1)
@@ -74,7 +90,9 @@ def test_beams_add_up_to_the_velocity_next_to_them(replay: Replay) -> None:
     assert np.median(apart_mps) < 0.01
 
 
-@pytest.mark.parametrize(("topic", "scale"), [("Imu1Tel", 1.0), ("Imu2Tel", 1.0), ("CalibratedImuTel", 0.55)])
+@pytest.mark.parametrize(
+    ("topic", "scale"), [("Imu1Tel", 1.0), ("Imu2Tel", 1.0), ("CalibratedImuTel", 0.55)]
+)
 def test_accelerometers_point_down_whichever_is_named(topic: str, scale: float) -> None:
     settings = Imu(topic=f"blueye.protocol.{topic}", specific_force_scale=scale)
     imu = read_dive(DATA / "auto_square.mcap", Config(imu=settings)).imu

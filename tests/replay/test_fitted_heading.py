@@ -33,7 +33,10 @@ def among_positions(truth: Dive, seed: int, bias_degph: float, grade: str = "mem
     rate_b = dive.imu.angular_rate_b + np.array([0.0, 0.0, bias_degph * DEG_PER_HOUR])
     position = truth.reference.position.copy()
     position[:, :2] += M_TO_RAD * np.random.default_rng(seed).standard_normal((len(position), 2))
-    nothing = {name: np.full_like(getattr(truth.reference, name), np.nan) for name in ("mat_nb", "velocity_n")}
+    nothing = {
+        name: np.full_like(getattr(truth.reference, name), np.nan)
+        for name in ("mat_nb", "velocity_n")
+    }
     return replace(
         dive,
         imu=replace(dive.imu, angular_rate_b=rate_b),
@@ -63,11 +66,16 @@ def long_truth() -> Dive:
 @pytest.mark.nightly
 def test_heading_and_bias_err_as_much_as_is_said(long_truth: Dive) -> None:
     assert long_truth.reference is not None
-    start_deg, config = heading_deg(long_truth.reference.mat_nb[0]), load_config("mems", overrides=[FIT])
+    start_deg, config = (
+        heading_deg(long_truth.reference.mat_nb[0]),
+        load_config("mems", overrides=[FIT]),
+    )
     errors = []
     for seed in range(20):
         bias_degph = 100.0 * np.random.default_rng([seed, 1]).standard_normal()
-        found = fitted_start(with_reference_at_imu(among_positions(long_truth, seed, bias_degph), config), config)
+        found = fitted_start(
+            with_reference_at_imu(among_positions(long_truth, seed, bias_degph), config), config
+        )
         heading = turned_deg(found.heading_deg, start_deg) / found.heading_sd_deg
         errors.append((heading, (found.gyro_bias_degph - bias_degph) / found.gyro_bias_sd_degph))
         assert found.heading_sd_deg < 1.0
@@ -82,7 +90,9 @@ def test_a_replay_starts_from_what_it_fits_and_says_so(truth: Dive) -> None:
     replay = replay_dive(dive, once("mems"))
     (note,) = (note for note in replay.notes if note.code == "start_heading_fitted")
     started_deg = heading_deg(replay.histories[0].mat_nb[0])
-    assert turned_deg(started_deg, heading_deg(truth.reference.mat_nb[0])) == pytest.approx(0.0, abs=1.0)
+    assert turned_deg(started_deg, heading_deg(truth.reference.mat_nb[0])) == pytest.approx(
+        0.0, abs=1.0
+    )
     assert f"{started_deg % 360.0:.2f} +- " in note.text
     assert replay.config.initial.heading_deg == "fit"
 
@@ -107,7 +117,9 @@ def test_what_is_known_of_the_bias_is_one_measurement_more() -> None:
     assert unknown.heading == pytest.approx(0.1, abs=4.0 * unknown.heading_sd)
     assert known.bias == pytest.approx(-2e-5, abs=1e-9)
     assert known.heading_sd < unknown.heading_sd
-    assert known.heading - unknown.heading == pytest.approx((unknown.bias + 2e-5) * 400.0 / 2.0, rel=0.3)
+    assert known.heading - unknown.heading == pytest.approx(
+        (unknown.bias + 2e-5) * 400.0 / 2.0, rel=0.3
+    )
 
 
 def test_drift_in_a_pause_of_the_dvl_does_not_turn_the_heading() -> None:
@@ -151,7 +163,10 @@ def test_a_dive_whose_track_reports_no_heading_says_so(truth: Dive) -> None:
     with pytest.raises(LogError, match="start heading"):
         replay_dive(dive, once("mems", "span.end_s=25"))
     assert dive.reference is not None
-    nowhere = replace(dive, reference=replace(dive.reference, position=np.full_like(dive.reference.position, np.nan)))
+    nowhere = replace(
+        dive,
+        reference=replace(dive.reference, position=np.full_like(dive.reference.position, np.nan)),
+    )
     level = once("mems", "initial.source=level", "initial.latitude_deg=32.8")
     with pytest.raises(ConfigError, match="positions"):
         replay_dive(replace(nowhere, reference=None), level)
@@ -164,7 +179,9 @@ def test_an_attitude_to_start_from_goes_before_it() -> None:
     assert not any(note.code == "start_heading_fitted" for note in fitted.notes)
 
 
-def test_commands_take_it_from_a_file(truth: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_take_it_from_a_file(
+    truth: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log, settings = tmp_path / "dive.mcap", tmp_path / "settings.toml"
     write_dive(log, among_positions(truth, 6, 50.0))
     settings.write_text('[initial]\nheading_deg = "fit"\n', "utf-8")
@@ -182,5 +199,10 @@ def test_commands_take_it_from_a_file(truth: Dive, tmp_path: Path, capsys: pytes
     assert run_command_line(["calibrate", *command, "--reference", "-o", str(found)]) == 0
     assert load_config("mems", found).initial.heading_deg == "fit"
     assert "positions" in capsys.readouterr().out
-    assert run_command_line(["run", str(log), "--set", "initial.heading_deg=north", "-o", str(tmp_path / "no")]) == 2
+    assert (
+        run_command_line(
+            ["run", str(log), "--set", "initial.heading_deg=north", "-o", str(tmp_path / "no")]
+        )
+        == 2
+    )
     assert "initial.heading_deg" in capsys.readouterr().err

@@ -36,10 +36,14 @@ def slow_error(seed: int, seconds: int) -> Floats:
 
 def dive_with_slow_heading(seed: int, *, is_slow: bool = True) -> Dive:
     heading = {"heading": SensorErrors(WHITE_SD_DEG, 1.0)}
-    dive = simulate_dive("lawnmower", seed=seed, duration_s=600.0, grade="mems", imu_rate_hz=20.0, sensors=heading)
+    dive = simulate_dive(
+        "lawnmower", seed=seed, duration_s=600.0, grade="mems", imu_rate_hz=20.0, sensors=heading
+    )
     read = dive.sensors["heading"]
     error = slow_error(seed, len(read.values)) if is_slow else np.zeros(len(read.values))
-    return replace(dive, sensors={"heading": replace(read, values=read.values + error[:, None], mat_nb=None)})
+    return replace(
+        dive, sensors={"heading": replace(read, values=read.values + error[:, None], mat_nb=None)}
+    )
 
 
 def replayed(dive: Dive, told_sd_deg: float = WHITE_SD_DEG, *settings: str) -> Replay:
@@ -66,7 +70,12 @@ def heading_nees(replay: Replay, history: History) -> Floats:
 def test_the_heading_is_as_sure_as_its_filter_says_where_its_slow_error_is_estimated() -> None:
     """Each dive holds some three independent values of the error: the mean over eight is within 0.4 to 1.8 in 95 %."""
     replays = [replayed(dive_with_slow_heading(seed)) for seed in range(8)]
-    nees = np.array([[heading_nees(replay, history).mean() for history in replay.histories] for replay in replays])
+    nees = np.array(
+        [
+            [heading_nees(replay, history).mean() for history in replay.histories]
+            for replay in replays
+        ]
+    )
     _, aided, estimating = nees.mean(axis=0)
     assert 0.4 < estimating < 1.8
     assert nees[:, 1].min() > 17.0
@@ -83,7 +92,11 @@ def test_the_heading_is_as_sure_as_its_filter_says_where_its_slow_error_is_estim
 def test_small_innovations_that_repeat_are_not_called_conservative() -> None:
     """Told 2 deg of white noise, the filter follows the error: its innovations are small, and so is nothing else."""
     replay = replayed(dive_with_slow_heading(0), SLOW_SD_DEG)
-    (row,) = (row for row in replay.tables.consistency if (row.filter, row.measurement) == ("aided", "heading"))
+    (row,) = (
+        row
+        for row in replay.tables.consistency
+        if (row.filter, row.measurement) == ("aided", "heading")
+    )
     assert (row.mean_nis or 0.0) < 0.5
     assert (row.verdict, row.why) == (Consistency.INSUFFICIENT, Reason.ONE_SAMPLE)
     assert heading_nees(replay, replay.histories[1]).mean() > 17.0
@@ -101,7 +114,9 @@ def test_a_heading_with_white_noise_has_no_slow_error() -> None:
 def test_the_bias_is_kept_alive_by_its_noise_and_forgotten_without_readings() -> None:
     """After the last reading, at 100 s, it goes back to zero, and its standard deviation to what the settings say."""
     dive = dive_with_slow_heading(1)
-    first = dive.sensors["heading"].rows(dive.sensors["heading"].time_ns < dive.imu.time_ns[0] + 10**11)
+    first = dive.sensors["heading"].rows(
+        dive.sensors["heading"].time_ns < dive.imu.time_ns[0] + 10**11
+    )
     estimating = replayed(replace(dive, sensors={"heading": first})).histories[2]
     row = next(state.index for state in estimating.states if state.id == "heading_bias")
     seconds = (estimating.time_ns - estimating.time_ns[0]) / 1e9
@@ -122,5 +137,7 @@ def test_a_start_by_the_sensor_errs_by_its_bias() -> None:
     expected = np.zeros((14, 14))
     expected[:12, :12], expected[12, 12] = cov, 1.0
     np.testing.assert_allclose(made, expected + 0.03**2 * np.outer(bias, bias), atol=1e-16)
-    alone = with_more_states(replace(sensed, is_heading_sensed=False), np.array([1.0, 0.03]), 2, heading_bias=True).cov
+    alone = with_more_states(
+        replace(sensed, is_heading_sensed=False), np.array([1.0, 0.03]), 2, heading_bias=True
+    ).cov
     assert not alone[:12, 13].any()

@@ -10,7 +10,15 @@ import pytest
 
 from insdvl_replay.core.config import Config, Dvl, Evaluation, Filter, Topic
 from insdvl_replay.core.config_file import load_config, render_toml
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, SensorColumns, SolutionColumns, TimeNs, seconds
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    Floats,
+    SensorColumns,
+    SolutionColumns,
+    TimeNs,
+    seconds,
+)
 from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.evaluation.answers import NO_EFFECT
@@ -69,10 +77,18 @@ class Copy(UserMeasurement):
 # --- The DVL's own velocities.
 
 
-def copied(duration_s: float, scenario: str = "lawnmower", seed: int = 4, starts: int = 1) -> Replay:
+def copied(
+    duration_s: float, scenario: str = "lawnmower", seed: int = 4, starts: int = 1
+) -> Replay:
     arm_m = (ARM_X, ARM_Y, ARM_Z)
     dive = simulate_dive(
-        scenario, seed=seed, duration_s=duration_s, grade="mems", imu_rate_hz=25.0, dvl_rate_hz=2.0, lever_arm_m=arm_m
+        scenario,
+        seed=seed,
+        duration_s=duration_s,
+        grade="mems",
+        imu_rate_hz=25.0,
+        dvl_rate_hz=2.0,
+        lever_arm_m=arm_m,
     )
     mems = load_config("mems")
     filters = {"baseline": Filter(aiding=("velocity",)), "copy": Filter(aiding=(f"{HERE}:Copy",))}
@@ -113,7 +129,15 @@ def test_the_velocities_of_the_dvl_have_no_effect(scenario: str, seed: int) -> N
 
 # --- Readings in outages.
 
-OUTAGES_S = ((4.0, 6.0), (6.0, 7.5), (9.0, 10.0), (13.0, 14.0), (17.0, 18.0), (21.0, 22.0), (25.0, 27.0))
+OUTAGES_S = (
+    (4.0, 6.0),
+    (6.0, 7.5),
+    (9.0, 10.0),
+    (13.0, 14.0),
+    (17.0, 18.0),
+    (21.0, 22.0),
+    (25.0, 27.0),
+)
 """The second is too near to the first, so that it is in a group of its own."""
 
 
@@ -124,8 +148,14 @@ def outages_of(dive: Dive) -> tuple[tuple[int, int], ...]:
 
 @pytest.fixture(scope="module")
 def dive() -> Dive:
-    sensors = {"depth": SensorErrors(0.05, 4.0), "heading": SensorErrors(1.0, 4.0), "position": SensorErrors(1.0, 1.0)}
-    return simulate_dive("lawnmower", seed=4, duration_s=30.0, imu_rate_hz=20.0, dvl_rate_hz=5.0, sensors=sensors)
+    sensors = {
+        "depth": SensorErrors(0.05, 4.0),
+        "heading": SensorErrors(1.0, 4.0),
+        "position": SensorErrors(1.0, 1.0),
+    }
+    return simulate_dive(
+        "lawnmower", seed=4, duration_s=30.0, imu_rate_hz=20.0, dvl_rate_hz=5.0, sensors=sensors
+    )
 
 
 class Held(Copy):
@@ -149,9 +179,15 @@ class Smoothed(Held):
     def readings(self, dive: Dive) -> UserReadings:
         """Look back a bit further, and be the less sure the older that is."""
         held = super().readings(dive)
-        mean = np.stack([held.values[max(0, row - 8) : row + 1].mean(axis=0) for row in range(len(held.values))])
-        last_ns = dive.dvl.time_ns[np.searchsorted(dive.dvl.time_ns, held.time_ns, side="right") - 1]
-        return UserReadings(held.time_ns, mean, SD_MPS + 0.1 * seconds(held.time_ns, last_ns)[:, None] * np.ones(3))
+        mean = np.stack(
+            [held.values[max(0, row - 8) : row + 1].mean(axis=0) for row in range(len(held.values))]
+        )
+        last_ns = dive.dvl.time_ns[
+            np.searchsorted(dive.dvl.time_ns, held.time_ns, side="right") - 1
+        ]
+        return UserReadings(
+            held.time_ns, mean, SD_MPS + 0.1 * seconds(held.time_ns, last_ns)[:, None] * np.ones(3)
+        )
 
 
 class Interpolated(Copy):
@@ -163,7 +199,9 @@ class Interpolated(Copy):
         """Look ahead."""
         next(type(self).dives)
         time_ns = np.arange(dive.dvl.time_ns[0], dive.imu.time_ns[-1], NS_PER_S // 10)
-        at_s, ping_s = (seconds(times, dive.dvl.time_ns[0]) for times in (time_ns, dive.dvl.time_ns))
+        at_s, ping_s = (
+            seconds(times, dive.dvl.time_ns[0]) for times in (time_ns, dive.dvl.time_ns)
+        )
         columns = [np.interp(at_s, ping_s, column) for column in velocities(dive).T]
         return UserReadings(time_ns, np.column_stack(columns), np.full(3, SD_MPS))
 
@@ -209,9 +247,13 @@ class Caching(Held):
         return self.made
 
 
-def measured_in_outages(word: str, dive: Dive, config: Config) -> Iterator[tuple[tuple[int, int], Measurement]]:
+def measured_in_outages(
+    word: str, dive: Dive, config: Config
+) -> Iterator[tuple[tuple[int, int], Measurement]]:
     """Yield each outage with the readings of all of its group."""
-    whole = sensor_measurement("copy", "m/s", USER + 3, np.zeros(1, np.int64), np.zeros((1, 3)), np.ones(3), axes="xyz")  # type: ignore[arg-type]
+    whole = sensor_measurement(
+        "copy", "m/s", USER + 3, np.zeros(1, np.int64), np.zeros((1, 3)), np.ones(3), axes="xyz"
+    )  # type: ignore[arg-type]
     whole = replace(whole, sensor=7, holds_height=True)
     for outages, sensors, _ in in_outages(dive, config, {word: whole}, {}, outages_of(dive)):
         found = sensors[word]
@@ -224,13 +266,25 @@ def ended(dive: Dive, before_ns: int, end_ns: int) -> Dive:
     pings, samples = dive.dvl.time_ns <= before_ns, dive.imu.time_ns <= end_ns
     assert dive.dvl.beam_velocity_mps is not None
     imu = replace(dive.imu, time_ns=dive.imu.time_ns[samples])
-    dvl = replace(dive.dvl, time_ns=dive.dvl.time_ns[pings], beam_velocity_mps=dive.dvl.beam_velocity_mps[pings])
+    dvl = replace(
+        dive.dvl,
+        time_ns=dive.dvl.time_ns[pings],
+        beam_velocity_mps=dive.dvl.beam_velocity_mps[pings],
+    )
     return replace(dive, imu=imu, dvl=dvl)
 
 
 @pytest.mark.parametrize(
     ("user_code", "calls"),
-    [(Copy, 5), (Held, 5), (Smoothed, 5), (Caching, 5), (Interpolated, 8), (Bridged, 8), (Remembering, 8)],
+    [
+        (Copy, 5),
+        (Held, 5),
+        (Smoothed, 5),
+        (Caching, 5),
+        (Interpolated, 8),
+        (Bridged, 8),
+        (Remembering, 8),
+    ],
 )
 def test_readings_in_an_outage_are_those_of_a_dive_that_ends_with_it(
     dive: Dive, monkeypatch: pytest.MonkeyPatch, user_code: type[Copy], calls: int
@@ -247,9 +301,13 @@ def test_readings_in_an_outage_are_those_of_a_dive_that_ends_with_it(
         rows = (measurement.valid_ns > before_ns) & (measurement.valid_ns <= end_ns)
         assert inside.any() == (user_code not in (Copy, Bridged))
         np.testing.assert_array_equal(measurement.valid_ns[rows], expected.time_ns[inside])
-        np.testing.assert_allclose(measurement.values[rows], expected.values[inside], rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(
+            measurement.values[rows], expected.values[inside], rtol=0.0, atol=1e-12
+        )
         sd = np.broadcast_to(expected.sd, expected.values.shape)[inside]
-        np.testing.assert_allclose(np.sqrt(np.diagonal(measurement.cov[rows], axis1=1, axis2=2)), sd, rtol=1e-12)
+        np.testing.assert_allclose(
+            np.sqrt(np.diagonal(measurement.cov[rows], axis1=1, axis2=2)), sd, rtol=1e-12
+        )
 
 
 class Beside(Copy):
@@ -264,7 +322,9 @@ class Beside(Copy):
 def test_a_recorded_solution_is_there_in_outages_too() -> None:
     dive = simulate_dive("lawnmower", seed=4, duration_s=170.0, imu_rate_hz=20.0, dvl_rate_hz=2.0)
     assert dive.reference is not None
-    solution = SolutionColumns(dive.reference, None, dive.reference.time_ns[:0], np.empty((0, 9, 9)))
+    solution = SolutionColumns(
+        dive.reference, None, dive.reference.time_ns[:0], np.empty((0, 9, 9))
+    )
     filters = {
         "baseline": Filter(aiding=("velocity",)),
         "beside": Filter(aiding=(f"{HERE}:Beside",)),
@@ -301,7 +361,9 @@ class Narrow(Copy):
         ("Narrow", r"outage.*Narrow .*\b1 .*\b3 "),
     ],
 )
-def test_what_goes_wrong_in_an_outage_is_reported_as_such(dive: Dive, word: str, reason: str) -> None:
+def test_what_goes_wrong_in_an_outage_is_reported_as_such(
+    dive: Dive, word: str, reason: str
+) -> None:
     with pytest.raises(ConfigError, match=reason):
         dict(measured_in_outages(f"{HERE}:{word}", dive, Config()))
 
@@ -326,14 +388,30 @@ def with_topics(dive: Dive) -> tuple[Dive, dict[str, Topic]]:
     assert dive.reference is not None
     time_ns = dive.reference.time_ns
     solution = SolutionColumns(
-        dive.reference, np.zeros((len(time_ns), 3)), time_ns[::5], np.zeros((len(time_ns[::5]), 9, 9))
+        dive.reference,
+        np.zeros((len(time_ns), 3)),
+        time_ns[::5],
+        np.zeros((len(time_ns[::5]), 9, 9)),
     )
-    declared = {sensor: Topic(topic=f"/raw/{sensor}", values="x", sensor=sensor) for sensor in ("dvl", "depth")}
-    by_role = {
-        role.partition(".")[0]: Topic(topic=f"/{role}", values="x") for role in ("reference", "filters.mine.solution")
+    declared = {
+        sensor: Topic(topic=f"/raw/{sensor}", values="x", sensor=sensor)
+        for sensor in ("dvl", "depth")
     }
-    topics = {**declared, **by_role, "ping": Topic(topic="/dvl", values="x"), "free": Topic(topic="/usbl", values="x")}
-    roles = {"/dvl": "dvl", "/reference": "reference", "/filters.mine.solution": "filters.mine.solution"}
+    by_role = {
+        role.partition(".")[0]: Topic(topic=f"/{role}", values="x")
+        for role in ("reference", "filters.mine.solution")
+    }
+    topics = {
+        **declared,
+        **by_role,
+        "ping": Topic(topic="/dvl", values="x"),
+        "free": Topic(topic="/usbl", values="x"),
+    }
+    roles = {
+        "/dvl": "dvl",
+        "/reference": "reference",
+        "/filters.mine.solution": "filters.mine.solution",
+    }
     channels = tuple(Channel(topic, "", "cdr", role, 1) for topic, role in roles.items())
     columns = {name: columns_like(time_ns) for name in topics}
     return replace(dive, solutions={"mine": solution}, topics=columns, channels=channels), topics
@@ -375,7 +453,10 @@ def test_after_an_outage_the_pings_are_there_again(dive: Dive) -> None:
     outages = outages_of(dive)[2:4]
     given = given_dive(dive, Config(), outages)
     absent = np.setdiff1d(dive.dvl.time_ns, given.dvl.time_ns)
-    held_back = [(dive.dvl.time_ns > before_ns) & (dive.dvl.time_ns <= end_ns) for before_ns, end_ns in outages]
+    held_back = [
+        (dive.dvl.time_ns > before_ns) & (dive.dvl.time_ns <= end_ns)
+        for before_ns, end_ns in outages
+    ]
     np.testing.assert_array_equal(absent, dive.dvl.time_ns[np.any(held_back, axis=0)])
     assert len(absent) == 10
 
@@ -404,12 +485,18 @@ class OfPosition(OfSensor):
 
 
 @pytest.mark.parametrize(
-    ("word", "sensor"), [("OfSensor", "depth"), ("OfHeading", "heading"), ("OfPosition", "position")]
+    ("word", "sensor"),
+    [("OfSensor", "depth"), ("OfHeading", "heading"), ("OfPosition", "position")],
 )
 def test_a_held_out_sensor_is_not_in_the_dive(dive: Dive, word: str, sensor: str) -> None:
-    filters = {"baseline": Filter(aiding=("velocity",)), "mine": Filter(aiding=("velocity", f"{HERE}:{word}"))}
+    filters = {
+        "baseline": Filter(aiding=("velocity",)),
+        "mine": Filter(aiding=("velocity", f"{HERE}:{word}")),
+    }
     config = Config(filters=filters, evaluation=Evaluation(starts=1, held_out=(sensor,)))
-    with pytest.raises(ConfigError, match=rf"{word}: readings\(self, dive\) .*KeyError: '{sensor}'") as refusal:
+    with pytest.raises(
+        ConfigError, match=rf"{word}: readings\(self, dive\) .*KeyError: '{sensor}'"
+    ) as refusal:
         prepare_dive(dive, config)
     assert sensor in str(refusal.value.hint)
 

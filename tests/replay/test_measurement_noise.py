@@ -13,7 +13,14 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, seconds
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.evaluation.answers import BAD, CandidateAnswer, pooled_candidate
 from insdvl_replay.evaluation.sentences import headline
-from insdvl_replay.nav.kalman import CEILING, FLOOR, chance_var, found_factor, outlier_factor, significant_factor
+from insdvl_replay.nav.kalman import (
+    CEILING,
+    FLOOR,
+    chance_var,
+    found_factor,
+    outlier_factor,
+    significant_factor,
+)
 from insdvl_replay.replay import replay_dive
 
 DIVES, LENGTH_S, STARTS = 5, 600.0, 8
@@ -27,7 +34,9 @@ def together(aiding: str, dives: Iterable[Dive]) -> dict[str, CandidateAnswer]:
     replays = [replay_dive(dive, competitors(aiding, 1)) for dive in dives]
     found = {}
     for name in CANDIDATES:
-        evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in replays]
+        evidence = [
+            [row for row in replay.tables.evidence if row.filter == name] for replay in replays
+        ]
         found[name] = pooled_candidate(name, "baseline", evidence, len(replays))
     return found
 
@@ -49,7 +58,10 @@ def test_where_pings_are_contaminated_their_velocities_are_better(aiding: str) -
     for name, answer in found.items():
         rows = {row.quantity: row for row in answer.rows}
         for quantity in ("velocity_along", "velocity_across"):
-            assert (rows[quantity].verdict, rows[quantity].dives_won) == ("better", DIVES), (name, quantity)
+            assert (rows[quantity].verdict, rows[quantity].dives_won) == ("better", DIVES), (
+                name,
+                quantity,
+            )
         assert answer.verdict not in BAD, (name, headline(answer))
 
 
@@ -62,7 +74,9 @@ def test_on_clean_dives_they_are_equivalent(aiding: str) -> None:
 
 
 @pytest.mark.nightly
-def test_where_the_dvl_grows_noisier_the_adaptive_filter_is_better_and_knows_how_noisy_it_is() -> None:
+def test_where_the_dvl_grows_noisier_the_adaptive_filter_is_better_and_knows_how_noisy_it_is() -> (
+    None
+):
     """Its velocities alone drift more, the less it trusts the DVL; with the position among its states it is as near."""
     config = competitors("velocity", STARTS, ("position",))
     for seed in range(DIVES):
@@ -79,9 +93,14 @@ def test_where_the_dvl_grows_noisier_the_adaptive_filter_is_better_and_knows_how
 @pytest.mark.nightly
 def test_with_a_gate_a_dvl_that_grows_noisier_is_followed_and_not_rejected() -> None:
     config = competitors("velocity", 1)
-    gated = {name: msgspec.structs.replace(each, gate_probability=0.99) for name, each in config.filters.items()}
+    gated = {
+        name: msgspec.structs.replace(each, gate_probability=0.99)
+        for name, each in config.filters.items()
+    }
     for seed in range(DIVES):
-        replay = replay_dive(noisier_dive(seed, LENGTH_S, 3.0), msgspec.structs.replace(config, filters=gated))
+        replay = replay_dive(
+            noisier_dive(seed, LENGTH_S, 3.0), msgspec.structs.replace(config, filters=gated)
+        )
         plain, adaptive = (history.innovations[0] for history in replay.histories[:2])
         late = plain.time_ns > plain.time_ns[len(plain.time_ns) // 2] + 30 * NS_PER_S
         assert plain.used[late].mean() < 0.5
@@ -95,13 +114,18 @@ def test_what_an_outage_did_to_the_velocity_is_not_taken_for_noise(aiding: str) 
     changes = list[Floats]()
     for seed in range(DIVES):
         replay = replay_dive(dive_with_outages(seed), competitors(aiding, 1))
-        plain, adaptive = ({one.measurement: one for one in history.innovations} for history in replay.histories[:2])
+        plain, adaptive = (
+            {one.measurement: one for one in history.innovations}
+            for history in replay.histories[:2]
+        )
         changes += [np.abs(adaptive[name].sd / plain[name].sd - 1.0).ravel() for name in plain]
     assert np.mean(np.concatenate(changes) > 0.02) < 0.02
 
 
 @pytest.mark.parametrize("aiding", ["velocity", pytest.param("beams", marks=pytest.mark.nightly)])
-def test_how_noisy_the_dvl_is_is_not_forgotten_where_a_filter_is_set_to_it_again(aiding: str) -> None:
+def test_how_noisy_the_dvl_is_is_not_forgotten_where_a_filter_is_set_to_it_again(
+    aiding: str,
+) -> None:
     """After a shock of the IMU; beams had forgotten it, and NIS / dof of 4 to 8 behind it."""
     nis_per_dof = []
     for seed in range(3):

@@ -40,7 +40,9 @@ class Step(UserNoise):
     def noise_factors(self, dive: Dive) -> tuple[TimeNs, Floats]:
         """Know the time."""
         start_ns = int(dive.imu.time_ns[0])
-        return np.array([start_ns, start_ns + STEP_S * NS_PER_S]), np.array([[1.0, 1.0], [FACTOR, 1.0]])
+        return np.array([start_ns, start_ns + STEP_S * NS_PER_S]), np.array(
+            [[1.0, 1.0], [FACTOR, 1.0]]
+        )
 
 
 class OfPings(UserNoise):
@@ -55,7 +57,9 @@ def filters(word: str) -> Config:
     mems = load_config("mems")
     mine = Filter(aiding=("velocity",), noise_factors=f"{HERE}:{word}")
     settings = {"baseline": Filter(aiding=("velocity",)), "mine": mine}
-    return Config(noise=mems.noise, initial=mems.initial, filters=settings, evaluation=Evaluation(starts=1))
+    return Config(
+        noise=mems.noise, initial=mems.initial, filters=settings, evaluation=Evaluation(starts=1)
+    )
 
 
 def ran(dive: Dive, word: str, start: Start | None = None) -> tuple[History, History]:
@@ -63,7 +67,9 @@ def ran(dive: Dive, word: str, start: Start | None = None) -> tuple[History, His
     if start is not None:
         prepared = replace(prepared, alignment=replace(prepared.alignment, start=start))
     line = prepared_timeline(dive, prepared)
-    plain, mine = (run_one(filter_, prepared, line, cov_ns=line.event_ns) for filter_ in prepared.filters)
+    plain, mine = (
+        run_one(filter_, prepared, line, cov_ns=line.event_ns) for filter_ in prepared.filters
+    )
     return plain, mine
 
 
@@ -76,7 +82,9 @@ def worse_from_a_step(dive: Dive, seed: int) -> Dive:
     """Add the noise of the step to the accelerometers."""
     since_s, rng = (dive.imu.time_ns - dive.imu.time_ns[0]) * 1e-9, np.random.default_rng(seed)
     sd_mps2 = (
-        load_config("mems").noise.accel_white_mps_rts * np.sqrt(FACTOR**2 - 1.0) / np.sqrt(np.diff(since_s).mean())
+        load_config("mems").noise.accel_white_mps_rts
+        * np.sqrt(FACTOR**2 - 1.0)
+        / np.sqrt(np.diff(since_s).mean())
     )
     noise = sd_mps2 * rng.standard_normal((len(since_s), 3)) * (since_s > STEP_S)[:, None]
     return replace(dive, imu=replace(dive.imu, specific_force_b=dive.imu.specific_force_b + noise))
@@ -114,8 +122,12 @@ def test_a_known_step_of_the_noise_gives_the_nees_of_twelve_states() -> None:
     setup = make_setup("lawnmower", config, "matched", 300.0)
     found = []
     for seed in range(20):
-        dive = worse_from_a_step(add_errors(setup.exact, setup.imu_errors, setup.dvl_errors, seed), seed)
-        found.append([nees(history, dive) for history in ran(dive, "Step", drawn_start(setup, seed))])
+        dive = worse_from_a_step(
+            add_errors(setup.exact, setup.imu_errors, setup.dvl_errors, seed), seed
+        )
+        found.append(
+            [nees(history, dive) for history in ran(dive, "Step", drawn_start(setup, seed))]
+        )
     without, aware = np.mean(found, axis=0)
     assert aware == pytest.approx(12.0, abs=2.0)
     assert without > 30.0
@@ -144,12 +156,19 @@ def test_factors_at_every_sample_cost_little() -> None:
 
 
 def test_noise_of_axes_is_turned_to_n() -> None:
-    mat_nb, density_b = mat_from_rpy(np.array([0.3, -0.2, 1.1])), np.array([1.0, 2.0, 3.0, 0.4, 0.5, 0.6])
+    mat_nb, density_b = (
+        mat_from_rpy(np.array([0.3, -0.2, 1.1])),
+        np.array([1.0, 2.0, 3.0, 0.4, 0.5, 0.6]),
+    )
     P = np.zeros(144)
     add_noise_of_axes(P, 12, tuple(map(tuple, mat_nb)), density_b, 0.5)  # type: ignore[arg-type]
     P = P.reshape(12, 12)
-    np.testing.assert_allclose(P[:3, :3], 0.5 * mat_nb @ np.diag(density_b[:3]) @ mat_nb.T, atol=1e-15)
-    np.testing.assert_allclose(P[3:6, 3:6], 0.5 * mat_nb @ np.diag(density_b[3:]) @ mat_nb.T, atol=1e-15)
+    np.testing.assert_allclose(
+        P[:3, :3], 0.5 * mat_nb @ np.diag(density_b[:3]) @ mat_nb.T, atol=1e-15
+    )
+    np.testing.assert_allclose(
+        P[3:6, 3:6], 0.5 * mat_nb @ np.diag(density_b[3:]) @ mat_nb.T, atol=1e-15
+    )
     assert not P[:3, 3:].any()
     assert not P[6:].any()
 
@@ -170,7 +189,9 @@ def test_in_an_outage_noise_is_found_without_its_pings(dive: Dive) -> None:
     ("start_ns", "end_ns", "kept"),
     [(5, 9, []), (5, 10, [10]), (10, 25, [10, 20]), (15, 30, [10, 20, 30]), (40, 50, [30])],
 )
-def test_a_factor_holds_from_its_time_to_the_next(start_ns: int, end_ns: int, kept: list[int]) -> None:
+def test_a_factor_holds_from_its_time_to_the_next(
+    start_ns: int, end_ns: int, kept: list[int]
+) -> None:
     factors = NoiseFactors(np.array([10, 20, 30]), np.arange(18.0).reshape(3, 6))
     assert factors.within(start_ns, end_ns).time_ns.tolist() == kept
 
@@ -181,7 +202,10 @@ def test_a_factor_holds_from_its_time_to_the_next(start_ns: int, end_ns: int, ke
         (None, "NoneType, not two arrays"),
         ((np.arange(3), np.ones((3, 3))), r"\(3,\) and \(3, 3\)"),
         ((np.arange(3.0), np.ones((3, 2))), "increasing int64"),
-        ((np.arange(3), np.array([[1.0, 1.0], [0.0, 1.0], [1.0, np.nan]])), "2 of 3 rows, the first is row 1"),
+        (
+            (np.arange(3), np.array([[1.0, 1.0], [0.0, 1.0], [1.0, np.nan]])),
+            "2 of 3 rows, the first is row 1",
+        ),
     ],
 )
 def test_factors_that_are_none_are_reported(given: tuple[TimeNs, Floats], reason: str) -> None:
@@ -199,4 +223,7 @@ def test_settings_of_noise_are_code_that_is_written_and_read() -> None:
     assert config.without_code().filters["mine"] == Filter(aiding=("velocity",))
     for key, value in {"noise_factors": "C", "version": "2", "input": "log"}.items():
         with pytest.raises(ConfigError, match=rf"filters\.mine\.{key} "):
-            load_config(overrides=[f'filters.mine={{aiding=["velocity"], {key}="{value}"}}'], allow_code=True)
+            load_config(
+                overrides=[f'filters.mine={{aiding=["velocity"], {key}="{value}"}}'],
+                allow_code=True,
+            )

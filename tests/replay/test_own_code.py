@@ -15,7 +15,12 @@ from insdvl_replay.core.config import Config, Evaluation, Filter, Solution
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings, checked_readings, load_plugin
+from insdvl_replay.nav.user_measurement import (
+    UserMeasurement,
+    UserReadings,
+    checked_readings,
+    load_plugin,
+)
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
@@ -27,14 +32,18 @@ HERE = __name__
 @pytest.fixture(scope="module")
 def dive() -> Dive:
     sensors = {"depth": SensorErrors(0.05, 4.0)}
-    return simulate_dive("lawnmower", seed=4, duration_s=20.0, grade="mems", imu_rate_hz=50.0, sensors=sensors)
+    return simulate_dive(
+        "lawnmower", seed=4, duration_s=20.0, grade="mems", imu_rate_hz=50.0, sensors=sensors
+    )
 
 
 def aided(word: str, **changes: Any) -> Config:
     mems = load_config("mems")
     mine = Filter(**({"aiding": ("velocity", f"{HERE}:{word}")} | changes))
     filters = {"baseline": Filter(aiding=("velocity",)), "mine": mine}
-    return Config(noise=mems.noise, initial=mems.initial, filters=filters, evaluation=Evaluation(starts=1))
+    return Config(
+        noise=mems.noise, initial=mems.initial, filters=filters, evaluation=Evaluation(starts=1)
+    )
 
 
 def notes_of(prepared: Prepared, code: str = "user_measurement_jacobian") -> list[str]:
@@ -185,7 +194,9 @@ class OfSolution(Speed):
     def readings(self, dive: Dive) -> UserReadings:
         """Take that of the solution."""
         motion = dive.solutions["onboard"].motion
-        return UserReadings(motion.time_ns, np.linalg.norm(motion.velocity_n, axis=1)[:, None], np.array([0.1]))
+        return UserReadings(
+            motion.time_ns, np.linalg.norm(motion.velocity_n, axis=1)[:, None], np.array([0.1])
+        )
 
 
 def test_readings_may_be_made_of_a_solution_of_the_dive(dive: Dive) -> None:
@@ -220,7 +231,9 @@ def test_readings_may_be_made_of_a_solution_of_the_dive(dive: Dive) -> None:
     ],
 )
 def test_readings_that_are_none_are_reported(given: dict[str, Any], reason: str) -> None:
-    readings = UserReadings(**({"time_ns": np.arange(3), "values": np.ones((3, 1)), "sd": np.array([0.1])} | given))
+    readings = UserReadings(
+        **({"time_ns": np.arange(3), "values": np.ones((3, 1)), "sd": np.array([0.1])} | given)
+    )
     with pytest.raises(ValueError, match=reason):
         checked_readings(readings)
 

@@ -23,7 +23,10 @@ FOLDERS = (PROJECT / "sample_logs", PROJECT / "examples" / "archive" / "dives")
 LOGS = [path for folder in FOLDERS for path in sorted(folder.glob("*.mcap"))]
 SIMULATE = [
     shlex.split(line)[1:]
-    for script in (PROJECT / "sample_logs" / "make.sh", PROJECT / "examples" / "archive" / "make.sh")
+    for script in (
+        PROJECT / "sample_logs" / "make.sh",
+        PROJECT / "examples" / "archive" / "make.sh",
+    )
     for line in script.read_text("utf-8").splitlines()
     if line.startswith('"$program" simulate')
 ]
@@ -43,12 +46,18 @@ def test_the_exact_motion_is_the_same_to_the_last_bit(processor: Processor) -> N
 
 
 def digests() -> dict[str, str]:
-    lines = [line for folder in FOLDERS for line in (folder / "SHA256SUMS").read_text("utf-8").splitlines()]
+    lines = [
+        line
+        for folder in FOLDERS
+        for line in (folder / "SHA256SUMS").read_text("utf-8").splitlines()
+    ]
     return {name: digest for digest, name in (line.split() for line in lines)}
 
 
 def test_every_simulated_dive_is_the_same_bytes(processor: Processor, tmp_path: Path) -> None:
-    processor.run(*([*arguments, str(tmp_path / Path(place).name)] for *arguments, place in SIMULATE))
+    processor.run(
+        *([*arguments, str(tmp_path / Path(place).name)] for *arguments, place in SIMULATE)
+    )
     made = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in tmp_path.iterdir()}
     assert len(made) == len(LOGS) == 6
     assert made == digests()
@@ -72,7 +81,11 @@ def cells(folder: Path) -> Iterator[tuple[str, str, str]]:
         with path.open(newline="", encoding="utf-8") as file:
             for number, row in enumerate(csv.DictReader(file), start=2):
                 for column, text in row.items():
-                    yield f"{path.relative_to(folder)}:{number} {column}", row.get("filter", ""), text
+                    yield (
+                        f"{path.relative_to(folder)}:{number} {column}",
+                        row.get("filter", ""),
+                        text,
+                    )
 
 
 def agree(one: str, other: str, share: float, column: str = "sd") -> bool:
@@ -85,7 +98,12 @@ def agree(one: str, other: str, share: float, column: str = "sd") -> bool:
     if "." not in one + other:
         return False
     try:
-        return math.isclose(float(one), float(other), rel_tol=share, abs_tol=share if column.endswith("_pct") else 0.0)
+        return math.isclose(
+            float(one),
+            float(other),
+            rel_tol=share,
+            abs_tol=share if column.endswith("_pct") else 0.0,
+        )
     except ValueError:
         return False
 
@@ -101,7 +119,9 @@ def agree(one: str, other: str, share: float, column: str = "sd") -> bool:
         ("nan", "0.1", False),
     ],
 )
-def test_cells_agree_in_nine_digits_and_words_and_counts_exactly(one: str, other: str, same: bool) -> None:
+def test_cells_agree_in_nine_digits_and_words_and_counts_exactly(
+    one: str, other: str, same: bool
+) -> None:
     assert agree(one, other, SAME) == same
 
 

@@ -19,7 +19,9 @@ BY_FIXES = (
 
 
 def test_the_solution_of_the_snapir_is_refused_next_to_itself(snapir: Path) -> None:
-    config = load_config(file=EXAMPLES / "snapir.toml", overrides=["filters.onboard.solution=/ins/odometry"])
+    config = load_config(
+        file=EXAMPLES / "snapir.toml", overrides=["filters.onboard.solution=/ins/odometry"]
+    )
     with pytest.raises(LogError, match=r"'/ins/odometry'"):
         replay_log(snapir / "snapir_01.mcap", config)
 
@@ -45,7 +47,8 @@ def test_the_estimate_of_the_blueye_knows_the_satellites(blueye: Path) -> None:
     """It comes in one message with the receiver that it is to be judged by: better, and no proof of anything."""
     solution = "filters.onboard.solution=blueye.protocol.PositionEstimateTel"
     replay = replay_log(
-        blueye / "auto_square.mcap", load_config(file=EXAMPLES / "blueye_x3.toml", overrides=[solution])
+        blueye / "auto_square.mcap",
+        load_config(file=EXAMPLES / "blueye_x3.toml", overrides=[solution]),
     )
     error = {(row.filter, row.quantity): row for row in replay.tables.reference_error}
     onboard = error["onboard", "position_h"]

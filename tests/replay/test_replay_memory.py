@@ -42,13 +42,21 @@ def test_reading_takes_little_memory_beyond_the_columns(tmp_path: Path) -> None:
     assert peak < 2.25 * kept + blocks
 
 
-def test_the_readings_are_let_go_before_the_tables_are_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, readings, make_tables = tmp_path / "dive.mcap", list[Callable[[], Any]](), replay.tables_of_filters
+def test_the_readings_are_let_go_before_the_tables_are_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, readings, make_tables = (
+        tmp_path / "dive.mcap",
+        list[Callable[[], Any]](),
+        replay.tables_of_filters,
+    )
     write_dive(path, dive_of(SHORT_S))
 
     def watched(*arguments: Any, **options: Any) -> Dive:
         dive = read_checked_dive(*arguments, **options)
-        readings.extend(weakref.ref(column) for column in (dive.imu.specific_force_b, dive.imu.angular_rate_b))
+        readings.extend(
+            weakref.ref(column) for column in (dive.imu.specific_force_b, dive.imu.angular_rate_b)
+        )
         return dive
 
     def tables_of(*arguments: Any, **options: Any) -> Any:
@@ -63,7 +71,10 @@ def test_the_readings_are_let_go_before_the_tables_are_made(tmp_path: Path, monk
 @pytest.mark.parametrize("quantity", ["time_ns", "specific_force_b", "angular_rate_b"])
 def test_a_replay_lets_the_readings_go_and_keeps_the_times(quantity: str) -> None:
     dive = dive_of(SHORT_S)
-    kept, given = getattr(replay_dive(dive, Config()).dive.imu, quantity), getattr(dive.imu, quantity)
+    kept, given = (
+        getattr(replay_dive(dive, Config()).dive.imu, quantity),
+        getattr(dive.imu, quantity),
+    )
     np.testing.assert_array_equal(kept, given if quantity == "time_ns" else given[:0])
 
 
@@ -84,11 +95,17 @@ def with_odometry(folder: Path, duration_s: float = LONG_S) -> tuple[list[Path],
     )
     growing = np.linspace(1.0, 2.0, count)[:, None, None] * (np.eye(6) + 0.1)
     covariances = {"pose.covariance": growing, "twist.covariance": 0.01 * growing}
-    return [folder / "dive.mcap", write_odometry(folder / "odometry.mcap", told, covariances)], count
+    return [
+        folder / "dive.mcap",
+        write_odometry(folder / "odometry.mcap", told, covariances),
+    ], count
 
 
 def settings(**filters: Filter) -> Config:
-    return Config(filters={"baseline": Filter(aiding=("velocity",)), **filters}, evaluation=Evaluation(starts=1))
+    return Config(
+        filters={"baseline": Filter(aiding=("velocity",)), **filters},
+        evaluation=Evaluation(starts=1),
+    )
 
 
 def peak_of(work: Callable[[], Any]) -> int:
@@ -102,7 +119,9 @@ def peak_of(work: Callable[[], Any]) -> int:
 
 
 @pytest.mark.nightly
-def test_a_solution_takes_little_memory_beyond_its_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_solution_takes_little_memory_beyond_its_columns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Time, way, velocity and attitude of each message are kept, 128 bytes; of covariances, 216 more, some alone.
 
     While it is read, its fields are in memory, too: two times, way, quaternion and velocity, 96 bytes. There is no room
@@ -112,23 +131,35 @@ def test_a_solution_takes_little_memory_beyond_its_columns(tmp_path: Path, monke
     paths, count = with_odometry(tmp_path)
     beside = settings(onboard=Filter(solution="/odometry"))
     solution = read_dive(paths, beside).solutions["onboard"]
-    told = (solution.motion.time_ns, solution.moved_n, solution.motion.velocity_n, solution.motion.mat_nb)
+    told = (
+        solution.motion.time_ns,
+        solution.moved_n,
+        solution.motion.velocity_n,
+        solution.motion.mat_nb,
+    )
     assert len(solution.motion.time_ns) == count
     assert sum(column.nbytes for column in told if column is not None) == 128 * count
     assert solution.motion.position.strides[0] == 0  # none is told
     assert len(solution.cov) <= 1000
-    alone_peak, beside_peak = (peak_of(lambda c=config: read_dive(paths, c)) for config in (settings(), beside))
+    alone_peak, beside_peak = (
+        peak_of(lambda c=config: read_dive(paths, c)) for config in (settings(), beside)
+    )
     assert beside_peak - alone_peak < (128 + 96) * count
 
 
-def test_a_solution_is_let_go_before_the_tables_are_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_solution_is_let_go_before_the_tables_are_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     paths, _ = with_odometry(tmp_path, SHORT_S)
     columns, make_tables = list[Callable[[], Any]](), replay.tables_of_filters
 
     def watched(*arguments: Any, **options: Any) -> Dive:
         dive = read_checked_dive(*arguments, **options)
         (solution,) = dive.solutions.values()
-        columns.extend(weakref.ref(column) for column in (solution.moved_n, solution.cov, solution.motion.mat_nb))
+        columns.extend(
+            weakref.ref(column)
+            for column in (solution.moved_n, solution.cov, solution.motion.mat_nb)
+        )
         return dive
 
     def tables_of(*arguments: Any, **options: Any) -> Any:

@@ -16,7 +16,12 @@ from insdvl_replay.core.states import PHI
 from insdvl_replay.evaluation.convergence import measured_convergences
 from insdvl_replay.evaluation.reference_errors import DrawnErrors, reference_errors, squared_errors
 from insdvl_replay.geometry.rotation import rpy_from_mat
-from insdvl_replay.preparation.prepared import Prepared, prepare_dive, read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import (
+    Prepared,
+    prepare_dive,
+    read_checked_dive,
+    with_reference_at_imu,
+)
 from insdvl_replay.preparation.run import prepared_timeline, run_from_drawn_starts, run_one
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.studies.montecarlo import matched_errors
@@ -29,7 +34,9 @@ STARTS = 121
 
 
 def config_with(**filters: Filter) -> Config:
-    return msgspec.structs.replace(MATCHED, filters={"baseline": MATCHED.filters["baseline"], **filters})
+    return msgspec.structs.replace(
+        MATCHED, filters={"baseline": MATCHED.filters["baseline"], **filters}
+    )
 
 
 WINDOWED = Filter(aiding=("velocity", "acceleration"), acceleration=Acceleration(model="windowed"))
@@ -51,7 +58,10 @@ def prepared_world(exact: Dive, config: Config, seed: int) -> tuple[Dive, Prepar
 def test_errors_from_drawn_starts_are_as_large_as_the_filter_predicts(exact: Dive) -> None:
     """A world a draw, since what sensors add is the same for all starts of one dive."""
     config = config_with()
-    worlds = [run_from_drawn_starts(*prepared_world(exact, config, seed), 2, seed)[0] for seed in range(WORLDS)]
+    worlds = [
+        run_from_drawn_starts(*prepared_world(exact, config, seed), 2, seed)[0]
+        for seed in range(WORLDS)
+    ]
     times = np.searchsorted(worlds[0].time_s, [1.0, 10.0, 30.0, 60.0, 119.0])
     errors = np.stack([world.error[1, times] for world in worlds])
     sd = np.sqrt(np.mean([world.sd[times] ** 2 for world in worlds], axis=0))
@@ -59,7 +69,11 @@ def test_errors_from_drawn_starts_are_as_large_as_the_filter_predicts(exact: Div
     tail = 0.005 / squares.size
     assert (squares > chi2.ppf(tail, WORLDS)).all()
     assert (squares < chi2.ppf(1.0 - tail, WORLDS)).all()
-    assert chi2.ppf(1e-4, WORLDS * 12 * 5 / 3) < squares.sum() / 3 < chi2.ppf(1.0 - 1e-4, WORLDS * 12 * 5 / 3)
+    assert (
+        chi2.ppf(1e-4, WORLDS * 12 * 5 / 3)
+        < squares.sum() / 3
+        < chi2.ppf(1.0 - 1e-4, WORLDS * 12 * 5 / 3)
+    )
 
 
 def test_first_run_is_that_of_the_replay(exact: Dive) -> None:
@@ -93,8 +107,12 @@ def test_squares_are_those_of_the_errors(exact: Dive) -> None:
     north, east, heading = drawn.error[2, :, PHI].T
     np.testing.assert_allclose(squares["level"][2], (north**2 + east**2) / 2.0, rtol=1e-9)
     np.testing.assert_allclose(squares["phi_d"][2], heading**2, rtol=1e-9)
-    np.testing.assert_allclose(squares["position_h"][2], np.sum(drawn.position_error_ned_m[2, :, :2] ** 2, axis=1))
-    np.testing.assert_allclose(squares["velocity_h"][2], np.sum(drawn.velocity_error_n[2, :, :2] ** 2, axis=1))
+    np.testing.assert_allclose(
+        squares["position_h"][2], np.sum(drawn.position_error_ned_m[2, :, :2] ** 2, axis=1)
+    )
+    np.testing.assert_allclose(
+        squares["velocity_h"][2], np.sum(drawn.velocity_error_n[2, :, :2] ** 2, axis=1)
+    )
     assert {"ba_x", "bg_z"} <= squares.keys()
 
 
@@ -103,7 +121,16 @@ def test_what_nobody_knows_is_left_out(exact: Dive) -> None:
     baseline, windowed = run_from_drawn_starts(replace(dive, truth=None), start, 3)
     assert "bg_z" not in squared_errors(baseline)
     found = measured_convergences(baseline, windowed)
-    assert found.keys() == {"velocity_h", "level", "dv_n", "dv_e", "dv_d", "phi_n", "phi_e", "phi_d"}
+    assert found.keys() == {
+        "velocity_h",
+        "level",
+        "dv_n",
+        "dv_e",
+        "dv_d",
+        "phi_n",
+        "phi_e",
+        "phi_d",
+    }
 
 
 def test_one_start_converges_from_nothing(exact: Dive) -> None:
@@ -112,7 +139,9 @@ def test_one_start_converges_from_nothing(exact: Dive) -> None:
     assert measured_convergences(*runs) == {}
 
 
-def test_long_dives_are_run_in_part_at_some_of_the_times(exact: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_dives_are_run_in_part_at_some_of_the_times(
+    exact: Dive, monkeypatch: pytest.MonkeyPatch
+) -> None:
     dive, start = prepared_world(exact, config_with(), 1)
     whole = run_from_drawn_starts(dive, start, 4)[0]
     monkeypatch.setattr("insdvl_replay.preparation.run.MOST_DRAWN_SAMPLES", 4 * 3000)
@@ -127,7 +156,9 @@ def test_long_dives_are_run_in_part_at_some_of_the_times(exact: Dive, monkeypatc
 def test_starts_leave_less_and_less_behind(exact: Dive) -> None:
     """Level is found within a turn or two; of the heading the start is nearly all that is known."""
     drawn = run_from_drawn_starts(*prepared_world(exact, config_with(), 1), 9)[0]
-    left = np.sqrt(np.mean(((drawn.error[1:, -1] - drawn.error[0, -1]) / drawn.sd[-1]) ** 2, axis=0))
+    left = np.sqrt(
+        np.mean(((drawn.error[1:, -1] - drawn.error[0, -1]) / drawn.sd[-1]) ** 2, axis=0)
+    )
     assert (left[:5] < left[5]).all()
     assert left[5] > 0.6
 
@@ -148,7 +179,9 @@ def test_filters_that_go_astray_are_reported_without_a_warning(exact: Dive) -> N
 @pytest.fixture(scope="module")
 def dives(snapir: Path) -> dict[str, tuple[DrawnErrors, ...]]:
     config = load_config(file=[SNAPIR, SNAPIR.with_name("paper_noise.toml")])
-    config = msgspec.structs.replace(config, filters={name: config.filters[name] for name in ("baseline", "windowed")})
+    config = msgspec.structs.replace(
+        config, filters={name: config.filters[name] for name in ("baseline", "windowed")}
+    )
     found = {}
     for path in sorted(snapir.glob("*.mcap")):
         dive = with_reference_at_imu(read_checked_dive(path, config), config)
@@ -160,8 +193,13 @@ def dives(snapir: Path) -> dict[str, tuple[DrawnErrors, ...]]:
 
 def about_vehicle(drawn: DrawnErrors, reference: ReferenceColumns) -> DrawnErrors:
     """Turn the misalignment about north and east to roll and pitch."""
-    heading = rpy_from_mat(reference.mat_nb[np.searchsorted(reference.time_ns, drawn.time_ns)])[:, 2]
-    error, (north, east) = drawn.error.copy(), (drawn.error[..., PHI.start], drawn.error[..., PHI.start + 1])
+    heading = rpy_from_mat(reference.mat_nb[np.searchsorted(reference.time_ns, drawn.time_ns)])[
+        :, 2
+    ]
+    error, (north, east) = (
+        drawn.error.copy(),
+        (drawn.error[..., PHI.start], drawn.error[..., PHI.start + 1]),
+    )
     error[..., PHI.start] = np.cos(heading) * north + np.sin(heading) * east
     error[..., PHI.start + 1] = np.cos(heading) * east - np.sin(heading) * north
     return replace(drawn, error=error)
@@ -170,20 +208,30 @@ def about_vehicle(drawn: DrawnErrors, reference: ReferenceColumns) -> DrawnError
 def rms(drawn: DrawnErrors, starts: slice) -> dict[str, float]:
     squares = squared_errors(drawn)
     squares |= {"roll": squares["phi_n"], "pitch": squares["phi_e"]}
-    return {quantity: float(np.sqrt(np.mean(square[starts]))) for quantity, square in squares.items()}
+    return {
+        quantity: float(np.sqrt(np.mean(square[starts]))) for quantity, square in squares.items()
+    }
 
 
 def ratios(dives: dict[str, tuple[DrawnErrors, ...]], quantity: str, starts: slice) -> Floats:
     """Rms of the windowed filter over that of the baseline, of each dive."""
     return np.array(
-        [rms(windowed, starts)[quantity] / rms(before, starts)[quantity] for before, windowed in dives.values()]
+        [
+            rms(windowed, starts)[quantity] / rms(before, starts)[quantity]
+            for before, windowed in dives.values()
+        ]
     )
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     ("quantity", "lowest", "highest"),
-    [("position_h", 0.86, 0.90), ("velocity_h", 0.955, 0.98), ("roll", 0.82, 0.87), ("pitch", 0.83, 0.87)],
+    [
+        ("position_h", 0.86, 0.90),
+        ("velocity_h", 0.955, 0.98),
+        ("roll", 0.82, 0.87),
+        ("pitch", 0.83, 0.87),
+    ],
 )
 def test_accelerations_help_where_the_start_errs(
     dives: dict[str, tuple[DrawnErrors, ...]], quantity: str, lowest: float, highest: float
@@ -204,7 +252,9 @@ def test_from_the_reference_itself_they_seem_to_harm_the_level(
 
 
 @pytest.mark.nightly
-def test_level_is_found_sooner_where_a_dive_turns(dives: dict[str, tuple[DrawnErrors, ...]]) -> None:
+def test_level_is_found_sooner_where_a_dive_turns(
+    dives: dict[str, tuple[DrawnErrors, ...]],
+) -> None:
     for name, (baseline, windowed) in dives.items():
         level = measured_convergences(baseline, windowed)["level"]
         if name == STRAIGHT:

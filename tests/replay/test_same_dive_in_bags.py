@@ -13,7 +13,9 @@ from insdvl_replay.sim.dive import simulate_dive
 
 
 def tables(log: Path, output: Path) -> dict[str, bytes]:
-    assert run_command_line(["run", str(log), "-o", str(output), "--set", "evaluation.starts=1"]) == 0
+    assert (
+        run_command_line(["run", str(log), "-o", str(output), "--set", "evaluation.starts=1"]) == 0
+    )
     [folder] = [path for path in output.iterdir() if path.is_dir()]
     return {path.name: path.read_bytes() for path in folder.glob("*.csv")}
 
@@ -43,11 +45,15 @@ def test_every_kind_of_log_gives_the_tables_of_its_mcap(tmp_path: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("number", ["01", "02", "05", "07", "08", "09", "11", "12"])
-def test_real_dives_give_the_tables_of_their_mcap(number: str, snapir: Path, tmp_path: Path) -> None:
+def test_real_dives_give_the_tables_of_their_mcap(
+    number: str, snapir: Path, tmp_path: Path
+) -> None:
     log = snapir / f"snapir_{number}.mcap"
     expected = tables(log, tmp_path / "expected")
     for humble in (False, True):
-        bag = other_bags.ros2_bag(tmp_path / f"{humble}" / log.stem, log=log.read_bytes(), humble=humble)
+        bag = other_bags.ros2_bag(
+            tmp_path / f"{humble}" / log.stem, log=log.read_bytes(), humble=humble
+        )
         assert tables(bag, tmp_path / f"found_{humble}") == expected
 
 
@@ -66,7 +72,10 @@ def test_a_recorded_bag_leads_to_a_drift_below_a_hundredth_of_the_way_as_its_mca
         assert run_command_line(["inspect", log, *place, "--propose", first]) == 0
         proposed = load_config(file=Path(first))
         assert (proposed.imu.axes, proposed.dvl.axes) == ("flu", "+z-y+x")
-        assert (proposed.reference.topic, proposed.reference.velocity_n) == ("/rexrov2/pose_gt", "twist.twist.linear")
+        assert (proposed.reference.topic, proposed.reference.velocity_n) == (
+            "/rexrov2/pose_gt",
+            "twist.twist.linear",
+        )
         assert proposed.dvl.lever_arm_m == pytest.approx(arm_m, abs=0.01)
         assert run_command_line(["run", log, "-c", first, "-o", out]) == 0
         found.append({path.name: path.read_bytes() for path in Path(out).glob("*/*.csv")})
@@ -76,4 +85,7 @@ def test_a_recorded_bag_leads_to_a_drift_below_a_hundredth_of_the_way_as_its_mca
     [way] = [row for row in rows if row["quantity"] == "position_h_pct"]
     assert way["status"] == "compared"
     # The last position is the furthest away.
-    assert max(abs(float(way[name])) for name in ("baseline_rmse", "rmse", "baseline_final", "final")) < 1.0
+    assert (
+        max(abs(float(way[name])) for name in ("baseline_rmse", "rmse", "baseline_final", "final"))
+        < 1.0
+    )

@@ -11,7 +11,17 @@ import pytest
 from matched_sensors import MATCHED
 from true_errors import mean_squares
 
-from insdvl_replay.core.config import Config, Depth, Dvl, Evaluation, Filter, Heading, Initial, Position, Span
+from insdvl_replay.core.config import (
+    Config,
+    Depth,
+    Dvl,
+    Evaluation,
+    Filter,
+    Heading,
+    Initial,
+    Position,
+    Span,
+)
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError
@@ -31,19 +41,34 @@ from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, SensorErrors
 
 MATCHED_IMU = ImuErrors(5e-3, 4.4e-5, 0.01, 0.0, 2e-5, 8e-8)
 MATCHED_DVL = DvlErrors(
-    beam_sd_mps=0.0, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0, velocity_sd_mps=0.01
+    beam_sd_mps=0.0,
+    beam_bias_sd_mps=0.0,
+    beam_scale_sd=0.0,
+    beam_quantum_mps=0.0,
+    velocity_sd_mps=0.01,
 )
 MEMS = load_config("mems")
-FITTING = {"noise": MEMS.noise, "dvl": Dvl(velocity_sd_mps=0.005), "initial": MEMS.initial}  # of simulated sensors
+FITTING = {
+    "noise": MEMS.noise,
+    "dvl": Dvl(velocity_sd_mps=0.005),
+    "initial": MEMS.initial,
+}  # of simulated sensors
 POSITION_SD_M = (2.0, 2.0, 1.0)
 
 
-def simulated(seed: int = 1, duration_s: float = 400.0, grade: str = "mems", **sensors: SensorErrors) -> Dive:
-    return simulate_dive("lawnmower", seed=seed, duration_s=duration_s, grade=grade, sensors=sensors)
+def simulated(
+    seed: int = 1, duration_s: float = 400.0, grade: str = "mems", **sensors: SensorErrors
+) -> Dive:
+    return simulate_dive(
+        "lawnmower", seed=seed, duration_s=duration_s, grade=grade, sensors=sensors
+    )
 
 
 def config(*aiding: str, **changes: object) -> Config:
-    filters = {"baseline": Filter(aiding=("velocity",)), "candidate": Filter(aiding=("velocity", *aiding))}
+    filters = {
+        "baseline": Filter(aiding=("velocity",)),
+        "candidate": Filter(aiding=("velocity", *aiding)),
+    }
     return Config(**{"filters": filters, **changes})  # type: ignore[arg-type]
 
 
@@ -52,7 +77,9 @@ def rms(replay: Replay, filter_: str, axis: int) -> float:
 
 
 def used(history: History, measurement: str) -> int:
-    return next(int(one.used.sum()) for one in history.innovations if one.measurement == measurement)
+    return next(
+        int(one.used.sum()) for one in history.innovations if one.measurement == measurement
+    )
 
 
 def test_a_log_with_a_pressure_depth_sensor_is_read_as_it_was_simulated(tmp_path: Path) -> None:
@@ -61,12 +88,16 @@ def test_a_log_with_a_pressure_depth_sensor_is_read_as_it_was_simulated(tmp_path
     read = read_dive(tmp_path / "dive.mcap", config("depth"))
     np.testing.assert_array_equal(read.sensors["depth"].time_ns, dive.sensors["depth"].time_ns)
     apart_m = read.sensors["depth"].values - dive.sensors["depth"].values
-    np.testing.assert_allclose(apart_m - apart_m[0], 0.0, atol=2e-5)  # the atmosphere stands on it, too
+    np.testing.assert_allclose(
+        apart_m - apart_m[0], 0.0, atol=2e-5
+    )  # the atmosphere stands on it, too
     assert not read_dive(tmp_path / "dive.mcap", config()).sensors  # nobody asked
 
 
 def test_depth_holds_the_height() -> None:
-    replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), config("depth", depth=Depth(sd_m=0.05)))
+    replay = replay_dive(
+        simulated(depth=SensorErrors(0.05, 4.0)), config("depth", depth=Depth(sd_m=0.05))
+    )
     assert used(replay.histories[1], "depth") == 1600
     assert rms(replay, "candidate", 2) < 0.1
     assert rms(replay, "baseline", 2) > 0.2
@@ -106,8 +137,14 @@ def test_a_sensor_that_is_held_out_is_met_and_not_used() -> None:
 )
 def test_a_sensor_that_falls_silent_is_reported(kept: slice, told: str | None) -> None:
     dive = simulated(duration_s=110.0, depth=SensorErrors(0.05, 4.0))
-    notes = replay_dive(replace(dive, sensors={"depth": dive.sensors["depth"].rows(kept)}), config("depth")).notes
-    found = [(re.findall(r"\d+", note.text), note.severity) for note in notes if note.code == "depth_silent"]
+    notes = replay_dive(
+        replace(dive, sensors={"depth": dive.sensors["depth"].rows(kept)}), config("depth")
+    ).notes
+    found = [
+        (re.findall(r"\d+", note.text), note.severity)
+        for note in notes
+        if note.code == "depth_silent"
+    ]
     assert found == ([] if told is None else [(told, Severity.WARNING)])
 
 
@@ -121,8 +158,14 @@ def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "fields"),
     [
-        (Position("/pressure"), 'position.latitude = "field.path" and position.longitude = "field.path"'),
-        (Heading("/pressure"), 'heading.heading = "field.path" or heading.quaternion = "field.path"'),
+        (
+            Position("/pressure"),
+            'position.latitude = "field.path" and position.longitude = "field.path"',
+        ),
+        (
+            Heading("/pressure"),
+            'heading.heading = "field.path" or heading.quaternion = "field.path"',
+        ),
     ],
     ids=["both", "either"],
 )
@@ -149,7 +192,9 @@ def test_wrong_latitudes_of_both_signs_are_reported_by_the_furthest(tmp_path: Pa
     fixes = dive.sensors["position"]
     both = fixes.values * np.where(np.arange(31) % 2, 1.0, -1.0)[:, None]
     both[0, 0] = 0.0
-    write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": replace(fixes, values=both)}))
+    write_dive(
+        tmp_path / "dive.mcap", replace(dive, sensors={"position": replace(fixes, values=both)})
+    )
     with pytest.raises(LogError, match=r"30 of 31 latitudes .*32\.8\d* rad"):
         read_dive(tmp_path / "dive.mcap", config("position", position=Position(angle_unit="rad")))
 
@@ -160,7 +205,10 @@ def test_fixes_that_are_none_are_not_called_wrong_numbers(tmp_path: Path) -> Non
     fixes = dive.sensors["position"]
     values = fixes.values.copy()
     values[5:15] = 0.0
-    write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": SensorColumns(fixes.time_ns, values)}))
+    write_dive(
+        tmp_path / "dive.mcap",
+        replace(dive, sensors={"position": SensorColumns(fixes.time_ns, values)}),
+    )
     notes = read_dive(tmp_path / "dive.mcap", config("position")).notes
     (text,) = (note.text for note in notes if note.code == "position_not_finite")
     assert text.startswith("position: 10 ")
@@ -169,8 +217,12 @@ def test_fixes_that_are_none_are_not_called_wrong_numbers(tmp_path: Path) -> Non
 @pytest.mark.nightly
 def test_a_heading_of_one_degree_holds_a_vehicle_of_small_sensors_for_an_hour() -> None:
     dive = simulated(seed=3, duration_s=3600.0, heading=SensorErrors(1.0, 1.0))
-    replay = replay_dive(dive, config("heading", heading=Heading(sd_deg=1.0), noise=MEMS.noise, initial=MEMS.initial))
-    off_deg = {name: np.rad2deg(errors.attitude_error_rad[:, 2]) for name, errors in replay.errors.items()}
+    replay = replay_dive(
+        dive, config("heading", heading=Heading(sd_deg=1.0), noise=MEMS.noise, initial=MEMS.initial)
+    )
+    off_deg = {
+        name: np.rad2deg(errors.attitude_error_rad[:, 2]) for name, errors in replay.errors.items()
+    }
     assert np.abs(off_deg["candidate"]).max() < 1.0
     assert np.abs(off_deg["baseline"]).max() > 5.0
     met = next(one for one in replay.histories[1].innovations if one.measurement == "heading")
@@ -181,7 +233,9 @@ def test_a_heading_of_one_degree_holds_a_vehicle_of_small_sensors_for_an_hour() 
 def test_a_heading_is_read_as_it_was_simulated(tmp_path: Path) -> None:
     dive = simulated(duration_s=60.0, heading=SensorErrors(1.0, 4.0))
     write_dive(tmp_path / "dive.mcap", dive)
-    read = read_dive(tmp_path / "dive.mcap", config("heading", heading=Heading(declination_deg=4.5)))
+    read = read_dive(
+        tmp_path / "dive.mcap", config("heading", heading=Heading(declination_deg=4.5))
+    )
     apart = read.sensors["heading"].values - dive.sensors["heading"].values - np.deg2rad(4.5)
     np.testing.assert_allclose(np.exp(1j * apart), 1.0, atol=1e-9)
 
@@ -197,9 +251,13 @@ def test_an_imu_that_has_no_orientation_gives_no_heading(tmp_path: Path) -> None
 def test_fixes_hold_the_position_and_are_read_as_they_were_simulated(tmp_path: Path) -> None:
     dive = simulated(duration_s=1500.0, position=SensorErrors(2.0, 0.1))
     write_dive(tmp_path / "dive.mcap", dive)
-    settings = config("position", position=Position(sd_m=2.0), noise=MEMS.noise, initial=MEMS.initial)
+    settings = config(
+        "position", position=Position(sd_m=2.0), noise=MEMS.noise, initial=MEMS.initial
+    )
     read = read_dive(tmp_path / "dive.mcap", settings)
-    np.testing.assert_allclose(read.sensors["position"].values, dive.sensors["position"].values, atol=1e-4)
+    np.testing.assert_allclose(
+        read.sensors["position"].values, dive.sensors["position"].values, atol=1e-4
+    )
     replay = replay_dive(dive, settings)
     met = next(one for one in replay.histories[1].innovations if one.measurement == "position")
     assert met.dof == 2
@@ -213,9 +271,13 @@ def test_a_fix_without_height_is_none_where_heights_are_used(tmp_path: Path) -> 
     fixes = dive.sensors["position"]
     values = fixes.values.copy()
     values[10:, 2] = np.nan
-    write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": replace(fixes, values=values)}))
+    write_dive(
+        tmp_path / "dive.mcap", replace(dive, sensors={"position": replace(fixes, values=values)})
+    )
     for height_sd_m, count in ((None, 31), (3.0, 10)):
-        read = read_dive(tmp_path / "dive.mcap", config("position", position=Position(height_sd_m=height_sd_m)))
+        read = read_dive(
+            tmp_path / "dive.mcap", config("position", position=Position(height_sd_m=height_sd_m))
+        )
         assert len(read.sensors["position"].time_ns) == count
 
 
@@ -227,13 +289,24 @@ def test_a_fix_without_height_starts_a_dive_at_the_configured_one(
     dive = simulated(duration_s=30.0, position=SensorErrors(2.0, 1.0))
     fixes = dive.sensors["position"]
     flat = replace(fixes, values=fixes.values * [1.0, 1.0, np.nan])
-    write_dive(tmp_path / "dive.mcap", replace(dive, reference=None, truth=None, sensors={"position": flat}))
-    initial = msgspec.structs.replace(MEMS.initial, source="level", heading_deg=0.0, height_m=-250.0)
-    settings = config("position", initial=initial, noise=MEMS.noise, position=Position(lever_arm_m=arm_m))
+    write_dive(
+        tmp_path / "dive.mcap",
+        replace(dive, reference=None, truth=None, sensors={"position": flat}),
+    )
+    initial = msgspec.structs.replace(
+        MEMS.initial, source="level", heading_deg=0.0, height_m=-250.0
+    )
+    settings = config(
+        "position", initial=initial, noise=MEMS.noise, position=Position(lever_arm_m=arm_m)
+    )
     # A log's own fixes are its reference, too, where it has no other.
-    replay = replay_dive(replace(read_dive(tmp_path / "dive.mcap", settings), reference=None), settings)
+    replay = replay_dive(
+        replace(read_dive(tmp_path / "dive.mcap", settings), reference=None), settings
+    )
     assert replay.histories[0].position[0, 2] == -250.0
-    by_fix, by_height = (note for note in replay.notes if note.code.startswith(("start_position", "start_height")))
+    by_fix, by_height = (
+        note for note in replay.notes if note.code.startswith(("start_position", "start_height"))
+    )
     assert " 0.00 s" in by_fix.text
     assert " -250 m" in by_height.text
     apart_m = north_east_m(replay.histories[0].position[0], fixes.values[0], fixes.values[0])
@@ -247,7 +320,9 @@ def test_a_dive_over_180_deg_of_longitude_is_as_any_other() -> None:
     east = np.pi - 1e-7 - dive.reference.position[0, 1]  # 0.5 m from there
 
     def moved(position: Floats) -> Floats:
-        return np.column_stack([position[:, :1], wrap_angle(position[:, 1:2] + east), position[:, 2:]])
+        return np.column_stack(
+            [position[:, :1], wrap_angle(position[:, 1:2] + east), position[:, 2:]]
+        )
 
     fixes = dive.sensors["position"]
     there = replace(
@@ -256,7 +331,9 @@ def test_a_dive_over_180_deg_of_longitude_is_as_any_other() -> None:
         sensors={"position": replace(fixes, values=moved(fixes.values))},
     )
     assert np.ptp(there.sensors["position"].values[:, 1]) > 6.0
-    settings = config("position", position=Position(sd_m=1.0), noise=MEMS.noise, initial=MEMS.initial)
+    settings = config(
+        "position", position=Position(sd_m=1.0), noise=MEMS.noise, initial=MEMS.initial
+    )
     here, there_too = (replay_dive(one, settings).tables for one in (dive, there))
     for ours, theirs in zip(here.evidence, there_too.evidence, strict=True):
         assert (ours.quantity, ours.role) == (theirs.quantity, theirs.role)
@@ -275,11 +352,21 @@ def started_off(dive: Dive, seed: int) -> Dive:
 
 
 def position_nees(
-    seed: int, depth_sensor: Depth, *, late_s: float = 0.0, height_sd_m: float | None = None, **sensors: SensorErrors
+    seed: int,
+    depth_sensor: Depth,
+    *,
+    late_s: float = 0.0,
+    height_sd_m: float | None = None,
+    **sensors: SensorErrors,
 ) -> Floats:
     """NEES of the position over a dive of which the filter is told the truth, shape (k,); sensors may begin late."""
     dive = simulate_dive(
-        "lawnmower", seed=seed, duration_s=400.0, imu_errors=MATCHED_IMU, dvl_errors=MATCHED_DVL, sensors=sensors
+        "lawnmower",
+        seed=seed,
+        duration_s=400.0,
+        imu_errors=MATCHED_IMU,
+        dvl_errors=MATCHED_DVL,
+        sensors=sensors,
     )
     settings = Config(
         noise=MATCHED.noise,
@@ -291,10 +378,15 @@ def position_nees(
     )
     assert dive.reference is not None
     begun_ns = dive.reference.time_ns[0] + int(late_s * 1e9)
-    late = {name: columns.rows(columns.time_ns >= begun_ns) for name, columns in dive.sensors.items()}
+    late = {
+        name: columns.rows(columns.time_ns >= begun_ns) for name, columns in dive.sensors.items()
+    }
     prepared = prepare_dive(started_off(replace(dive, sensors=late), seed), settings)
     history = run_one(
-        prepared.filters[0], prepared, prepared_timeline(dive, prepared), cov_ns=dive.reference.time_ns[1:]
+        prepared.filters[0],
+        prepared,
+        prepared_timeline(dive, prepared),
+        cov_ns=dive.reference.time_ns[1:],
     )
     replayed = np.isin(history.time_ns, history.cov_ns)
     reference = dive.reference.rows(np.isin(dive.reference.time_ns, history.cov_ns))
@@ -314,7 +406,9 @@ def test_position_is_as_far_off_as_the_filter_says(
     surface_m: float | None, late_s: float, height_sd_m: float | None
 ) -> None:
     """The mean NEES of 3 over independent runs; each run is one sample, since a position error stays."""
-    sensors = {"depth": SensorErrors(0.05, 1.0)} | ({"position": SensorErrors(1.0, 1.0)} if height_sd_m else {})
+    sensors = {"depth": SensorErrors(0.05, 1.0)} | (
+        {"position": SensorErrors(1.0, 1.0)} if height_sd_m else {}
+    )
     depth_sensor = Depth(sd_m=0.05, surface_height_m=surface_m)
     runs = np.array([
         position_nees(seed, depth_sensor, late_s=late_s, height_sd_m=height_sd_m, **sensors).mean()
@@ -332,14 +426,23 @@ def test_a_track_that_is_moved_with_the_velocity_drifts_less_where_the_noise_is_
     """Velocities are the same; what the position is corrected by presupposes the noise that the filter was told."""
     settings = Config(
         noise=MATCHED.noise if told_right else MEMS.noise,
-        initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1) if told_right else MEMS.initial,
+        initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1)
+        if told_right
+        else MEMS.initial,
         dvl=MATCHED.dvl if told_right else MEMS.dvl,
-        filters={name: Filter(aiding=("velocity",), states=states) for name, states in _WITH_AND_WITHOUT.items()},
+        filters={
+            name: Filter(aiding=("velocity",), states=states)
+            for name, states in _WITH_AND_WITHOUT.items()
+        },
     )
-    errors = {"imu_errors": MATCHED_IMU, "dvl_errors": MATCHED_DVL} if told_right else {"grade": "mems"}
+    errors = (
+        {"imu_errors": MATCHED_IMU, "dvl_errors": MATCHED_DVL} if told_right else {"grade": "mems"}
+    )
     dives = [simulate_dive("lawnmower", seed=seed, duration_s=600.0, **errors) for seed in (1, 2)]  # type: ignore[arg-type]
     for dive in dives:
-        baseline, placed = (mean_squares(errors) for errors in replay_dive(dive, settings).errors.values())
+        baseline, placed = (
+            mean_squares(errors) for errors in replay_dive(dive, settings).errors.values()
+        )
         assert least < np.sqrt(placed.drift_m2 / baseline.drift_m2) < most
         assert placed.velocity_m2ps2 == pytest.approx(baseline.velocity_m2ps2, rel=0.02)
 
@@ -367,11 +470,15 @@ def with_wrong_dvl(scenario: str, seed: int, scale: float, yaw_deg: float) -> Hi
         sensors={"position": SensorErrors(1.0, 1.0), "heading": SensorErrors(0.5, 1.0)},
     )
     assert dive.dvl.beam_velocity_mps is not None
-    dive = replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=dive.dvl.beam_velocity_mps * (1.0 + scale)))
+    dive = replace(
+        dive, dvl=replace(dive.dvl, beam_velocity_mps=dive.dvl.beam_velocity_mps * (1.0 + scale))
+    )
     aided = Filter(aiding=("velocity", "position", "heading"), states=("dvl_scale", "dvl_yaw"))
     settings = Config(
         noise=msgspec.structs.replace(MATCHED.noise, accel_white_mps_rts=WHITE),
-        initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, dvl_scale_sd_pct=1.0, dvl_yaw_sd_deg=2.0),
+        initial=Initial(
+            accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, dvl_scale_sd_pct=1.0, dvl_yaw_sd_deg=2.0
+        ),
         dvl=MATCHED.dvl,
         position=Position(sd_m=1.0),
         heading=Heading(sd_deg=0.5),
@@ -409,7 +516,8 @@ def test_without_fixes_a_straight_line_leaves_the_scale_alone(grade: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("seconds_late", "off_m", "told"), [(0.0, 0.0, True), (0.05, 0.0, True), (0.0, 0.05, False), (0.05, 0.05, False)]
+    ("seconds_late", "off_m", "told"),
+    [(0.0, 0.0, True), (0.05, 0.0, True), (0.0, 0.05, False), (0.05, 0.05, False)],
 )
 def test_a_filter_that_is_reported_the_reference_is_not_evaluated_by_it(
     tmp_path: Path, seconds_late: float, off_m: float, told: bool
@@ -420,13 +528,18 @@ def test_a_filter_that_is_reported_the_reference_is_not_evaluated_by_it(
     position = dive.reference.position + np.array([off_m / 6.4e6, 0.0, 0.0])
     fixes = SensorColumns(dive.reference.time_ns + int(seconds_late * 1e9), position)
     write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": fixes}))
-    replay = replay_log(tmp_path / "dive.mcap", config("position", position=Position(sd_m=0.5), **FITTING))
+    replay = replay_log(
+        tmp_path / "dive.mcap", config("position", position=Position(sd_m=0.5), **FITTING)
+    )
     notes = [note.code for note in replay.notes if note.code.endswith("_is_reference")]
     assert notes == ["position_is_reference"] * told
     assert (replay.verdicts["candidate"].verdict == "not evaluated") == told
     judged = Evaluation(held_out=("position",))
     held_out = config("position", position=Position(sd_m=0.5), evaluation=judged, **FITTING)
-    assert replay_log(tmp_path / "dive.mcap", held_out).verdicts["candidate"].verdict != "not evaluated"
+    assert (
+        replay_log(tmp_path / "dive.mcap", held_out).verdicts["candidate"].verdict
+        != "not evaluated"
+    )
 
 
 FOOT_M = 0.3048
@@ -460,11 +573,22 @@ def test_a_sensor_that_is_misread_is_reported(
     sensor: str, misread: Callable[[Floats], Floats], told: list[str]
 ) -> None:
     """Else the tables would have the filter err that trusts it."""
-    noise = {"depth": SensorErrors(0.05, 4.0), "heading": SensorErrors(0.5, 2.0), "position": SensorErrors(1.0, 1.0)}
-    dive = simulate_dive("calibration", duration_s=250.0, grade="tactical", sensors={sensor: noise[sensor]})
+    noise = {
+        "depth": SensorErrors(0.05, 4.0),
+        "heading": SensorErrors(0.5, 2.0),
+        "position": SensorErrors(1.0, 1.0),
+    }
+    dive = simulate_dive(
+        "calibration", duration_s=250.0, grade="tactical", sensors={sensor: noise[sensor]}
+    )
     right = dive.sensors[sensor]
     dive = replace(dive, sensors={sensor: replace(right, values=misread(right.values))})
-    given = ["dvl.velocity_sd_mps=0.005", "evaluation.starts=1", "heading.sd_deg=0.5", "position.sd_m=1"]
+    given = [
+        "dvl.velocity_sd_mps=0.005",
+        "evaluation.starts=1",
+        "heading.sd_deg=0.5",
+        "position.sd_m=1",
+    ]
     settings = load_config("tactical", None, given)
     settings = msgspec.structs.replace(settings, filters=config(sensor).filters)
     replay = replay_dive(dive, settings)
@@ -475,7 +599,9 @@ def test_a_sensor_that_is_misread_is_reported(
 
 
 @pytest.mark.parametrize(("end_s", "told"), [(50.0, []), (110.0, ["heading_contradiction"])])
-def test_a_sensor_is_held_against_the_reference_in_the_span_alone(end_s: float, told: list[str]) -> None:
+def test_a_sensor_is_held_against_the_reference_in_the_span_alone(
+    end_s: float, told: list[str]
+) -> None:
     dive = simulated(duration_s=110.0, heading=SensorErrors(0.5, 4.0))
     right = dive.sensors["heading"]
     late = right.time_ns > right.time_ns[0] + 55 * 10**9
@@ -493,7 +619,11 @@ def test_a_sensor_is_held_against_the_reference_in_the_span_alone(end_s: float, 
         ("depth", lambda depth_m: 1.025 * depth_m, []),
         ("heading", np.deg2rad, ["heading_contradiction"]),
         ("heading", lambda heading: 0.5 * np.pi - heading, ["heading_contradiction"]),
-        ("heading", lambda heading: heading + np.deg2rad(10.0), []),  # the start's heading may be off by as much
+        (
+            "heading",
+            lambda heading: heading + np.deg2rad(10.0),
+            [],
+        ),  # the start's heading may be off by as much
     ],
     ids=["feet", "upwards", "salt water", "rad for deg", "from east over north", "declination"],
 )
@@ -502,19 +632,29 @@ def test_a_held_out_sensor_that_is_misread_is_reported_without_a_reference(
 ) -> None:
     """Else both filters would be as far off it, and *equivalent*."""
     noise = {"depth": SensorErrors(0.05, 4.0), "heading": SensorErrors(0.5, 2.0)}
-    dive = simulate_dive("calibration", duration_s=250.0, grade="tactical", sensors={sensor: noise[sensor]})
+    dive = simulate_dive(
+        "calibration", duration_s=250.0, grade="tactical", sensors={sensor: noise[sensor]}
+    )
     right = dive.sensors[sensor]
-    dive = replace(dive, reference=None, sensors={sensor: replace(right, values=misread(right.values))})
+    dive = replace(
+        dive, reference=None, sensors={sensor: replace(right, values=misread(right.values))}
+    )
     initial = Initial(source="level", heading_deg=0.0, latitude_deg=32.8)
     settings = config(initial=initial, evaluation=Evaluation(held_out=(sensor,)))
     replay = replay_dive(dive, settings)
-    assert [note.code for note in replay.notes if note.code.startswith(sensor) and note.severity == "warning"] == told
+    assert [
+        note.code
+        for note in replay.notes
+        if note.code.startswith(sensor) and note.severity == "warning"
+    ] == told
 
 
 def test_what_a_filter_estimates_of_its_sensors_is_noted() -> None:
     dive = simulated(duration_s=300.0, position=SensorErrors(1.0, 1.0))
     scaled = Filter(aiding=("velocity", "position"), states=("dvl_scale",))
-    replay = replay_dive(dive, Config(filters={"baseline": Filter(aiding=("velocity",)), "scaled": scaled}))
+    replay = replay_dive(
+        dive, Config(filters={"baseline": Filter(aiding=("velocity",)), "scaled": scaled})
+    )
     history = replay.histories[1]
     (note,) = (note for note in replay.notes if note.code == "constants_estimated")
     value, sd = 100.0 * history.constants[-1, 0], 100.0 * history.sd[-1, 15]
@@ -527,18 +667,29 @@ def test_what_a_filter_estimates_of_its_sensors_is_noted() -> None:
 
 def started(dive: Dive, **changes: object) -> Replay:
     level = msgspec.structs.replace(MEMS.initial, source="level", **changes)
-    settings = config("heading", "position", initial=level, noise=MEMS.noise, heading=Heading(sd_deg=1.0))
+    settings = config(
+        "heading", "position", initial=level, noise=MEMS.noise, heading=Heading(sd_deg=1.0)
+    )
     return replay_dive(replace(dive, reference=None), settings)
 
 
 def test_a_dive_without_a_reference_starts_by_its_sensors() -> None:
-    dive = simulated(duration_s=120.0, heading=SensorErrors(1.0, 1.0), position=SensorErrors(2.0, 1.0))
+    dive = simulated(
+        duration_s=120.0, heading=SensorErrors(1.0, 1.0), position=SensorErrors(2.0, 1.0)
+    )
     assert dive.reference is not None
     replay = started(dive)
     start = replay.histories[0]
     truth = rpy_from_mat(dive.reference.mat_nb[0])
-    assert abs(float(wrap_angle(np.asarray(rpy_from_mat(start.mat_nb[0])[2] - truth[2])))) < np.deg2rad(3.0)
-    assert np.hypot(*north_east_m(start.position[0], dive.reference.position[0], dive.reference.position[0])) < 8.0
+    assert abs(
+        float(wrap_angle(np.asarray(rpy_from_mat(start.mat_nb[0])[2] - truth[2])))
+    ) < np.deg2rad(3.0)
+    assert (
+        np.hypot(
+            *north_east_m(start.position[0], dive.reference.position[0], dive.reference.position[0])
+        )
+        < 8.0
+    )
     codes = {note.code for note in replay.notes}
     assert {"start_heading_sensor", "start_position_sensor"} <= codes
     np.testing.assert_allclose(replay.histories[1].sd[0, 12:14], 2.0)
@@ -554,13 +705,18 @@ def test_a_start_by_sensors_errs_as_the_filter_says() -> None:
         )  # fmt: skip
         assert dive.reference is not None
         fixes, truth = dive.sensors["position"], dive.reference
-        fixes = replace(fixes, values=moved_position(fixes.values, truth.mat_nb[:1] @ np.array(arm_m)))
+        fixes = replace(
+            fixes, values=moved_position(fixes.values, truth.mat_nb[:1] @ np.array(arm_m))
+        )
         late = {name: replace(one, time_ns=one.time_ns + 400_000_000)
                 for name, one in {**dive.sensors, "position": fixes}.items()}  # fmt: skip
         settings = Config(
             noise=MATCHED.noise,
             initial=Initial(
-                source="level", accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, position_sd_m=(0.1, 0.1, 0.1)
+                source="level",
+                accel_bias_sd_mg=1.02,
+                gyro_bias_sd_degph=0.1,
+                position_sd_m=(0.1, 0.1, 0.1),
             ),
             dvl=MATCHED.dvl,
             heading=Heading(sd_deg=2.0),
@@ -570,7 +726,9 @@ def test_a_start_by_sensors_errs_as_the_filter_says() -> None:
         dive = replace(dive, sensors=late, reference=None)
         prepared = prepare_dive(dive, settings)
         history = run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared))
-        apart_m = np.array(north_east_m(history.position[-1], truth.position[-1], truth.position[-1]))
+        apart_m = np.array(
+            north_east_m(history.position[-1], truth.position[-1], truth.position[-1])
+        )
         turned = rpy_from_mat(history.mat_nb[-1])[2] - rpy_from_mat(truth.mat_nb[-1])[2]
         off.append(np.append(apart_m, wrap_angle(np.asarray(turned))) / history.sd[-1, [12, 13, 5]])
     nees = np.mean(np.square(off), axis=0)
@@ -579,14 +737,18 @@ def test_a_start_by_sensors_errs_as_the_filter_says() -> None:
 
 
 def test_what_is_configured_goes_before_a_sensor() -> None:
-    dive = simulated(duration_s=120.0, heading=SensorErrors(1.0, 1.0), position=SensorErrors(2.0, 1.0))
+    dive = simulated(
+        duration_s=120.0, heading=SensorErrors(1.0, 1.0), position=SensorErrors(2.0, 1.0)
+    )
     replay = started(dive, heading_deg=10.0, latitude_deg=60.0)
     assert rpy_from_mat(replay.histories[0].mat_nb[0])[2] == pytest.approx(np.deg2rad(10.0))
     assert replay.histories[0].position[0, 0] == pytest.approx(np.deg2rad(60.0))
 
 
 def test_a_heading_that_begins_late_is_no_start() -> None:
-    dive = simulated(duration_s=120.0, heading=SensorErrors(1.0, 1.0), position=SensorErrors(2.0, 1.0))
+    dive = simulated(
+        duration_s=120.0, heading=SensorErrors(1.0, 1.0), position=SensorErrors(2.0, 1.0)
+    )
     late = dive.sensors["heading"]
     late = SensorColumns(late.time_ns[10:], late.values[10:])
     with pytest.raises(LogError, match=r"10\.0 s"):

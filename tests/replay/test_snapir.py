@@ -45,14 +45,18 @@ def test_baseline_stays_near_the_reference(replays: dict[str, Replay]) -> None:
     assert np.median(rms_m) < 1.3
 
 
-def test_innovations_are_as_small_as_a_dvl_in_its_place_makes_them(replays: dict[str, Replay]) -> None:
+def test_innovations_are_as_small_as_a_dvl_in_its_place_makes_them(
+    replays: dict[str, Replay],
+) -> None:
     """With the arm of the reference's point they were 14 to 80 times as large in all dives that turn."""
     for replay in replays.values():
         assert frame(replay.tables.consistency).iloc[0]["mean_nis"] < 0.01
 
 
 def test_windowed_acceleration_leaves_the_position_as_it_was(replays: dict[str, Replay]) -> None:
-    baseline_m, windowed_m = (np.median(position_rms_m(replays, name)) for name in ("baseline", "windowed"))
+    baseline_m, windowed_m = (
+        np.median(position_rms_m(replays, name)) for name in ("baseline", "windowed")
+    )
     assert abs(windowed_m - baseline_m) < 0.05 * baseline_m
 
 
@@ -69,7 +73,9 @@ def test_predicted_improvement_is_the_same_for_both_models(replays: dict[str, Re
     for replay in replays.values():
         rows = frame(replay.tables.improvement).set_index(["filter", "state"])["improvement_pct"]
         nine = [state.id for state in NINE]
-        np.testing.assert_allclose(rows["published"][nine], rows["windowed"][nine], rtol=0.0, atol=1.0)  # percent
+        np.testing.assert_allclose(
+            rows["published"][nine], rows["windowed"][nine], rtol=0.0, atol=1.0
+        )  # percent
 
 
 def test_innovations_tell_them_apart(replays: dict[str, Replay]) -> None:
@@ -85,7 +91,10 @@ def test_every_ping_and_reference_time_is_used_or_counted(replays: dict[str, Rep
         assert len(replay.velocities.time_ns) + dropped == 400
         rows = frame(replay.tables.reference_error).set_index(["filter", "quantity"])
         assert replay.dive.reference is not None
-        assert rows.loc[("windowed", "position_h"), "samples"] == len(replay.dive.reference.time_ns) - 1
+        assert (
+            rows.loc[("windowed", "position_h"), "samples"]
+            == len(replay.dive.reference.time_ns) - 1
+        )
         assert (rows["status"] == "compared").all()
 
 
@@ -104,10 +113,17 @@ def test_the_rows_of_the_dives_tell_the_models_apart(replays: dict[str, Replay])
     """Withheld from the published model, the DVL is missed: it coasts ten times as far off, and no dive says else."""
     pooled = {}
     for name in ("windowed", "published"):
-        evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in replays.values()]
+        evidence = [
+            [row for row in replay.tables.evidence if row.filter == name]
+            for replay in replays.values()
+        ]
         predicted_pct = [replay.verdicts[name].mean_improvement_pct for replay in replays.values()]
-        pooled[name] = pooled_candidate(name, "baseline", evidence, len(RUNS), predicted_pct, primary="outage_60s")
-    rows = {(name, row.quantity): row for name, candidate in pooled.items() for row in candidate.rows}
+        pooled[name] = pooled_candidate(
+            name, "baseline", evidence, len(RUNS), predicted_pct, primary="outage_60s"
+        )
+    rows = {
+        (name, row.quantity): row for name, candidate in pooled.items() for row in candidate.rows
+    }
     for quantity in ("outage_30s", "outage_60s", "outage_120s"):
         published = rows["published", quantity]
         assert (published.verdict, published.dives_won) == ("worse", 0)
@@ -142,8 +158,13 @@ def test_the_example_keeps_the_depth(fitted: dict[str, Replay]) -> None:
         assert abs(history.position[-1, 2] - height_m) < 0.6, run
 
 
-def test_with_fitted_noise_neither_model_of_the_acceleration_matters(fitted: dict[str, Replay]) -> None:
+def test_with_fitted_noise_neither_model_of_the_acceleration_matters(
+    fitted: dict[str, Replay],
+) -> None:
     for name in ("windowed", "published"):
-        evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in fitted.values()]
+        evidence = [
+            [row for row in replay.tables.evidence if row.filter == name]
+            for replay in fitted.values()
+        ]
         rows = {row.quantity: row for row in pooled_evidence(name, evidence)}
         assert finite(rows["outage_60s"].ratio) == pytest.approx(1.0, abs=0.1)

@@ -8,7 +8,11 @@ import pytest
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.outage_test import window_ends
-from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import (
+    prepare_dive,
+    read_checked_dive,
+    with_reference_at_imu,
+)
 from insdvl_replay.preparation.run import plan_runs, run_candidates
 
 CONFIG = Path(__file__).parents[2] / "examples" / "snapir.toml"
@@ -22,12 +26,16 @@ def drifts_m(snapir: Path, preset: str, *overrides: str) -> dict[str, Floats]:
     config = load_config(preset, files, overrides)
     drifts: dict[str, list[Floats]] = {}
     for run in RUNS:
-        dive = with_reference_at_imu(read_checked_dive(snapir / f"snapir_{run}.mcap", config), config)
+        dive = with_reference_at_imu(
+            read_checked_dive(snapir / f"snapir_{run}.mcap", config), config
+        )
         start = prepare_dive(dive, config)
         plan = plan_runs(dive, start, config, starts=0)
         coasts = run_candidates(dive, start, plan, config).outages
         for name in coasts.runs:
-            drifts.setdefault(name, []).append(window_ends(coasts, name, plan.windows.shown).drift_m)
+            drifts.setdefault(name, []).append(
+                window_ends(coasts, name, plan.windows.shown).drift_m
+            )
     return {name: np.concatenate(of_dives) for name, of_dives in drifts.items()}
 
 
@@ -42,7 +50,9 @@ def test_a_minute_without_velocities_costs_less_than_a_metre(levy_klein: dict[st
     assert 0.5 < np.median(levy_klein["windowed"]) < 1.0
 
 
-def test_published_accelerations_leave_a_filter_that_cannot_coast(levy_klein: dict[str, Floats]) -> None:
+def test_published_accelerations_leave_a_filter_that_cannot_coast(
+    levy_klein: dict[str, Floats],
+) -> None:
     assert np.median(levy_klein["published"]) > 30.0
     assert np.mean(levy_klein["published"] > levy_klein["baseline"]) > 0.95
 

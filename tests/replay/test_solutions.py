@@ -44,7 +44,9 @@ def config(*solutions: str | Solution, starts: int = 1, **changes: Any) -> Confi
     named = {f"onboard{number or ''}": Filter(solution=one) for number, one in enumerate(solutions)}
     filters = {"baseline": Filter(aiding=("velocity",)), **named}
     fitting = msgspec.structs.replace(MEMS, dvl=Dvl(velocity_sd_mps=0.005))
-    return msgspec.structs.replace(fitting, filters=filters, evaluation=Evaluation(starts=starts), **changes)
+    return msgspec.structs.replace(
+        fitting, filters=filters, evaluation=Evaluation(starts=starts), **changes
+    )
 
 
 def replayed(folder: Path, dive: Dive, settings: Config, *parts: Path) -> Replay:
@@ -66,13 +68,20 @@ def slow_errors(told: Told) -> tuple[Told, Floats]:
     """Errors of which tables can be foretold: a drift of 1 cm/s north and 2 cm/s west, and of 1 deg in heading."""
     since_s = seconds(told.time_ns, told.time_ns[0])[:, None]
     velocity_n = np.array([0.03, -0.04, 0.02])
-    wrong = off(told, moved_n=since_s * [0.01, -0.02, 0.005], velocity_n=velocity_n, turn_n=np.array([0.0, 0.0, DEG]))
+    wrong = off(
+        told,
+        moved_n=since_s * [0.01, -0.02, 0.005],
+        velocity_n=velocity_n,
+        turn_n=np.array([0.0, 0.0, DEG]),
+    )
     return wrong, velocity_n
 
 
 def test_errors_drift_and_jumps_are_those_that_were_put_in(dive: Dive, tmp_path: Path) -> None:
     told, velocity_n = slow_errors(truth_of(dive))
-    replay = replayed(tmp_path, dive, config("/odometry"), write_odometry(tmp_path / "own.mcap", told))
+    replay = replayed(
+        tmp_path, dive, config("/odometry"), write_odometry(tmp_path / "own.mcap", told)
+    )
     error, drift = rows(replay, "reference_error"), rows(replay, "drift")
     for axis, expected in zip("ned", velocity_n, strict=True):
         assert error[f"velocity_{axis}"].rmse == pytest.approx(abs(expected), rel=1e-6)
@@ -101,7 +110,9 @@ def test_what_it_does_not_say_has_no_rows_and_is_noted(dive: Dive, tmp_path: Pat
         "not available",
         "undecided",
     )
-    assert np.isnan([candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct]).all()
+    assert np.isnan(
+        [candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct]
+    ).all()
     assert "%" not in candidate.sentence.rpartition("onboard")[2]
 
 
@@ -113,7 +124,9 @@ def test_a_tum_file_is_read_in_either_axes(dive: Dive, tmp_path: Path, axes: str
     replay = replayed(tmp_path, dive, settings)
     error = rows(replay, "reference_error")
     assert error["heading"].rmse == pytest.approx(1.0, rel=1e-6)
-    assert rows(replay, "drift")["drift_60s"].p50 == pytest.approx(60.0 * np.hypot(0.01, 0.02), rel=1e-3)
+    assert rows(replay, "drift")["drift_60s"].p50 == pytest.approx(
+        60.0 * np.hypot(0.01, 0.02), rel=1e-3
+    )
     assert {error[f"velocity_{axis}"].status for axis in "ned"} == {"not in solution"}
     assert np.isnan(error["velocity_n"].baseline_rmse)
     assert "solution_lacks" in codes(replay)
@@ -122,7 +135,10 @@ def test_a_tum_file_is_read_in_either_axes(dive: Dive, tmp_path: Path, axes: str
 def test_a_file_without_a_number_is_refused(dive: Dive, tmp_path: Path) -> None:
     told, _ = slow_errors(truth_of(dive))
     write_tum(tmp_path / "own.tum", told)
-    lines = [line.split()[0] + " nan" * 7 for line in (tmp_path / "own.tum").read_text("utf-8").splitlines()]
+    lines = [
+        line.split()[0] + " nan" * 7
+        for line in (tmp_path / "own.tum").read_text("utf-8").splitlines()
+    ]
     (tmp_path / "own.tum").write_text("\n".join(lines), "utf-8")
     with pytest.raises(LogError, match=r"own\.tum"):
         replayed(tmp_path, dive, config(Solution(file=str(tmp_path / "own.tum"))))
@@ -131,14 +147,19 @@ def test_a_file_without_a_number_is_refused(dive: Dive, tmp_path: Path) -> None:
 def correlated(told: Told, seed: int, factor: float = 1.0) -> tuple[Told, dict[str, Floats]]:
     """White errors as the covariances say, times a factor: the twist's in the body, the pose's in its frame."""
     rng, count = np.random.default_rng(seed), len(told.time_ns)
-    pose, twist = rng.normal(size=(count, 6)) * POSE_SD * factor, rng.normal(size=(count, 3)) * TWIST_SD * factor
+    pose, twist = (
+        rng.normal(size=(count, 6)) * POSE_SD * factor,
+        rng.normal(size=(count, 3)) * TWIST_SD * factor,
+    )
     pose[0, :3] = 0.0  # where it is laid
     moved_n, turn_n = (part[:, [1, 0, 2]] * [1.0, 1.0, -1.0] for part in (pose[:, :3], pose[:, 3:]))
     turned = Rotation.from_rotvec(turn_n) * told.attitude
     velocity_b = told.attitude.inv().apply(told.velocity_n) + twist * [1.0, -1.0, -1.0]
     covs = {
         "pose.covariance": np.tile(np.diag(POSE_SD**2), (count, 1, 1)),
-        "twist.covariance": np.tile(np.diag(np.append(TWIST_SD, [1.0, 1.0, 1.0]) ** 2), (count, 1, 1)),
+        "twist.covariance": np.tile(
+            np.diag(np.append(TWIST_SD, [1.0, 1.0, 1.0]) ** 2), (count, 1, 1)
+        ),
     }
     return Told(told.time_ns, told.moved_n + moved_n, turned.apply(velocity_b), turned), covs
 
@@ -147,7 +168,9 @@ def correlated(told: Told, seed: int, factor: float = 1.0) -> tuple[Told, dict[s
 def test_nees_is_by_its_own_covariance(dive: Dive, tmp_path: Path, factor: float) -> None:
     """With errors in the body and a heading error the covariance in n is full; each group has its NEES."""
     told, covs = correlated(truth_of(dive), seed=3, factor=factor)
-    replay = replayed(tmp_path, dive, config("/odometry"), write_odometry(tmp_path / "own.mcap", told, covs))
+    replay = replayed(
+        tmp_path, dive, config("/odometry"), write_odometry(tmp_path / "own.mcap", told, covs)
+    )
     found = rows(replay, "credibility")
     assert list(found)[-4:] == ["velocity", "attitude", "position", "all"]
     for group in ("velocity", "attitude", "position"):
@@ -163,7 +186,9 @@ def test_nees_is_by_its_own_covariance(dive: Dive, tmp_path: Path, factor: float
 def test_the_words_on_its_covariance_are_right_over_seeds(dive: Dive, tmp_path: Path) -> None:
     """Of twelve honest solutions at most one is called something else; of those a half too sure none is honest."""
     settings = config("/odometry")
-    first = replayed(tmp_path, dive, settings, write_odometry(tmp_path / "own.mcap", truth_of(dive)))
+    first = replayed(
+        tmp_path, dive, settings, write_odometry(tmp_path / "own.mcap", truth_of(dive))
+    )
     words: dict[float, list[str]] = {1.0: [], 1.5: []}
     for seed in range(12):
         for factor, found in words.items():
@@ -179,7 +204,9 @@ def word_on_groups(dive: Dive, settings: Config, first: Replay) -> str:
     assert dive.reference is not None
     evaluated_ns = dive.reference.time_ns[dive.reference.time_ns <= first.end_ns]
     recorded, baseline = settings.solutions["onboard"], first.histories[0]
-    history, _, _ = recorded_history("onboard", dive.solutions["onboard"], recorded, dive.imu, baseline, evaluated_ns)
+    history, _, _ = recorded_history(
+        "onboard", dive.solutions["onboard"], recorded, dive.imu, baseline, evaluated_ns
+    )
     errors = state_errors(history, dive.reference, None).after(first.start_ns)
     return credibility_of(credibility_table("dive", ["onboard"], {"onboard": errors}), "onboard")
 
@@ -190,7 +217,9 @@ def test_a_jump_is_counted_with_its_size_and_time(dive: Dive, tmp_path: Path) ->
     jumped = off(told, moved_n=np.where(since_s[:, None] >= 80.0, [1.2, 1.6, 0.0], 0.0))
     parts = write_odometry(tmp_path / "own.mcap", jumped)
     write_tum(tmp_path / "own.tum", jumped)
-    replay = replayed(tmp_path, dive, config("/odometry", Solution(file=str(tmp_path / "own.tum"))), parts)
+    replay = replayed(
+        tmp_path, dive, config("/odometry", Solution(file=str(tmp_path / "own.tum"))), parts
+    )
     for row in replay.tables.jumps:
         assert (row.jumps, row.largest_m) == (1, pytest.approx(2.0, rel=1e-3))
         assert row.largest_at_s == pytest.approx(80.0, abs=0.21)
@@ -203,13 +232,19 @@ def test_where_it_is_silent_nobody_is_evaluated(dive: Dive, tmp_path: Path) -> N
     since_s = seconds(told.time_ns, told.time_ns[0])
     keep = (since_s > 39.9) & (since_s < 120.1) & ~((since_s > 60.1) & (since_s < 79.9))
     part = Told(told.time_ns[keep], told.moved_n[keep], told.velocity_n[keep], told.attitude[keep])
-    replay = replayed(tmp_path, dive, config("/odometry", starts=8), write_odometry(tmp_path / "own.mcap", part))
+    replay = replayed(
+        tmp_path, dive, config("/odometry", starts=8), write_odometry(tmp_path / "own.mcap", part)
+    )
     own, baseline = replay.errors["onboard"], replay.errors["baseline"]
     silent = ~np.isfinite(own.velocity_error_n[:, 0])
     at_s = seconds(own.time_ns, replay.start_ns)
-    np.testing.assert_array_equal(silent, (at_s < 39.9) | (at_s > 120.1) | ((at_s > 60.1) & (at_s < 79.9)))
+    np.testing.assert_array_equal(
+        silent, (at_s < 39.9) | (at_s > 120.1) | ((at_s > 60.1) & (at_s < 79.9))
+    )
     row = rows(replay, "reference_error")["velocity_n"]
-    assert row.baseline_rmse == pytest.approx(np.sqrt(np.mean(baseline.velocity_error_n[~silent, 0] ** 2)))
+    assert row.baseline_rmse == pytest.approx(
+        np.sqrt(np.mean(baseline.velocity_error_n[~silent, 0] ** 2))
+    )
     assert (row.samples, row.status) == (int((~silent).sum()), "partly covered")
     assert "solution_coverage" in codes(replay)
     compared = rows(replay, "evidence")["velocity_along"]
@@ -217,18 +252,24 @@ def test_where_it_is_silent_nobody_is_evaluated(dive: Dive, tmp_path: Path) -> N
     assert compared.samples <= int((~silent).sum()), "where it is silent nobody is compared"
 
 
-def test_its_start_is_aligned_on_the_baseline_and_only_if_asked_turned(dive: Dive, tmp_path: Path) -> None:
+def test_its_start_is_aligned_on_the_baseline_and_only_if_asked_turned(
+    dive: Dive, tmp_path: Path
+) -> None:
     told = truth_of(dive)
     # The frame itself is turned: ways, velocities and attitude alike.
     turn = Rotation.from_rotvec([0.0, 0.0, 20.0 * DEG])
-    turned = Told(told.time_ns, turn.apply(told.moved_n), turn.apply(told.velocity_n), turn * told.attitude)
+    turned = Told(
+        told.time_ns, turn.apply(told.moved_n), turn.apply(told.velocity_n), turn * told.attitude
+    )
     asked = config("/odometry", Solution(topic="/odometry", align="heading"))
     replay = replayed(tmp_path, dive, asked, write_odometry(tmp_path / "own.mcap", turned))
     own, aligned = rows(replay, "reference_error"), rows(replay, "reference_error", "onboard1")
     assert own["heading"].rmse == pytest.approx(20.0, rel=1e-6)
     assert own["position_h"].rmse > 1.0
     # What is left is what the baseline's heading is off by at the start: nothing.
-    assert max(aligned["heading"].rmse, aligned["position_h"].rmse, aligned["velocity_n"].rmse) < 1e-4
+    assert (
+        max(aligned["heading"].rmse, aligned["position_h"].rmse, aligned["velocity_n"].rmse) < 1e-4
+    )
     (text,) = (note.text for note in replay.notes if note.code == "solution_turned")
     assert "-20.00 deg" in text
 
@@ -239,28 +280,49 @@ def test_what_is_turned_keeps_its_covariance_and_its_mounting(dive: Dive, tmp_pa
     covs["pose.covariance"][:, :3] = covs["pose.covariance"][:, :, :3] = 0.0
     turn = Rotation.from_rotvec([0.0, 0.0, 70.0 * DEG])
     mounting = Rotation.from_euler("Z", 90.0, degrees=True)
-    turned = Told(told.time_ns, turn.apply(told.moved_n), turn.apply(told.velocity_n), turn * told.attitude)
+    turned = Told(
+        told.time_ns, turn.apply(told.moved_n), turn.apply(told.velocity_n), turn * told.attitude
+    )
     part = write_odometry(tmp_path / "plain.mcap", turned, covs)
-    found = rows(replayed(tmp_path, dive, config(Solution(topic="/odometry", align="heading")), part), "credibility")
+    found = rows(
+        replayed(tmp_path, dive, config(Solution(topic="/odometry", align="heading")), part),
+        "credibility",
+    )
     assert "position" not in found
     assert found["velocity"].verdict == "consistent"
     across = Told(turned.time_ns, turned.moved_n, turned.velocity_n, turned.attitude * mounting)
-    settings = config(Solution(topic="/odometry", align="heading", mounting_rpy_deg=(0.0, 0.0, 90.0)))
+    settings = config(
+        Solution(topic="/odometry", align="heading", mounting_rpy_deg=(0.0, 0.0, 90.0))
+    )
     replay = replayed(tmp_path, dive, settings, write_odometry(tmp_path / "across.mcap", across))
-    assert rows(replay, "reference_error")["heading"].rmse < 4.0  # what the first attitude was off by, and noise
+    assert (
+        rows(replay, "reference_error")["heading"].rmse < 4.0
+    )  # what the first attitude was off by, and noise
     (text,) = (note.text for note in replay.notes if note.code == "solution_turned")
     assert re.search(r" -[67][\d.]* deg", text)
 
 
 def test_a_lever_arm_and_a_mounting_are_taken_off(dive: Dive, tmp_path: Path) -> None:
     told = truth_of(dive)
-    arm_b, mounting = np.array([1.5, -0.5, 0.3]), Rotation.from_euler("ZYX", [90.0, 3.0, -2.0], degrees=True)
-    moved = Told(told.time_ns, told.moved_n + told.attitude.apply(arm_b), told.velocity_n, told.attitude * mounting)
+    arm_b, mounting = (
+        np.array([1.5, -0.5, 0.3]),
+        Rotation.from_euler("ZYX", [90.0, 3.0, -2.0], degrees=True),
+    )
+    moved = Told(
+        told.time_ns,
+        told.moved_n + told.attitude.apply(arm_b),
+        told.velocity_n,
+        told.attitude * mounting,
+    )
     part = write_odometry(tmp_path / "own.mcap", moved)
     replay = replayed(
         tmp_path,
         dive,
-        config(Solution(topic="/odometry", lever_arm_m=tuple(arm_b), mounting_rpy_deg=(-2.0, 3.0, 90.0))),
+        config(
+            Solution(
+                topic="/odometry", lever_arm_m=tuple(arm_b), mounting_rpy_deg=(-2.0, 3.0, 90.0)
+            )
+        ),
         part,
     )
     error = rows(replay, "reference_error")
@@ -274,7 +336,10 @@ def test_without_attitude_a_lever_arm_is_refused(dive: Dive) -> None:
     assert reference is not None
     lacking = replace(reference, mat_nb=np.full_like(reference.mat_nb, np.nan))
     with pytest.raises(ConfigError, match=r"filters\.onboard\.solution .*attitude"):
-        replay_dive(replace(dive, solutions={"onboard": SolutionColumns(lacking, None, *no_covariances())}), settings)
+        replay_dive(
+            replace(dive, solutions={"onboard": SolutionColumns(lacking, None, *no_covariances())}),
+            settings,
+        )
 
 
 def test_a_solution_of_another_time_is_refused(dive: Dive, tmp_path: Path) -> None:
@@ -288,7 +353,9 @@ def test_a_solution_of_another_time_is_refused(dive: Dive, tmp_path: Path) -> No
 
 def test_without_a_reference_its_jumps_are_left(dive: Dive, tmp_path: Path) -> None:
     told = truth_of(dive)
-    jumped = off(told, moved_n=np.where(np.arange(len(told.time_ns))[:, None] > 500, [0.0, 5.0, 0.0], 0.0))
+    jumped = off(
+        told, moved_n=np.where(np.arange(len(told.time_ns))[:, None] > 500, [0.0, 5.0, 0.0], 0.0)
+    )
     level = Initial(source="level", heading_deg=0.0, latitude_deg=32.8)
     alone = replace(dive, reference=None, truth=None)
     part = write_odometry(tmp_path / "own.mcap", jumped)
@@ -306,9 +373,15 @@ def test_who_looks_at_the_baseline_alone_needs_no_solution(dive: Dive, tmp_path:
 
 @pytest.mark.parametrize(
     ("solution", "reference"),
-    [("/reference", Reference(topic="/reference")), ("/nowhere", Reference()), ("/imu", Reference())],
+    [
+        ("/reference", Reference(topic="/reference")),
+        ("/nowhere", Reference()),
+        ("/imu", Reference()),
+    ],
 )
-def test_what_cannot_be_a_solution_is_refused(dive: Dive, tmp_path: Path, solution: str, reference: Reference) -> None:
+def test_what_cannot_be_a_solution_is_refused(
+    dive: Dive, tmp_path: Path, solution: str, reference: Reference
+) -> None:
     write_dive(tmp_path / "dive.mcap", dive)
     with pytest.raises(LogError) as caught:
         read_dive(tmp_path / "dive.mcap", config(solution, reference=reference))
@@ -324,7 +397,9 @@ def test_a_file_that_is_named_as_a_topic_is_reported_its_key(dive: Dive, tmp_pat
     assert 'filters.onboard.solution.file = "flown.tum"' in caught.value.hint
 
 
-def test_the_only_odometry_is_not_the_reference_if_it_is_a_solution(dive: Dive, tmp_path: Path) -> None:
+def test_the_only_odometry_is_not_the_reference_if_it_is_a_solution(
+    dive: Dive, tmp_path: Path
+) -> None:
     """Found by type it would be both, and free of error."""
     write_dive(tmp_path / "dive.mcap", replace(dive, reference=None))
     parts = [tmp_path / "dive.mcap", write_odometry(tmp_path / "own.mcap", truth_of(dive))]
@@ -359,7 +434,9 @@ def test_the_reference_in_disguise_is_found(dive: Dive, tmp_path: Path) -> None:
     """A latency of the reference, as `calibrate --reference` finds it, is not that of what was recorded beside it."""
     write_tum(tmp_path / "own.tum", truth_of(dive))
     write_dive(tmp_path / "dive.mcap", dive)
-    settings = config(Solution(file=str(tmp_path / "own.tum")), reference=Reference(latency_s=-0.000405))
+    settings = config(
+        Solution(file=str(tmp_path / "own.tum")), reference=Reference(latency_s=-0.000405)
+    )
     replay = replay_dive(read_checked_dive(tmp_path / "dive.mcap", settings), settings)
     assert "solution_onboard_is_reference" in codes(replay)
 
@@ -372,18 +449,25 @@ def test_a_track_in_metres_that_is_the_references_is_found(
     second is a solution of its own."""
     own = truth_of(dive)
     since_s = seconds(own.time_ns, own.time_ns[0])[:, None]
-    write_tum(tmp_path / "own.tum", off(own, moved_n=since_s * [0.0, east_m_per_s, 0.0], turn_n=np.array([0, 0, DEG])))
+    write_tum(
+        tmp_path / "own.tum",
+        off(own, moved_n=since_s * [0.0, east_m_per_s, 0.0], turn_n=np.array([0, 0, DEG])),
+    )
     assert dive.reference is not None
     nothing = np.full_like(dive.reference.velocity_n, np.nan)
     fixes = replace(dive.reference.without_attitude(), velocity_n=nothing)
     write_dive(tmp_path / "dive.mcap", replace(dive, reference=fixes))
-    settings = config(Solution(file=str(tmp_path / "own.tum")), initial=Initial(source="level", heading_deg=0.0))
+    settings = config(
+        Solution(file=str(tmp_path / "own.tum")), initial=Initial(source="level", heading_deg=0.0)
+    )
     read = read_checked_dive(tmp_path / "dive.mcap", settings)
     assert ("solution_onboard_is_reference" in [note.code for note in read.notes]) == told
 
 
 @pytest.mark.parametrize("late_ns", [0, 30_000_000])
-def test_a_good_solution_is_evaluated_whenever_it_is_stamped(dive: Dive, tmp_path: Path, late_ns: int) -> None:
+def test_a_good_solution_is_evaluated_whenever_it_is_stamped(
+    dive: Dive, tmp_path: Path, late_ns: int
+) -> None:
     """At the reference's instants, and at none of them: what is as near as 0.3 m is not therefore the same."""
     reference = dive.reference
     assert reference is not None
@@ -405,7 +489,9 @@ def test_a_good_solution_is_evaluated_whenever_it_is_stamped(dive: Dive, tmp_pat
 @pytest.mark.nightly
 @pytest.mark.all_starts
 @pytest.mark.parametrize(("factor", "word"), [(1.0, "undecided"), (5.0, "worse"), (0.2, "better")])
-def test_the_baseline_from_another_start_is_neither_better_nor_worse(factor: float, word: str) -> None:
+def test_the_baseline_from_another_start_is_neither_better_nor_worse(
+    factor: float, word: str
+) -> None:
     """What flies is often the same filter. Its one start scatters as those of the baseline do, which words allow for;
     with errors five times as large, or as small, they are said."""
     settings = config(Solution(topic="/odometry", align="none"), starts=16)
@@ -418,7 +504,9 @@ def test_the_baseline_from_another_start_is_neither_better_nor_worse(factor: flo
         assert replay.verdicts["onboard"].verdict == word
 
 
-def flown_from_a_drawn_start(dive: Dive, settings: Config, seed: int, factor: float) -> SolutionColumns:
+def flown_from_a_drawn_start(
+    dive: Dive, settings: Config, seed: int, factor: float
+) -> SolutionColumns:
     """Run the baseline as if it flew, from a start as wrong as it says, and make its errors larger by a factor."""
     prepared, reference = prepare_dive(dive, settings), dive.reference
     assert reference is not None

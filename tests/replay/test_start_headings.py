@@ -41,7 +41,12 @@ SETTINGS: Final = (
 def simulated(number: int) -> Dive:
     compass = {"heading": SensorErrors(0.3, 1.0)}
     return simulate_dive(
-        "lawnmower", seed=700 + number, duration_s=600.0, grade="tactical", imu_rate_hz=20.0, sensors=compass
+        "lawnmower",
+        seed=700 + number,
+        duration_s=600.0,
+        grade="tactical",
+        imu_rate_hz=20.0,
+        sensors=compass,
     )
 
 
@@ -54,7 +59,9 @@ def with_compass(number: int, bias_deg: float, good_deg: float) -> Dive:
     assert dive.reference is not None
     mat_nb = dive.reference.mat_nb.copy()
     mat_nb[0] = mat_from_vector(np.array([0.0, 0.0, start_side * good_deg * DEG])) @ mat_nb[0]
-    return replace(dive, sensors={"heading": biased}, reference=replace(dive.reference, mat_nb=mat_nb))
+    return replace(
+        dive, sensors={"heading": biased}, reference=replace(dive.reference, mat_nb=mat_nb)
+    )
 
 
 def settings() -> Config:
@@ -62,8 +69,12 @@ def settings() -> Config:
 
 
 def answered(bias_deg: float, good_deg: float) -> CandidateAnswer:
-    replays = [replay_dive(with_compass(number, bias_deg, good_deg), settings()) for number in range(DIVES)]
-    return pooled_candidate("aided", "baseline", [replay.tables.evidence for replay in replays], DIVES)
+    replays = [
+        replay_dive(with_compass(number, bias_deg, good_deg), settings()) for number in range(DIVES)
+    ]
+    return pooled_candidate(
+        "aided", "baseline", [replay.tables.evidence for replay in replays], DIVES
+    )
 
 
 def row_of(replay: Replay, quantity: str, name: str = "aided") -> EvidenceRow | None:
@@ -80,7 +91,9 @@ def test_no_start_makes_a_compass_better_that_another_makes_worse(bias_deg: floa
         assert {one, other} != {Verdict.BETTER, Verdict.WORSE}
 
 
-def test_a_compass_that_is_worse_than_a_perfect_start_and_better_than_the_vehicle_s_is_mixed() -> None:
+def test_a_compass_that_is_worse_than_a_perfect_start_and_better_than_the_vehicle_s_is_mixed() -> (
+    None
+):
     """With a bias of 0.8 deg it loses against a start good to 0.02 deg, and wins against one that errs by 3 deg."""
     found = answered(0.8, 0.02)
     primary, drawn = found.decisive, found.from_drawn_heading
@@ -107,14 +120,19 @@ def test_the_drawn_row_hardly_depends_on_how_well_the_reference_knows_the_headin
     np.testing.assert_allclose(worse, perfect, rtol=0.25)
 
 
-def test_a_replay_says_what_its_heading_comes_from_and_by_how_much_the_second_start_is_off() -> None:
+def test_a_replay_says_what_its_heading_comes_from_and_by_how_much_the_second_start_is_off() -> (
+    None
+):
     replay = replay_dive(with_compass(0, 0.3, 0.0), settings())
     found = replay.dive.start_heading
     assert found is not None
     assert found.source == HeadingSource.REFERENCE
     assert found.drawn_sd_deg == pytest.approx(3.0)
     assert abs(found.drawn_error_deg or 0.0) == pytest.approx(3.0)
-    assert f"start: heading of the reference ({found.sd_deg:.2g} deg)" in replay.verdicts["aided"].sentence
+    assert (
+        f"start: heading of the reference ({found.sd_deg:.2g} deg)"
+        in replay.verdicts["aided"].sentence
+    )
 
 
 # --- Others than the built-in filters.
@@ -134,7 +152,9 @@ def test_a_recorded_solution_is_compared_with_the_baseline_from_the_drawn_headin
     off_m = np.column_stack([np.full(len(motion.time_ns), 0.3), np.zeros((len(motion.time_ns), 2))])
     moved = replace(motion, position=moved_position(motion.position, off_m))
     solution = SolutionColumns(moved, None, *no_covariances())
-    replay = replayed_with(Filter(solution=Solution(align="none")), replace(dive, solutions={"aided": solution}))
+    replay = replayed_with(
+        Filter(solution=Solution(align="none")), replace(dive, solutions={"aided": solution})
+    )
     own, drawn = row_of(replay, "position"), row_of(replay, DRAWN_HEADING)
     assert own is not None
     assert drawn is not None

@@ -14,7 +14,9 @@ from insdvl_replay.replay import Replay, replay_log
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "ufmil"
 CONFIG = Path(__file__).parents[2] / "examples" / "ufmil.toml"
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the real logs in ../shared/data are not here")
+pytestmark = pytest.mark.skipif(
+    not DATA.is_dir(), reason="the real logs in ../shared/data are not here"
+)
 
 
 @pytest.fixture(scope="module", params=["run_1", "run_2"])
@@ -37,7 +39,11 @@ def test_dvl_and_imu_agree_with_the_mounting_of_the_example(replay: Replay) -> N
 def test_another_mounting_does_not(replay: Replay) -> None:
     turned = load_config(file=CONFIG, overrides=["dvl.mounting_rpy_deg=[0.0, 0.0, 0.0]"])
     other = replay_log(DATA / f"{replay.dive.name}.mcap", turned)
-    velocity = frame(other.tables.consistency).set_index(["filter", "measurement"]).loc[("baseline", "velocity")]
+    velocity = (
+        frame(other.tables.consistency)
+        .set_index(["filter", "measurement"])
+        .loc[("baseline", "velocity")]
+    )
     assert velocity["verdict"] == "overconfident"
     assert velocity["mean_nis"] > 4.0
     assert other.verdicts["aided"].verdict == "not evaluated"

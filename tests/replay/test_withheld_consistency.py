@@ -47,7 +47,9 @@ def dive_and_start(sensor: str, start_sd: float, seed: int) -> tuple[Dive, Initi
     return replace(dive, reference=None), start
 
 
-def words(sensor: str, states: tuple[str, ...], start_sd: float = 1.0, told_sd: float = SENSOR_SD) -> Counter[str]:
+def words(
+    sensor: str, states: tuple[str, ...], start_sd: float = 1.0, told_sd: float = SENSOR_SD
+) -> Counter[str]:
     """Count the words on one filter, each dive another world."""
     found: Counter[str] = Counter()
     for seed in range(DIVES):
@@ -64,13 +66,19 @@ def words(sensor: str, states: tuple[str, ...], start_sd: float = 1.0, told_sd: 
             heading=Heading(sd_deg=told_sd),
         )
         rows = replay_dive(dive, config).tables.consistency
-        found.update(row.verdict for row in rows if (row.filter, row.measurement) == ("baseline", f"held_out_{sensor}"))
+        found.update(
+            row.verdict
+            for row in rows
+            if (row.filter, row.measurement) == ("baseline", f"held_out_{sensor}")
+        )
     return found
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("sensor", "states"), [("position", ("position",)), ("heading", ())])
-def test_filters_that_are_right_are_seldom_said_to_be_wrong(sensor: str, states: tuple[str, ...]) -> None:
+def test_filters_that_are_right_are_seldom_said_to_be_wrong(
+    sensor: str, states: tuple[str, ...]
+) -> None:
     found = words(sensor, states)
     assert found["consistent"] + found["insufficient data"] >= DIVES - 1, found
 
@@ -78,7 +86,9 @@ def test_filters_that_are_right_are_seldom_said_to_be_wrong(sensor: str, states:
 @pytest.mark.nightly
 @pytest.mark.parametrize(("sensor", "states"), [("position", ("position",)), ("heading", ())])
 @pytest.mark.parametrize(("told_sd", "word"), [(3.0, "conservative"), (0.5, "overconfident")])
-def test_a_wrong_noise_of_the_sensor_is_found(sensor: str, states: tuple[str, ...], told_sd: float, word: str) -> None:
+def test_a_wrong_noise_of_the_sensor_is_found(
+    sensor: str, states: tuple[str, ...], told_sd: float, word: str
+) -> None:
     found = words(sensor, states, 0.1, told_sd)
     assert found[word] >= DIVES - 1, found
 

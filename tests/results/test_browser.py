@@ -63,14 +63,32 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
     logs = [str(folder / f"{name}.mcap") for name in ("straight", "lawnmower")]
     assert run_command_line(["simulate", "straight", "-o", logs[0], "--duration", "60"]) == 0
-    assert run_command_line(["simulate", "lawnmower", "-o", logs[1], "--duration", "90", "--outage", "30:50"]) == 0
-    several = ["--set", "filters.fast.aiding=['velocity']", "--set", "filters.slow.aiding=['velocity']"]
+    assert (
+        run_command_line(
+            ["simulate", "lawnmower", "-o", logs[1], "--duration", "90", "--outage", "30:50"]
+        )
+        == 0
+    )
+    several = [
+        "--set",
+        "filters.fast.aiding=['velocity']",
+        "--set",
+        "filters.slow.aiding=['velocity']",
+    ]
     assert run_command_line(["run", *logs, "-o", str(folder / "dives"), *several]) == 0
     studies = ["-o", str(folder / "study")]
-    assert run_command_line(["study", "montecarlo", "straight", "--runs", "2", "--duration", "30", *studies]) == 0
+    assert (
+        run_command_line(
+            ["study", "montecarlo", "straight", "--runs", "2", "--duration", "30", *studies]
+        )
+        == 0
+    )
     assert run_command_line(["study", "window", *logs, *studies]) == 0
     assert run_command_line(["study", "observability", logs[0], *studies]) == 0
-    found = {path.parent.name if path.stem == "report" else path.stem: path for path in folder.rglob("*.html")}
+    found = {
+        path.parent.name if path.stem == "report" else path.stem: path
+        for path in folder.rglob("*.html")
+    }
     assert len(found) == 6
     return found
 
@@ -82,13 +100,16 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 
 
 @pytest.mark.parametrize(
-    ("look", "width"), [("light", 400), ("light", 1366), ("dark", 400), ("dark", 1366), ("print", PAPER)]
+    ("look", "width"),
+    [("light", 400), ("light", 1366), ("dark", 400), ("dark", 1366), ("print", PAPER)],
 )
 @pytest.mark.parametrize(
     "name",
     ["straight", "lawnmower", "index", "montecarlo-straight", "window", "observability-straight"],
 )
-def test_page_is_whole_and_readable(name: str, look: str, width: int, pages: dict[str, Path], browser: Browser) -> None:
+def test_page_is_whole_and_readable(
+    name: str, look: str, width: int, pages: dict[str, Path], browser: Browser
+) -> None:
     browser.open(pages[name], width, dark=look == "dark")
     if look == "print":
         browser.call("Emulation.setEmulatedMedia", media="print")
@@ -114,24 +135,34 @@ def test_dark_and_light_differ(pages: dict[str, Path], browser: Browser) -> None
 
 def test_every_plot_of_a_dive_is_drawn(pages: dict[str, Path], browser: Browser) -> None:
     browser.open(pages["lawnmower"], 1280)
-    assert browser.value('document.querySelectorAll("svg.panel").length') == 2 + 12 + 9 + 3 + 5 + 4 + 3
+    assert (
+        browser.value('document.querySelectorAll("svg.panel").length') == 2 + 12 + 9 + 3 + 5 + 4 + 3
+    )
     assert browser.value('document.querySelectorAll("svg.strip").length') == 7
     lines = "e => Math.max(e.getBoundingClientRect().width, e.getBoundingClientRect().height) > 60"
     drawn = (
-        f'[...document.querySelectorAll("svg.panel")].every(p => [...p.querySelectorAll("path.line")].some({lines}))'
+        f'[...document.querySelectorAll("svg.panel")].every(p => '
+        f'[...p.querySelectorAll("path.line")].some({lines}))'
     )
     assert browser.value(drawn)
 
 
-def test_a_click_sorts_by_number_and_what_is_missing_is_last(pages: dict[str, Path], browser: Browser) -> None:
+def test_a_click_sorts_by_number_and_what_is_missing_is_last(
+    pages: dict[str, Path], browser: Browser
+) -> None:
     browser.open(pages["index"], 1280)
-    column = '[...document.querySelector("tbody").rows].map(row => parseFloat(row.cells[4].textContent))'
+    column = (
+        '[...document.querySelector("tbody").rows].map(row => parseFloat(row.cells[4].textContent))'
+    )
     for ascending in (True, False):
         browser.value('document.querySelectorAll("th button")[4].click()')
         shown = browser.value(column)
         assert shown == sorted(shown, reverse=not ascending)
         assert len(set(shown)) > 2
-    assert browser.value('document.querySelectorAll("th")[4].getAttribute("aria-sort")') == "descending"
+    assert (
+        browser.value('document.querySelectorAll("th")[4].getAttribute("aria-sort")')
+        == "descending"
+    )
 
 
 def test_without_scripts_the_index_is_a_table(pages: dict[str, Path], browser: Browser) -> None:
@@ -154,23 +185,32 @@ ON_FIRST_SCREEN = """
 """
 
 
-def test_verdicts_evidence_error_and_track_are_on_the_first_screen(pages: dict[str, Path], browser: Browser) -> None:
+def test_verdicts_evidence_error_and_track_are_on_the_first_screen(
+    pages: dict[str, Path], browser: Browser
+) -> None:
     browser.open(pages["straight"], 1366)
     shown = browser.value(ON_FIRST_SCREEN)
     assert shown["sections"] == 3
-    assert [title.split(",")[0] for title in shown["titles"]] == ["horizontal position error [m]", "track"]
+    assert [title.split(",")[0] for title in shown["titles"]] == [
+        "horizontal position error [m]",
+        "track",
+    ]
     assert shown["evidence"] < 768
     assert shown["pictures"] < 768
 
 
-def test_three_candidates_over_two_dives_are_on_the_first_screen(pages: dict[str, Path], browser: Browser) -> None:
+def test_three_candidates_over_two_dives_are_on_the_first_screen(
+    pages: dict[str, Path], browser: Browser
+) -> None:
     browser.open(pages["index"], 1366)
     shown = browser.value(ON_FIRST_SCREEN)
     assert shown["sections"] == 3
     assert shown["evidence"] < 768
 
 
-def test_plots_of_many_dives_are_one_below_the_other_on_a_telephone(pages: dict[str, Path], browser: Browser) -> None:
+def test_plots_of_many_dives_are_one_below_the_other_on_a_telephone(
+    pages: dict[str, Path], browser: Browser
+) -> None:
     lefts = '[...document.querySelectorAll(".candidate > *")].map(e => Math.round(e.getBoundingClientRect().left))'
     for width, columns in ((400, 1), (1366, 3)):
         browser.open(pages["index"], width)
@@ -192,18 +232,25 @@ WIDEST_CELLS = """
 
 
 @pytest.mark.parametrize("width", [1100, 1200, 1366])
-def test_no_digit_of_the_evidence_is_behind_an_edge(width: int, pages: dict[str, Path], browser: Browser) -> None:
+def test_no_digit_of_the_evidence_is_behind_an_edge(
+    width: int, pages: dict[str, Path], browser: Browser
+) -> None:
     browser.open(pages["straight"], width)
     assert browser.value(WIDEST_CELLS) == [0, 0]
 
 
-def test_a_click_shows_a_picture_alone_and_another_leads_back(pages: dict[str, Path], browser: Browser) -> None:
+def test_a_click_shows_a_picture_alone_and_another_leads_back(
+    pages: dict[str, Path], browser: Browser
+) -> None:
     browser.open(pages["straight"], 1280, scripts=False)
     width = 'document.querySelector("#first-1 svg").getBoundingClientRect().width'
     before = browser.value(width)
     browser.call("Page.navigate", url=f"{pages['straight'].resolve().as_uri()}#first-1")
     assert browser.value(width) > 2.0 * before
-    assert browser.value('getComputedStyle(document.querySelector("#first-1 .close")).display') == "block"
+    assert (
+        browser.value('getComputedStyle(document.querySelector("#first-1 .close")).display')
+        == "block"
+    )
     browser.call("Page.navigate", url=f"{pages['straight'].resolve().as_uri()}#first-1-back")
     assert browser.value(width) == before
 

@@ -64,7 +64,9 @@ def in_text(imu: ImuColumns) -> ImuColumns:
 
 def other_axes(imu: ImuColumns) -> ImuColumns:
     flip = np.array([1.0, -1.0, -1.0])
-    return replace(imu, specific_force_b=imu.specific_force_b * flip, angular_rate_b=imu.angular_rate_b * flip)
+    return replace(
+        imu, specific_force_b=imu.specific_force_b * flip, angular_rate_b=imu.angular_rate_b * flip
+    )
 
 
 def cut(imu: ImuColumns) -> ImuColumns:
@@ -81,7 +83,14 @@ def test_a_copy_counts_once(imu: ImuColumns, change: Callable[[ImuColumns], ImuC
 
 
 def test_a_copy_under_another_name_counts_once_without_fingerprint_too() -> None:
-    kept, codes = names([made("a", None, "same"), made("b", None, "same"), made("c", None, "other"), made("d", None)])
+    kept, codes = names(
+        [
+            made("a", None, "same"),
+            made("b", None, "same"),
+            made("c", None, "other"),
+            made("d", None),
+        ]
+    )
     assert kept == ["a", "c", "d"]
     assert codes == ["dives_same"]
 
@@ -95,25 +104,39 @@ def test_parts_that_overlap_a_third_are_all_one_dive(imu: ImuColumns) -> None:
 
 @pytest.mark.parametrize("scenario", ["static", "straight"])
 def test_dives_at_the_same_time_are_two(scenario: str) -> None:
-    first, second = (simulate_dive(scenario, seed=seed, duration_s=120.0, grade="mems").imu for seed in (1, 2))
+    first, second = (
+        simulate_dive(scenario, seed=seed, duration_s=120.0, grade="mems").imu for seed in (1, 2)
+    )
     assert names([made("one", first), made("two", second)]) == (["one", "two"], [])
 
 
 @pytest.mark.parametrize(
     ("pause_s", "vehicle", "codes"),
-    [(0.01, "", ["dives_continue"]), (3.0, "", ["dives_continue"]), (60.0, "", []), (0.01, "another", [])],
+    [
+        (0.01, "", ["dives_continue"]),
+        (3.0, "", ["dives_continue"]),
+        (60.0, "", []),
+        (0.01, "another", []),
+    ],
 )
-def test_files_of_one_recording_are_told(imu: ImuColumns, pause_s: float, vehicle: str, codes: list[str]) -> None:
+def test_files_of_one_recording_are_told(
+    imu: ImuColumns, pause_s: float, vehicle: str, codes: list[str]
+) -> None:
     length_s = float(imu.time_ns[-1] - imu.time_ns[0]) * 1e-9
     after = simulate_dive("straight", seed=5, duration_s=100.0).imu
     later = moved(after, length_s + pause_s)
-    assert names([made("second", later, vehicle=vehicle), made("first", imu)]) == (["second", "first"], codes)
+    assert names([made("second", later, vehicle=vehicle), made("first", imu)]) == (
+        ["second", "first"],
+        codes,
+    )
 
 
 def test_the_fingerprint_of_a_long_dive_is_small_and_finds_its_parts() -> None:
     time_ns = 1_700_000_000_000_000_003 + np.arange(200_000) * 100_000_000
     draw = np.random.default_rng(1)
-    long = ImuColumns(time_ns, draw.standard_normal((200_000, 3)), draw.standard_normal((200_000, 3)))
+    long = ImuColumns(
+        time_ns, draw.standard_normal((200_000, 3)), draw.standard_normal((200_000, 3))
+    )
     assert 100 < len(imu_fingerprint(long).digests) <= MOST_DIGESTS
     part = long.rows(slice(50_000, 60_000))
     assert names([made("part", part), made("long", long)]) == (["long"], ["dives_same"])
@@ -125,7 +148,9 @@ def test_thousand_dives_are_compared_in_seconds() -> None:
     reports = []
     for number in range(1000):
         digests = tuple(map(str, draw.integers(0, 1 << 32, len(at_s)).tolist()))
-        reports.append(Made(Logged(str(number)), ImuFingerprint(0, nanoseconds(3000.0), at_s, digests)))
+        reports.append(
+            Made(Logged(str(number)), ImuFingerprint(0, nanoseconds(3000.0), at_s, digests))
+        )
     begun_s = time.process_time()
     kept, _ = distinct_dives(reports)
     assert len(kept) == 1000

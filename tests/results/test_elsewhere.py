@@ -23,7 +23,11 @@ from insdvl_replay.results.result_files import save_replay, viewer_layouts
 PROJECT = Path(__file__).resolve().parents[2]
 LAYOUTS = PROJECT / "insdvl_replay" / "results" / "layouts"
 NODE = PROJECT / "tests" / "node"
-VEHICLES = {"straight": None, "figure_eight": None, "snapir_01": PROJECT / "examples" / "snapir.toml"}
+VEHICLES = {
+    "straight": None,
+    "figure_eight": None,
+    "snapir_01": PROJECT / "examples" / "snapir.toml",
+}
 
 
 ALL_BUT_ONE = [pytest.param(name, marks=pytest.mark.nightly) for name in ("straight", "snapir_01")]
@@ -53,7 +57,10 @@ def test_foxgloves_libraries_read_every_message_with_the_values_of_the_tables(re
         summary = make_reader(file).get_summary()
     assert summary is not None
     assert summary.statistics is not None
-    counts = {summary.channels[id_].topic: count for id_, count in summary.statistics.channel_message_counts.items()}
+    counts = {
+        summary.channels[id_].topic: count
+        for id_, count in summary.statistics.channel_message_counts.items()
+    }
     assert {topic: found["count"] for topic, found in topics.items()} == counts
     assert sum(counts.values()) == printed["stated"]
     for name in ("improvement", "convergence", "reference_error", "consistency", "credibility"):
@@ -64,7 +71,10 @@ def test_foxgloves_libraries_read_every_message_with_the_values_of_the_tables(re
             key: None if value != value else value for key, value in last.items()
         }
     report = json.loads((result / "report.json").read_bytes())
-    assert topics["/insdvl/baseline/state"]["last"]["header"]["stamp"]["sec"] == report["log"]["end_ns"] // 10**9
+    assert (
+        topics["/insdvl/baseline/state"]["last"]["header"]["stamp"]["sec"]
+        == report["log"]["end_ns"] // 10**9
+    )
 
 
 def test_both_readers_of_ros_read_every_message_with_the_values_of_the_tables(result: Path) -> None:
@@ -76,7 +86,9 @@ def test_both_readers_of_ros_read_every_message_with_the_values_of_the_tables(re
             counts[connection.topic] += 1
     last, theirs = {}, Counter()
     with log.open("rb") as file:
-        for _, channel, _, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+        for _, channel, _, message in make_reader(
+            file, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages():
             last[channel.topic] = message
             theirs[channel.topic] += 1
     assert counts == theirs
@@ -92,7 +104,9 @@ def test_both_readers_of_ros_read_every_message_with_the_values_of_the_tables(re
 def messages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The last message of each topic."""
     folder = tmp_path_factory.mktemp("layouts")
-    save_replay(replay_log(PROJECT / "sample_logs" / "straight.mcap", load_config("levy-klein")), folder)
+    save_replay(
+        replay_log(PROJECT / "sample_logs" / "straight.mcap", load_config("levy-klein")), folder
+    )
     with (folder / "replay.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         return {channel.topic: decoded for _, channel, _, decoded in reader.iter_decoded_messages()}
@@ -116,7 +130,9 @@ def leaves(layout: Any) -> Iterator[str]:
     yield from leaves(layout["second"])
 
 
-def test_every_path_of_the_foxglove_layout_is_a_number_of_a_replay(messages: dict[str, Any]) -> None:
+def test_every_path_of_the_foxglove_layout_is_a_number_of_a_replay(
+    messages: dict[str, Any],
+) -> None:
     layout = json.loads((LAYOUTS / "foxglove.json").read_text("utf-8"))
     panels = layout["configById"]
     paths = [path["value"] for panel in panels.values() for path in panel.get("paths", [])]
@@ -124,7 +140,9 @@ def test_every_path_of_the_foxglove_layout_is_a_number_of_a_replay(messages: dic
     for path in paths:
         topic, _, field = path.partition(".")
         assert is_number(messages[topic], field), path
-    named = {panel["topicToRender"] for panel in panels.values() if "topicToRender" in panel} - {"/insdvl/notes"}
+    named = {panel["topicToRender"] for panel in panels.values() if "topicToRender" in panel} - {
+        "/insdvl/notes"
+    }
     named |= {topic for panel in panels.values() for topic in panel.get("topicColors", {})}
     assert named <= messages.keys()
 
@@ -137,7 +155,9 @@ def test_every_panel_of_the_foxglove_layout_is_on_one_tab() -> None:
     assert sorted([*shown, layout["layout"]]) == sorted(layout["configById"])
 
 
-def test_every_curve_of_the_plotjuggler_layout_is_a_number_of_a_replay(messages: dict[str, Any]) -> None:
+def test_every_curve_of_the_plotjuggler_layout_is_a_number_of_a_replay(
+    messages: dict[str, Any],
+) -> None:
     root = ET.parse(LAYOUTS / "plotjuggler.xml").getroot()
     curves = [curve.get("name", "") for curve in root.iter("curve")]
     assert len(curves) > 60
@@ -145,7 +165,11 @@ def test_every_curve_of_the_plotjuggler_layout_is_a_number_of_a_replay(messages:
         topic, _, field = curve.rpartition("/")
         assert is_number(messages[topic], field), curve
     for splitter in root.iter("DockSplitter"):
-        assert int(splitter.get("count", "")) == len(splitter) == len(splitter.get("sizes", "").split(";"))
+        assert (
+            int(splitter.get("count", ""))
+            == len(splitter)
+            == len(splitter.get("sizes", "").split(";"))
+        )
 
 
 def test_layouts_next_to_a_replay_name_its_filters() -> None:

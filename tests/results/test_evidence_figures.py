@@ -21,9 +21,21 @@ def converging(limit: float = 0.01) -> Mapping[str, ConvergenceCurves]:
     return {"velocity": curves, "heading": curves}
 
 
-def evidence(quantity: str, name: str, baseline_s: float | None, value_s: float | None) -> EvidenceRow:
+def evidence(
+    quantity: str, name: str, baseline_s: float | None, value_s: float | None
+) -> EvidenceRow:
     return EvidenceRow(
-        "dive", name, "convergence", quantity, "s", baseline_s, value_s, 0.5, samples=15, starts=15, role="settling"
+        "dive",
+        name,
+        "convergence",
+        quantity,
+        "s",
+        baseline_s,
+        value_s,
+        0.5,
+        samples=15,
+        starts=15,
+        role="settling",
     )
 
 
@@ -35,8 +47,17 @@ def test_each_filter_has_a_line_what_it_predicts_and_a_point_where_it_has_conver
     (figure,) = convergence_figure(converging(), rows)
     heading, velocity = figure.panels
     assert (heading.title, velocity.title) == ("heading [deg]", "horizontal velocity [m/s]")
-    assert {curve.style for curve in heading.curves} == {"filter0", "filter1", "filter0 sigma", "filter1 sigma"}
-    points = {curve.style: (curve.x.tolist(), curve.y.tolist()) for curve in velocity.curves if curve.points}
+    assert {curve.style for curve in heading.curves} == {
+        "filter0",
+        "filter1",
+        "filter0 sigma",
+        "filter1 sigma",
+    }
+    points = {
+        curve.style: (curve.x.tolist(), curve.y.tolist())
+        for curve in velocity.curves
+        if curve.points
+    }
     assert points == {"filter0 reached": ([100.0], [0.01]), "filter1 reached": ([50.0], [0.01])}
     assert heading.levels == (pytest.approx(0.01 / DEG),)
     assert (velocity.x_scale, velocity.y_scale) == ("log", "log")
@@ -52,7 +73,14 @@ def test_outage_is_drawn_over_time_and_by_window_and_says_what_it_is_blind_to() 
     assert "over 2 windows" in figure.caption
     drift, windows = figure.panels
     drawn = {curve.style: curve.y.tolist() for curve in drift.curves}
-    assert drawn == {f"filter{n}{more}": y for n in (0, 1) for more, y in (("", [0, 1, 2]), (" sigma", [0, 2, 5]))}
+    assert drawn == {
+        f"filter{n}{more}": y
+        for n in (0, 1)
+        for more, y in (("", [0, 1, 2]), (" sigma", [0, 2, 5]))
+    }
     assert drift.y_scale == windows.y_scale == "log"
-    assert (windows.curves[0].x.tolist(), windows.curves[0].y.tolist()) == ([100.0, 130.0], [2.0, 5.0])
+    assert (windows.curves[0].x.tolist(), windows.curves[0].y.tolist()) == (
+        [100.0, 130.0],
+        [2.0, 5.0],
+    )
     assert list(outage_figure({}, Clock(0, S))) == []

@@ -15,7 +15,15 @@ from taken_apart import Document, forest_rows
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.result import Callout, DisplayTable, Heading, Html, Report, Title, decode_report
+from insdvl_replay.core.result import (
+    Callout,
+    DisplayTable,
+    Heading,
+    Html,
+    Report,
+    Title,
+    decode_report,
+)
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.tables import finite
 from insdvl_replay.replay import Replay, replay_dive, replay_log
@@ -51,7 +59,11 @@ def saved(replay: Replay, folder: Path) -> tuple[Document, Report, bytes]:
 
 def pictures(document: Document) -> tuple[list[str], list[str]]:
     """Titles of the panels on the first screen, and of the others."""
-    titles = [attributes["aria-label"] for tag, attributes in document.elements if "aria-label" in attributes]
+    titles = [
+        attributes["aria-label"]
+        for tag, attributes in document.elements
+        if "aria-label" in attributes
+    ]
     return titles[:2], titles[2:]
 
 
@@ -67,11 +79,15 @@ def replay() -> Replay:
 
 
 @pytest.fixture(scope="module")
-def result(replay: Replay, tmp_path_factory: pytest.TempPathFactory) -> tuple[Document, Report, bytes]:
+def result(
+    replay: Replay, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Document, Report, bytes]:
     return saved(replay, tmp_path_factory.mktemp("html") / "result")
 
 
-def test_verdict_comes_first_and_every_cell_of_every_table_is_there(result: tuple[Document, Report, bytes]) -> None:
+def test_verdict_comes_first_and_every_cell_of_every_table_is_there(
+    result: tuple[Document, Report, bytes],
+) -> None:
     document, report, _ = result
     aided, (position, *_) = report.filters["aided"], report.tables.evidence
     word, against, statement, acts, start, convergence, predicted, plan, _ = document.texts["p"][:9]
@@ -81,7 +97,9 @@ def test_verdict_comes_first_and_every_cell_of_every_table_is_there(result: tupl
     assert acts.startswith("Acts: moves the track by ")
     assert start.startswith("Start: heading of the reference (")
     assert convergence.startswith("Convergence: ")
-    assert re.match(r"A verdict takes 3 dives; about \d+ dives like this one find a change of 10\s%\.$", plan)
+    assert re.match(
+        r"A verdict takes 3 dives; about \d+ dives like this one find a change of 10\s%\.$", plan
+    )
     assert predicted.startswith(f"Predicted: {aided.mean_improvement_pct:.1f}")
     assert "Not confirmed" in predicted
     for table in page_tables(report):
@@ -91,12 +109,20 @@ def test_verdict_comes_first_and_every_cell_of_every_table_is_there(result: tupl
     assert len(document.texts["h2"]) == 4
 
 
-def test_every_plot_is_there_with_a_line_for_each_filter(result: tuple[Document, Report, bytes]) -> None:
+def test_every_plot_is_there_with_a_line_for_each_filter(
+    result: tuple[Document, Report, bytes],
+) -> None:
     document, _, _ = result
     first, titles = pictures(document)
     assert [title.split()[-1] for title in first] == ["[m]", "[m]"]
     assert [f"{state.label} [{state.unit}]" for state in STATES] == titles[14:26]
-    assert [title.split()[-1] for title in titles[9:14]] == ["[m]", "[m]", "[deg]", "[deg]", "[m/s]"]
+    assert [title.split()[-1] for title in titles[9:14]] == [
+        "[m]",
+        "[m]",
+        "[deg]",
+        "[deg]",
+        "[m/s]",
+    ]
     assert len([title for title in titles if "position error" in title]) == 3
     drawn = [(title.split(":")[0], title.split()[-1]) for title in titles if "NIS" in title]
     assert drawn == [("baseline", "velocity"), ("aided", "velocity"), ("aided", "acceleration")]
@@ -107,7 +133,9 @@ def test_every_plot_is_there_with_a_line_for_each_filter(result: tuple[Document,
     assert all(len(path) > 5 for path in paths if path)
 
 
-def test_evidence_is_a_forest_plot_whose_bold_row_the_sentence_names(result: tuple[Document, Report, bytes]) -> None:
+def test_evidence_is_a_forest_plot_whose_bold_row_the_sentence_names(
+    result: tuple[Document, Report, bytes],
+) -> None:
     document, report, _ = result
     rows = [text for text, classes in forest_rows(document)]
     bold = [text for text, classes in forest_rows(document) if "decides" in classes]
@@ -130,15 +158,24 @@ def test_page_names_its_origin(result: tuple[Document, Report, bytes]) -> None:
 
 def test_settings_that_differ_from_the_defaults_are_by_themselves() -> None:
     config = msgspec.to_builtins(
-        load_config("levy-klein", overrides=["dvl.scale=1.01", "filters.aided.acceleration.window=5"])
+        load_config(
+            "levy-klein", overrides=["dvl.scale=1.01", "filters.aided.acceleration.window=5"]
+        )
     )
     heading, *changed = changed_settings(config).split("\n")
     assert heading.startswith("# ")
     of_preset = 'initial.uncertainty = "settings"'
-    assert changed == ["dvl.scale = 1.01", of_preset, "noise.fit = []", "filters.aided.acceleration.window = 5"]
+    assert changed == [
+        "dvl.scale = 1.01",
+        of_preset,
+        "noise.fit = []",
+        "filters.aided.acceleration.window = 5",
+    ]
 
 
-def test_turns_and_silence_of_the_dvl_are_shaded_behind_every_panel_over_time(tmp_path: Path) -> None:
+def test_turns_and_silence_of_the_dvl_are_shaded_behind_every_panel_over_time(
+    tmp_path: Path,
+) -> None:
     """A figure-eight turns, and its DVL is silent for twenty seconds."""
     dive = simulate_dive("figure-eight", seed=1, duration_s=150.0, outages=[(30.0, 50.0)])
     replay = replay_dive(dive, load_config(overrides=["evaluation.starts=1"]))
@@ -164,9 +201,18 @@ def test_errors_fill_their_panels_and_all_panels_over_time_have_one_axis() -> No
         largest = max(float(np.nanmax(np.abs(curve.y))) for curve in panel.curves)
         assert panel.y_limits is not None
         assert largest <= panel.y_limits[1] <= 1.7 * largest
-    assert any(curve.band is not None and np.nanmax(curve.band[1]) > 17.0 for curve in panels[4].curves)
-    over_time = [panel for figure in figures.values() for panel in figure.panels if panel.x_label == "time [s]"]
-    (x_limits,) = {panel.x_limits for panel in [*over_time, *error_panel(replay)] if panel.x_scale == "linear"}
+    assert any(
+        curve.band is not None and np.nanmax(curve.band[1]) > 17.0 for curve in panels[4].curves
+    )
+    over_time = [
+        panel
+        for figure in figures.values()
+        for panel in figure.panels
+        if panel.x_label == "time [s]"
+    ]
+    (x_limits,) = {
+        panel.x_limits for panel in [*over_time, *error_panel(replay)] if panel.x_scale == "linear"
+    }
     assert x_limits == (0.0, pytest.approx((replay.end_ns - replay.start_ns) / S))
     assert {"Innovation consistency (NIS)", "Convergence"} <= set(figures)
 
@@ -184,15 +230,26 @@ def test_errors_of_a_track_are_magnified_so_that_they_are_seen(replay: Replay) -
     assert drawn.x[-1] - reference.x[-1] == pytest.approx(times * end_m, abs=1e-6)
 
 
-def test_page_asks_nobody_for_anything_and_runs_only_its_own_script(result: tuple[Document, Report, bytes]) -> None:
+def test_page_asks_nobody_for_anything_and_runs_only_its_own_script(
+    result: tuple[Document, Report, bytes],
+) -> None:
     document, _, data = result
     assert not {"link", "img", "iframe", "object"} & {tag for tag, _ in document.elements}
     assert not re.search(rb"https?://(?!www.w3.org/2000/svg)|url\(|@import", data)
-    [policy] = [attributes["content"] for _, attributes in document.elements if "http-equiv" in attributes]
+    [policy] = [
+        attributes["content"] for _, attributes in document.elements if "http-equiv" in attributes
+    ]
     [code], [style] = document.texts["script"], document.texts["style"]
     digests = [b64encode(sha256(text.encode()).digest()).decode() for text in (style, code)]
-    assert policy == "default-src 'none'; style-src 'sha256-{}'; script-src 'sha256-{}'".format(*digests)
-    assert not {name for _, attributes in document.elements for name in attributes if name.startswith(("on", "style"))}
+    assert policy == "default-src 'none'; style-src 'sha256-{}'; script-src 'sha256-{}'".format(
+        *digests
+    )
+    assert not {
+        name
+        for _, attributes in document.elements
+        for name in attributes
+        if name.startswith(("on", "style"))
+    }
 
 
 def test_identifiers_are_unique(result: tuple[Document, Report, bytes]) -> None:
@@ -204,18 +261,29 @@ def test_notes_are_reported_with_their_counts(replay: Replay, tmp_path: Path) ->
     note = Note("imu_gaps", "the IMU <pauses> 3 times", 4711, "warning", "imu.max_gap_s=2")
     document, _, _ = saved(replace(replay, notes=(note,)), tmp_path / "notes")
     cells = document.texts["td"]
-    assert {"4711", "warning", "the IMU <pauses> 3 times [imu_gaps]", "imu.max_gap_s=2"} <= set(cells)
+    assert {"4711", "warning", "the IMU <pauses> 3 times [imu_gaps]", "imu.max_gap_s=2"} <= set(
+        cells
+    )
 
 
 def test_four_filters_without_a_reference_and_a_dive_without_accelerations(tmp_path: Path) -> None:
     dive = replace(simulate_dive("straight", seed=2, duration_s=60.0), reference=None, truth=None)
     settings = ["initial.source=level", "initial.heading_deg=30", "initial.latitude_deg=32.8"]
-    settings += [f"filters.{name}.aiding=['velocity']" for name in ("baseline", "aided", "third", "fourth <&>")]
+    settings += [
+        f"filters.{name}.aiding=['velocity']"
+        for name in ("baseline", "aided", "third", "fourth <&>")
+    ]
     settings += ["filters.third.velocity_sd_mps=0.05"]
-    replay = replay_dive(dive, load_config(overrides=[text for text in settings if "<" not in text]))
+    replay = replay_dive(
+        dive, load_config(overrides=[text for text in settings if "<" not in text])
+    )
     document, report, _ = saved(replay, tmp_path / "four")
     assert list(report.filters) == ["aided", "third"]
-    titles = [attributes["aria-label"] for tag, attributes in document.elements if "aria-label" in attributes]
+    titles = [
+        attributes["aria-label"]
+        for tag, attributes in document.elements
+        if "aria-label" in attributes
+    ]
     assert len(titles) == 1 + 12 + 3 + 4
     assert NO_REFERENCE in document.texts["p"]
 
@@ -223,7 +291,9 @@ def test_four_filters_without_a_reference_and_a_dive_without_accelerations(tmp_p
 @pytest.fixture(scope="module")
 def alone() -> Replay:
     """A dive of which neither reference nor truth is known."""
-    dive = replace(simulate_dive("figure-eight", seed=0, duration_s=230.0), reference=None, truth=None)
+    dive = replace(
+        simulate_dive("figure-eight", seed=0, duration_s=230.0), reference=None, truth=None
+    )
     return replay_dive(dive, load_config("fog", overrides=[
         DVL_NOISE, "initial.source=level", "initial.heading_deg=30", "initial.latitude_deg=32.8"
     ]))  # fmt: skip
@@ -240,7 +310,9 @@ def test_a_dive_without_a_reference_has_a_page_of_outage_consistency_and_predict
     assert not {title for title in titles if title.startswith(("position error", "level"))}
     assert data.decode().count(NO_REFERENCE) == 1
     assert NO_REFERENCE.lower() not in report.filters["aided"].sentence.lower()
-    assert forest_rows(document)[0][0].startswith("DVL outage 60 s"), "every dive of two windows decides by it"
+    assert forest_rows(document)[0][0].startswith("DVL outage 60 s"), (
+        "every dive of two windows decides by it"
+    )
     assert report.tables.drift == report.tables.track_fit == []
 
 
@@ -273,7 +345,10 @@ def test_a_page_of_eight_filters_stays_small(tmp_path: Path) -> None:
     dive = simulate_dive("lawnmower", seed=3, duration_s=1200.0, outages=[(1000.0, 1060.0)])
     settings = ["filters.aided.acceleration.window=3"]
     for number in range(1, 5):
-        settings += [f"filters.sd_{number}.{key}" for key in ("aiding=['velocity']", f"velocity_sd_mps={number / 500}")]
+        settings += [
+            f"filters.sd_{number}.{key}"
+            for key in ("aiding=['velocity']", f"velocity_sd_mps={number / 500}")
+        ]
     for window in (4, 5):
         keys = ("aiding=['velocity', 'acceleration']", f"acceleration.window={window}")
         settings += [f"filters.window_{window}.{key}" for key in keys]
@@ -303,18 +378,30 @@ def test_coverage_falls_where_samples_are_missing_or_invalid() -> None:
 
 @pytest.mark.parametrize("samples", [0, 1])
 def test_coverage_of_a_silent_sensor_is_nothing(samples: int) -> None:
-    assert covered_shares(np.arange(samples), np.ones(samples, dtype=bool), 0, S, 4).tolist() == [0.0] * 4
+    assert (
+        covered_shares(np.arange(samples), np.ones(samples, dtype=bool), 0, S, 4).tolist()
+        == [0.0] * 4
+    )
 
 
 def test_any_text_is_text() -> None:
     table = DisplayTable("<t>", ("a\nb", "&"), "lr", (("<script>", "1"), ('"', "2")), "<f>")
     document = Document(
-        page([Title("<h>"), "<p>", Callout("<l>"), Heading("Über & <all>"), table, Html("<em>x</em>")]).decode()
+        page(
+            [
+                Title("<h>"),
+                "<p>",
+                Callout("<l>"),
+                Heading("Über & <all>"),
+                table,
+                Html("<em>x</em>"),
+            ]
+        ).decode()
     )
     assert document.texts["h1"] == ["<h>"]
     assert document.texts["td"] == ["<script>", "1", '"', "2"]
     assert document.texts["em"] == ["x"]
     assert "script" not in document.texts
-    assert "#" + next(attributes["id"] for _, attributes in document.elements if "id" in attributes) in {
-        attributes.get("href") for _, attributes in document.elements
-    }
+    assert "#" + next(
+        attributes["id"] for _, attributes in document.elements if "id" in attributes
+    ) in {attributes.get("href") for _, attributes in document.elements}

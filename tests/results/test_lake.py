@@ -51,7 +51,11 @@ def replayed(
     evidence = made.tables.evidence if rows is None else [replace(row, log=dive) for row in rows]
     return replace(
         made,
-        tool=replace(made.tool, version=version, started_at=f"2026-01-0{1 + (settings == 'new')}T00:00:00+00:00"),
+        tool=replace(
+            made.tool,
+            version=version,
+            started_at=f"2026-01-0{1 + (settings == 'new')}T00:00:00+00:00",
+        ),
         log=replace(made.log, sha256=digest(dive)),
         filters={"aided": replace(made.filters["aided"], verdict=verdict)},
         tables=replace(made.tables, evidence=evidence),
@@ -112,7 +116,9 @@ def test_a_kill_before_the_rename_leaves_the_dataset_whole(tmp_path: Path) -> No
     )
     places = os.pathsep.join(str(Path(__file__).parents[up]) for up in (0, 1))
     killed = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], env={**os.environ, "PYTHONPATH": places}, check=False
+        [sys.executable, "-c", code, str(tmp_path)],
+        env={**os.environ, "PYTHONPATH": places},
+        check=False,
     )
     assert killed.returncode == -signal.SIGKILL
     assert [path.name[0] for path in tmp_path.iterdir() if path.is_dir()] == ["."], "it had written"
@@ -160,9 +166,15 @@ def test_unchanged_dives_are_written_and_failed_ones_are_not(dives: Path, tmp_pa
 def test_both_sides_of_a_change_are_in_it(dives: Path, tmp_path: Path) -> None:
     lake, sides = tmp_path / "lake", tmp_path / "sides"
     change = ["--against", "dvl.scale=1.1", "--lake", str(lake)]
-    assert run_command_line(["run", str(dives / "dive.mcap"), "-o", str(sides), "-q", "--starts", "1", *change]) == 0
+    assert (
+        run_command_line(
+            ["run", str(dives / "dive.mcap"), "-o", str(sides), "-q", "--starts", "1", *change]
+        )
+        == 0
+    )
     digests = [
-        hashlib.sha256((sides / side / "dive" / SETTINGS_FILE).read_bytes()).hexdigest() for side in ("before", "after")
+        hashlib.sha256((sides / side / "dive" / SETTINGS_FILE).read_bytes()).hexdigest()
+        for side in ("before", "after")
     ]
     assert set(pd.read_parquet(lake)["settings_sha256"]) == set(digests)
 
@@ -186,11 +198,19 @@ def test_a_folder_that_cannot_be_a_lake_is_refused_and_left_alone(
     pd.DataFrame({"x": [1.0]}).to_parquet("full/mine.parquet")
     before = Path("full/mine.parquet").read_bytes()
     assert "file: cannot be written: Not a directory" in refused(["--lake", "file"], capsys)
-    assert "file/lake: cannot be written: Not a directory" in refused(["--lake", "file/lake"], capsys)
-    assert "full: holds mine.parquet, which is not a file of a lake" in refused(["--lake", "full"], capsys)
+    assert "file/lake: cannot be written: Not a directory" in refused(
+        ["--lake", "file/lake"], capsys
+    )
+    assert "full: holds mine.parquet, which is not a file of a lake" in refused(
+        ["--lake", "full"], capsys
+    )
     for place in ("replay", "."):
-        assert f"{place}: is the folder of the results, or above it" in refused(["--lake", place], capsys)
-    assert "replay/after: is the folder" in refused(["--lake", "replay/after", "--against", "dvl.scale=1.1"], capsys)
+        assert f"{place}: is the folder of the results, or above it" in refused(
+            ["--lake", place], capsys
+        )
+    assert "replay/after: is the folder" in refused(
+        ["--lake", "replay/after", "--against", "dvl.scale=1.1"], capsys
+    )
     assert Path("file").read_text() == "mine"
     assert [path.read_bytes() for path in Path("full").iterdir()] == [before]
 
@@ -211,7 +231,9 @@ def test_it_needs_pyarrow_and_says_so_before_any_work(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert "--lake needs pyarrow; hint: pip install 'pyarrow>=17'" in refused(["--lake", "lake"], capsys)
+    assert "--lake needs pyarrow; hint: pip install 'pyarrow>=17'" in refused(
+        ["--lake", "lake"], capsys
+    )
     assert not Path("lake").exists()
 
 
@@ -252,7 +274,9 @@ def answer(query: str) -> tuple[Any, float]:
 
 
 @pytest.mark.nightly
-def test_queries_of_the_page_answer_within_a_second(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_queries_of_the_page_answer_within_a_second(
+    archive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(archive)
     assert len(pd.read_parquet("lake")) == 10_000
     (drift, drift_s), (worse, worse_s), (moved, moved_s) = map(answer, QUERIES)

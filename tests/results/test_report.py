@@ -90,8 +90,14 @@ def test_mean_counts_a_missing_improvement_as_zero() -> None:
 
 
 def test_mean_is_missing_when_a_standard_deviation_is_not_finite() -> None:
-    rows = [replace(row, status="not finite") if row.state == "ba_z" else row for row in tables().improvement]
-    assert report(used=replace(tables(), improvement=rows)).filters["aided"].mean_improvement_pct is None
+    rows = [
+        replace(row, status="not finite") if row.state == "ba_z" else row
+        for row in tables().improvement
+    ]
+    assert (
+        report(used=replace(tables(), improvement=rows)).filters["aided"].mean_improvement_pct
+        is None
+    )
 
 
 def test_report_json_holds_the_tables_row_for_row() -> None:
@@ -99,7 +105,10 @@ def test_report_json_holds_the_tables_row_for_row() -> None:
     document = json.loads(data, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
     for name, table in frames(WHOLE).items():
         expected = [
-            {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}
+            {
+                key: None if isinstance(value, float) and math.isnan(value) else value
+                for key, value in row.items()
+            }
             for row in table.to_dict("records")
         ]
         assert document["tables"][name] == expected
@@ -136,7 +145,9 @@ def test_report_from_before_there_were_these_columns_is_still_read() -> None:
     assert "Consistency" in as_markdown(dive_document(early))
     assert "Innovations" not in as_markdown(dive_document(early))
     assert NO_REFERENCE not in as_markdown(dive_document(early))
-    assert b"velocity consistent; acceleration overconfident," in OVERVIEWS["summary.csv"][0]([early])
+    assert b"velocity consistent; acceleration overconfident," in OVERVIEWS["summary.csv"][0](
+        [early]
+    )
 
 
 @pytest.mark.parametrize("name", sorted(SCHEMAS))
@@ -169,10 +180,14 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped() -> None:
 def test_tables_say_why_a_verdict_is_not_that_of_its_interval() -> None:
     made = tables()
     near, far = (
-        msgspec.structs.replace(row, why=why) for row, why in zip(made.credibility[:2], (Reason.NEAR, ""), strict=True)
+        msgspec.structs.replace(row, why=why)
+        for row, why in zip(made.credibility[:2], (Reason.NEAR, ""), strict=True)
     )
     beyond = msgspec.structs.replace(made.credibility[2], why=Reason.BEYOND_3_SD)
-    innovations = [msgspec.structs.replace(made.consistency[0], why=Reason.NEAR), *made.consistency[1:]]
+    innovations = [
+        msgspec.structs.replace(made.consistency[0], why=Reason.NEAR),
+        *made.consistency[1:],
+    ]
     told = msgspec.structs.replace(made, credibility=[near, far, beyond], consistency=innovations)
     text = as_markdown(dive_document(report(used=told)))
     assert f"velocity, north ({Reason.NEAR}); accelerometer bias, x ({Reason.BEYOND_3_SD})." in text
@@ -191,7 +206,9 @@ def test_no_gain_is_next_to_a_filter_that_is_not_evaluated() -> None:
 def test_track_fit_is_one_line_with_as_many_digits_as_its_standard_errors_bear() -> None:
     (line,) = track_fit_line(report())
     assert re.search(r"\+0\.18 ± 0\.02 %.* -0\.311 ± 0\.005 deg", line)
-    of_aided = replace(tables(), track_fit=[replace(row, filter="baseline") for row in tables().track_fit[2:]])
+    of_aided = replace(
+        tables(), track_fit=[replace(row, filter="baseline") for row in tables().track_fit[2:]]
+    )
     (line,) = track_fit_line(report(used=of_aided))
     assert re.search(r"\+0\.18 %.* -0\.31 deg", line)
     assert list(track_fit_line(report(used=replace(tables(), track_fit=[])))) == []
@@ -229,7 +246,9 @@ def test_headline_gives_the_drift_after_60_and_120_s_where_there_are_such_window
     assert [cells[-2:] for cells in table.rows] == [("8.57 m", "17.1 m"), ("-", "-")]
 
 
-def test_what_a_dive_without_a_reference_cannot_say_is_said_once_and_nothing_is_left_empty() -> None:
+def test_what_a_dive_without_a_reference_cannot_say_is_said_once_and_nothing_is_left_empty() -> (
+    None
+):
     alone = report(used=unreferenced(tables()))
     for text in (as_markdown(dive_document(alone)), page(dive_document(alone)).decode()):
         assert text.count(NO_REFERENCE) == 1
@@ -252,7 +271,9 @@ def test_a_word_that_neither_decides_nor_warns_is_in_brackets_and_one_dive_has_n
 
 
 def test_markdown_tables_have_one_cell_per_column() -> None:
-    lines = [line for line in as_markdown(dive_document(report())).split("\n") if line.startswith("|")]
+    lines = [
+        line for line in as_markdown(dive_document(report())).split("\n") if line.startswith("|")
+    ]
     # Of the five pieces of evidence one has no numbers.
     assert len(lines) == 2 + 4 + 2 + 3 + 2 + 1 + 12 + 12 + 2 + 3 + 4 + 5 + 12 * 2
     assert not any("level settled" in line for line in lines)
@@ -278,7 +299,11 @@ def test_csv_of_a_report_is_cut_apart_by_its_first_column() -> None:
 def test_summary_has_a_row_for_each_log_and_a_reason_for_a_failed_one() -> None:
     rows = list(
         csv.DictReader(
-            io.StringIO(OVERVIEWS["summary.csv"][0]([report("one"), Failure("two", "two.mcap: is empty")]).decode())
+            io.StringIO(
+                OVERVIEWS["summary.csv"][0](
+                    [report("one"), Failure("two", "two.mcap: is empty")]
+                ).decode()
+            )
         )
     )
     assert [(row["log"], row["filter"], row["status"]) for row in rows] == [
@@ -293,8 +318,12 @@ def test_summary_has_a_row_for_each_log_and_a_reason_for_a_failed_one() -> None:
 
 def test_run_log_does_not_call_rejected_what_was_held_out() -> None:
     made = report()
-    held_out = replace(made.tables.consistency[0], measurement="held_out_heading", used=0, rejected=2120)
-    text = run_log(replace(made, tables=replace(made.tables, consistency=[*made.tables.consistency, held_out])))
+    held_out = replace(
+        made.tables.consistency[0], measurement="held_out_heading", used=0, rejected=2120
+    )
+    text = run_log(
+        replace(made, tables=replace(made.tables, consistency=[*made.tables.consistency, held_out]))
+    )
     assert re.search(r"filter baseline: 424 velocity .*\b0 ", text)
     assert re.search(r"filter baseline: 2120 .*heading", text)
     assert "2120 rejected" not in text
@@ -323,14 +352,21 @@ def test_shown_numbers_have_four_significant_digits(value: float | None, text: s
 
 
 def test_shown_percentages_have_one_digit() -> None:
-    assert (percent(18.449), percent(-0.3), percent(-0.03), percent(None)) == ("18.4 %", "-0.3 %", "0.0 %", "-")
+    assert (percent(18.449), percent(-0.3), percent(-0.03), percent(None)) == (
+        "18.4 %",
+        "-0.3 %",
+        "0.0 %",
+        "-",
+    )
 
 
 def write_result(
     target: Path, word: str, *, force: bool = False, interruption: type[BaseException] | None = None
 ) -> None:
     with result_folder(target, force=force) as folder:
-        (folder / COMPLETE).write_text(json.dumps({"tool": {"name": "insdvl-replay"}, "word": word}))
+        (folder / COMPLETE).write_text(
+            json.dumps({"tool": {"name": "insdvl-replay"}, "word": word})
+        )
         if interruption:
             raise interruption
 
@@ -373,7 +409,9 @@ def test_an_interrupt_while_the_hidden_folder_is_removed_leaves_none(
 
 
 @pytest.mark.parametrize("interruption", [KeyboardInterrupt, RuntimeError, SystemExit])
-def test_folder_leaves_nothing_behind_and_the_old_one_alone(tmp_path: Path, interruption: type[BaseException]) -> None:
+def test_folder_leaves_nothing_behind_and_the_old_one_alone(
+    tmp_path: Path, interruption: type[BaseException]
+) -> None:
     target = tmp_path / "dive"
     write_result(target, "old")
     with pytest.raises(interruption):

@@ -50,10 +50,14 @@ def test_same_log_gives_the_same_bytes(results: tuple[Path, Path], name: str) ->
         assert once == again
 
 
-def test_saved_configuration_gives_the_same_result(results: tuple[Path, Path], tmp_path: Path) -> None:
+def test_saved_configuration_gives_the_same_result(
+    results: tuple[Path, Path], tmp_path: Path
+) -> None:
     config = load_config(preset="mems", file=results[0] / "config.toml")
     save_replay(replay_log(SAMPLE, config), tmp_path)
-    assert (tmp_path / "improvement.csv").read_bytes() == (results[0] / "improvement.csv").read_bytes()
+    assert (tmp_path / "improvement.csv").read_bytes() == (
+        results[0] / "improvement.csv"
+    ).read_bytes()
     assert (tmp_path / "config.toml").read_bytes() == (results[0] / "config.toml").read_bytes()
 
 

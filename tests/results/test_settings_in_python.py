@@ -14,7 +14,9 @@ from insdvl_replay.core.errors import ConfigError
     np.array([1.0, 0.5, 3.0]), list(np.array([1.0, 0.5, 3.0])), (np.float64(1.0), np.float32(0.5), np.int64(3)),
 ])  # fmt: skip
 def test_numbers_may_be_numpys(numbers: Any) -> None:
-    config = load_config(settings={"dvl.lever_arm_m": numbers, "reference.independent": np.bool_(False)})
+    config = load_config(
+        settings={"dvl.lever_arm_m": numbers, "reference.independent": np.bool_(False)}
+    )
     assert config.dvl.lever_arm_m == (1.0, 0.5, 3.0)
     assert config.reference.independent is False
 
@@ -26,9 +28,15 @@ def test_a_file_may_be_a_path(tmp_path: Path) -> None:
 
 
 def test_a_mapping_sets_the_keys_in_it() -> None:
-    mine = {"aiding": ("velocity", "acceleration"), "acceleration": {"model": "windowed", "window": np.int64(3)}}
+    mine = {
+        "aiding": ("velocity", "acceleration"),
+        "acceleration": {"model": "windowed", "window": np.int64(3)},
+    }
     config = load_config(settings={"filters.mine": mine, "dvl": {"scale": 1.01}})
-    same = ['filters.mine.aiding=["velocity","acceleration"]', 'filters.mine.acceleration={model="windowed",window=3}']
+    same = [
+        'filters.mine.aiding=["velocity","acceleration"]',
+        'filters.mine.acceleration={model="windowed",window=3}',
+    ]
     assert config == load_config(settings=[*same, "dvl.scale=1.01"])
 
 

@@ -65,8 +65,13 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     velocity_n, turn_n = rng.normal(0.0, 0.01, (rows, 3)), rng.normal(0.0, 1e-3, (rows, 3))
     drift_n = np.cumsum(rng.normal(0.0, 2e-3, (rows, 3)), axis=0)
     wrong = off(told, velocity_n=velocity_n, turn_n=turn_n, moved_n=drift_n)
-    jumped = off(wrong, moved_n=np.where(np.arange(rows)[:, None] > rows // 2, [3.0, 0.0, 0.0], 0.0))
-    covs = {name: np.tile(1e-2 * np.eye(6), (rows, 1, 1)) for name in ("pose.covariance", "twist.covariance")}
+    jumped = off(
+        wrong, moved_n=np.where(np.arange(rows)[:, None] > rows // 2, [3.0, 0.0, 0.0], 0.0)
+    )
+    covs = {
+        name: np.tile(1e-2 * np.eye(6), (rows, 1, 1))
+        for name in ("pose.covariance", "twist.covariance")
+    }
     write_odometry(folder / "odometry.mcap", wrong, covs)
     write_tum(folder / "flown.tum", jumped)
     (folder / "settings.toml").write_text(SETTINGS)
@@ -90,8 +95,14 @@ def test_solutions_are_behind_the_filters_that_were_run(place: Path) -> None:
     report: dict[str, Any] = json.loads((place / "result" / "dive" / "report.json").read_text())
     assert list(report["filters"]) == ["aided", "onboard", "odometry"]
     assert report["filters"]["onboard"]["mean_improvement_pct"] is None
-    assert [(row["filter"], row["jumps"]) for row in table(place, "jumps")] == [("onboard", "1"), ("odometry", "0")]
-    assert Counter(row["filter"] for row in table(place, "improvement")) == {"aided": 12, "odometry": 6}
+    assert [(row["filter"], row["jumps"]) for row in table(place, "jumps")] == [
+        ("onboard", "1"),
+        ("odometry", "0"),
+    ]
+    assert Counter(row["filter"] for row in table(place, "improvement")) == {
+        "aided": 12,
+        "odometry": 6,
+    }
     empty = [row for row in table(place, "reference_error") if row["status"] == "not in solution"]
     assert {row["filter"] for row in empty} == {"onboard"}
     assert {row[column] for row in empty for column in ("rmse", "baseline_rmse", "final")} == {""}
@@ -100,13 +111,25 @@ def test_solutions_are_behind_the_filters_that_were_run(place: Path) -> None:
 def test_others_tools_read_what_it_has_and_nothing_else(place: Path) -> None:
     with (place / "result" / "dive" / "replay.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        messages = [(channel.topic, decoded) for _, channel, _, decoded in reader.iter_decoded_messages()]
+        messages = [
+            (channel.topic, decoded) for _, channel, _, decoded in reader.iter_decoded_messages()
+        ]
     topics = Counter(topic for topic, _ in messages)
-    own = {topic.removeprefix("/insdvl/onboard/") for topic in topics if topic.startswith("/insdvl/onboard/")}
+    own = {
+        topic.removeprefix("/insdvl/onboard/")
+        for topic in topics
+        if topic.startswith("/insdvl/onboard/")
+    }
     assert own == {"state", "error", "fix"}
-    whole = {topic.removeprefix("/insdvl/odometry/") for topic in topics if topic.startswith("/insdvl/odometry/")}
+    whole = {
+        topic.removeprefix("/insdvl/odometry/")
+        for topic in topics
+        if topic.startswith("/insdvl/odometry/")
+    }
     assert whole == {"state", "sigma", "error", "odometry", "fix"}
-    poses = [decoded.pose.pose for topic, decoded in messages if topic == "/insdvl/odometry/odometry"]
+    poses = [
+        decoded.pose.pose for topic, decoded in messages if topic == "/insdvl/odometry/odometry"
+    ]
     assert all(np.isfinite([pose.position.x, pose.orientation.w]).all() for pose in poses)
 
 
@@ -118,7 +141,9 @@ def test_the_page_shows_it(place: Path) -> None:
 
 
 def test_gates_hold_it(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command_line(["check", str(place / "gates.toml"), str(place / "result" / "dive")]) == 1
+    assert (
+        run_command_line(["check", str(place / "gates.toml"), str(place / "result" / "dive")]) == 1
+    )
     shown = capsys.readouterr().out
     assert "onboard jumps is 1, required: at most 0\n" in shown
     assert re.search(r"its heading is right: .*\b1 of 1\b", shown)
@@ -135,7 +160,12 @@ def test_it_is_compared_and_run_again_only_if_the_file_is_another(
     assert run(place, "result") == 2  # made with other settings: not replaced unasked
     assert run(place, "other") == 0
     capsys.readouterr()
-    assert run_command_line(["compare", str(place / "result"), str(place / "other"), "--table", "jumps"]) == 0
+    assert (
+        run_command_line(
+            ["compare", str(place / "result"), str(place / "other"), "--table", "jumps"]
+        )
+        == 0
+    )
     shown = capsys.readouterr().out
     assert "filters.onboard.solution.sha256" in shown
     assert "onboard" in shown

@@ -60,7 +60,9 @@ def test_tables_rows_and_columns_of_other_versions_are_kept(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("column", ["filter", "state"])
-def test_a_row_of_which_nobody_knows_what_it_is_about_is_refused(column: str, tmp_path: Path) -> None:
+def test_a_row_of_which_nobody_knows_what_it_is_about_is_refused(
+    column: str, tmp_path: Path
+) -> None:
     report = content()
     del report["tables"]["improvement"][1][column]
     with pytest.raises(ResultError, match=f"table improvement, row 2: .* {column}"):
@@ -76,7 +78,9 @@ def test_a_report_of_another_form_names_the_version_that_wrote_it(tmp_path: Path
 DEEP = '{"config": {"dvl": ' + "[" * 100_000 + "]" * 100_000 + "}}"
 
 
-@pytest.mark.parametrize("data", [b"", b'{"log": ', b'{"kind": "\xff"}', DEEP.encode()], ids=["", "cut", "ff", "deep"])
+@pytest.mark.parametrize(
+    "data", [b"", b'{"log": ', b'{"kind": "\xff"}', DEEP.encode()], ids=["", "cut", "ff", "deep"]
+)
 def test_bytes_that_are_no_report_are_refused(data: bytes, tmp_path: Path) -> None:
     write(tmp_path, content())
     (tmp_path / "report.json").write_bytes(data)

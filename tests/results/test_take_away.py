@@ -43,7 +43,8 @@ NOISE = ("--set", "dvl.beam_sd_mps=0.006")
 @pytest.fixture(scope="module")
 def replayed() -> Result:
     return replay_log(
-        str(SAMPLE), load_config(preset="fog", settings={"evaluation.starts": 4, "dvl.beam_sd_mps": 0.006})
+        str(SAMPLE),
+        load_config(preset="fog", settings={"evaluation.starts": 4, "dvl.beam_sd_mps": 0.006}),
     )
 
 
@@ -58,13 +59,21 @@ def folder(replayed: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_is_drawn_with_names_and_units(kind: str, folder: Path, tmp_path: Path) -> None:
     target = tmp_path / "drawn.svg"
-    assert run_command_line(["figure", str(folder), kind, "--format", "svg", "-o", str(target)]) == 0
+    assert (
+        run_command_line(["figure", str(folder), kind, "--format", "svg", "-o", str(target)]) == 0
+    )
     text = target.read_text("utf-8")
-    assert {"baseline", "aided"} <= set(re.findall(r">([^<>]+)</text>", text)), "a legend of its own"
-    labels = [label for label in re.findall(r">([^<>]+)</text>", text) if "[" in label or "dof" in label]
+    assert {"baseline", "aided"} <= set(re.findall(r">([^<>]+)</text>", text)), (
+        "a legend of its own"
+    )
+    labels = [
+        label for label in re.findall(r">([^<>]+)</text>", text) if "[" in label or "dof" in label
+    ]
     assert labels
     ticks = re.findall(r">([\N{MINUS SIGN}.e+\d-]+)</text>", text)
-    assert all(re.fullmatch(r"\N{MINUS SIGN}?\d+(\.\d+)?", tick) for tick in ticks), "no powers of ten"
+    assert all(re.fullmatch(r"\N{MINUS SIGN}?\d+(\.\d+)?", tick) for tick in ticks), (
+        "no powers of ten"
+    )
     if kind == "outage":
         assert {"30", "60", "120"} <= set(ticks)
     assert "var(--" not in text, "no colour of a page"
@@ -73,7 +82,9 @@ def test_every_kind_is_drawn_with_names_and_units(kind: str, folder: Path, tmp_p
 
 @pytest.mark.parametrize("width_mm", [60.0, 88.0, 180.0])
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_text_of_a_figure_is_cut_or_covers_another(kind: str, width_mm: float, folder: Path) -> None:
+def test_no_text_of_a_figure_is_cut_or_covers_another(
+    kind: str, width_mm: float, folder: Path
+) -> None:
     figure = read_result(folder).figure(kind, width_mm=width_mm)
     figure.draw_without_rendering()
     assert figure.bbox.width == pytest.approx(width_mm / 25.4 * figure.dpi)
@@ -82,7 +93,9 @@ def test_no_text_of_a_figure_is_cut_or_covers_another(kind: str, width_mm: float
         shown += [axes.xaxis.label, axes.yaxis.label, axes._left_title]  # type: ignore[attr-defined]
         for axis in (axes.xaxis, axes.yaxis):
             low, high = sorted(axis.get_view_interval())
-            shown += [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+            shown += [
+                tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high
+            ]
     boxes = {
         f"{place} {text.get_text()}": text.get_window_extent()
         for place, text in enumerate(shown) if text.get_visible() and text.get_text()
@@ -109,8 +122,12 @@ def test_panels_share_the_time_and_the_track_has_the_reference(folder: Path) -> 
     assert [text.get_text() for text in track.legends[0].get_texts()] == [
         "baseline", "aided", "reference", "start", "end",
     ]  # fmt: skip
-    drawn = {line.get_color(): line for line in track.axes[0].get_lines() if line.get_marker() == "None"}
-    np.testing.assert_allclose(drawn[LOOKS["reference"]["color"]].get_xdata(), result.reference["position_e_m"])
+    drawn = {
+        line.get_color(): line for line in track.axes[0].get_lines() if line.get_marker() == "None"
+    }
+    np.testing.assert_allclose(
+        drawn[LOOKS["reference"]["color"]].get_xdata(), result.reference["position_e_m"]
+    )
     assert result.figure("nis").axes[0].collections, "a band"
     with pytest.raises(UserError, match="'eror'"):
         result.figure("eror")
@@ -122,7 +139,12 @@ def test_formats_are_what_they_say_and_the_same_bytes(folder: Path, tmp_path: Pa
         made = []
         for name in ("once", "again"):
             target = tmp_path / f"{name}.{format_}"
-            assert run_command_line(["figure", str(folder), "track", "--format", format_, "-o", str(target)]) == 0
+            assert (
+                run_command_line(
+                    ["figure", str(folder), "track", "--format", format_, "-o", str(target)]
+                )
+                == 0
+            )
             made.append(target.read_bytes())
         assert made[0].startswith(magic)
         assert made[0] == made[1]
@@ -130,26 +152,54 @@ def test_formats_are_what_they_say_and_the_same_bytes(folder: Path, tmp_path: Pa
 
 @pytest.mark.parametrize("format_", ["pdf", "svg", "png"])
 def test_a_full_disk_is_reported(
-    format_: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    format_: str,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def full(_path: Path, _data: bytes) -> int:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
     target = tmp_path / f"error.{format_}"
-    assert run_command_line(["figure", str(folder), "error", "--format", format_, "-o", str(target)]) == 2
+    assert (
+        run_command_line(["figure", str(folder), "error", "--format", format_, "-o", str(target)])
+        == 2
+    )
     assert f"{target}: " in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
 def test_width_and_states_are_those_asked_for(folder: Path, tmp_path: Path) -> None:
     target = tmp_path / "sigma.png"
-    arguments = ["figure", str(folder), "sigma", "--states", "ba,bg_z", "--width", "180mm", "--format", "png"]
+    arguments = [
+        "figure",
+        str(folder),
+        "sigma",
+        "--states",
+        "ba,bg_z",
+        "--width",
+        "180mm",
+        "--format",
+        "png",
+    ]
     assert run_command_line([*arguments, "-o", str(target)]) == 0
     width, _ = struct.unpack(">II", target.read_bytes()[16:24])
     assert width == pytest.approx(180.0 / 25.4 * 300.0, abs=1.0)
     assert (
-        run_command_line([*arguments[:3], "--states", "ba,bg_z", "--format", "svg", "-o", str(tmp_path / "s.svg")]) == 0
+        run_command_line(
+            [
+                *arguments[:3],
+                "--states",
+                "ba,bg_z",
+                "--format",
+                "svg",
+                "-o",
+                str(tmp_path / "s.svg"),
+            ]
+        )
+        == 0
     )
     shown = re.findall(r">([^<>]+ \[[^\]]+\])</text>", (tmp_path / "s.svg").read_text("utf-8"))
     assert [label for label in shown if label != "time [s]"] == [
@@ -182,19 +232,31 @@ def test_wrong_uses_are_reported(
     assert [path.name for path in tmp_path.iterdir()] == ["taken.pdf"]
 
 
-@pytest.mark.skipif(bool(shutil.which("xelatex") or shutil.which("pdflatex")), reason="there is LaTeX")
-def test_pgf_without_latex_says_so(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.skipif(
+    bool(shutil.which("xelatex") or shutil.which("pdflatex")), reason="there is LaTeX"
+)
+def test_pgf_without_latex_says_so(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     target = tmp_path / "error.pgf"
-    assert run_command_line(["figure", str(folder), "error", "--format", "pgf", "-o", str(target)]) == 2
+    assert (
+        run_command_line(["figure", str(folder), "error", "--format", "pgf", "-o", str(target)])
+        == 2
+    )
     assert capsys.readouterr().err.startswith("error: --format pgf ")
     assert not target.exists()
 
 
 def test_a_picture_without_matplotlib_says_what_to_install(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert run_command_line(["figure", str(folder), "error", "-o", str(tmp_path / "error.pdf")]) == 2
+    assert (
+        run_command_line(["figure", str(folder), "error", "-o", str(tmp_path / "error.pdf")]) == 2
+    )
     assert "pip install 'matplotlib>=" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
@@ -220,7 +282,10 @@ def test_parquet_needs_its_library_and_says_so_before_any_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert run_command_line(["run", str(SAMPLE), "-o", str(tmp_path / "out"), "--history", "parquet"]) == 2
+    assert (
+        run_command_line(["run", str(SAMPLE), "-o", str(tmp_path / "out"), "--history", "parquet"])
+        == 2
+    )
     assert "'pyarrow>=" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
@@ -230,7 +295,10 @@ def test_parquet_needs_its_library_and_says_so_before_any_work(
 
 def paper(dives: int = 8) -> str:
     """All tables of some dives, as `run DIVES --format latex` prints them."""
-    reports = [replace(report(), log=replace(report().log, name=f"dive_{number} & {{co}}")) for number in range(dives)]
+    reports = [
+        replace(report(), log=replace(report().log, name=f"dive_{number} & {{co}}"))
+        for number in range(dives)
+    ]
     results = [replay_result(found, dive_document(found)) for found in reports]
     together = named_result(reports, ("pooled", "summary"), ())
     return "".join(render(result, "latex") for result in (*results, together))
@@ -245,7 +313,9 @@ def test_latex_labels_each_table_once_and_names_its_dive() -> None:
     assert len(captions) == len(labels)
     for dive in range(8):
         named = [
-            label for caption, label in zip(captions, labels, strict=True) if rf"dive\_{dive} \& \{{co\}}" in caption
+            label
+            for caption, label in zip(captions, labels, strict=True)
+            if rf"dive\_{dive} \& \{{co\}}" in caption
         ]
         assert len(named) == len(labels) // 8
         assert all(label.startswith(f"tab:dive_{dive}") for label in named)
@@ -254,7 +324,10 @@ def test_latex_labels_each_table_once_and_names_its_dive() -> None:
 
 
 def tiny() -> list[Any]:
-    rows = (("a|b<c>", shown_number(2.3e-5), "-12.5 %", "x -- y"), ("d", shown_number(-0.5), "-", ""))
+    rows = (
+        ("a|b<c>", shown_number(2.3e-5), "-12.5 %", "x -- y"),
+        ("d", shown_number(-0.5), "-", ""),
+    )
     return ["numbers", DisplayTable("Small", ("", "a_b\n[s]", "change", "r"), "lrrr", rows)]
 
 
@@ -273,24 +346,35 @@ def test_latex_is_balanced() -> None:
     plain = re.sub(r"\\[\\{}$&%#_]", "", text).replace(r"\width>\linewidth", "")
     assert plain.count("{") == plain.count("}")
     assert plain.count("$") % 2 == 0
-    assert not re.search(r"[\^~<>|#]|(?<![a-zA-Z0-9:])_", re.sub(r"\\label\{.*?\}", "", plain)), "all is escaped"
+    assert not re.search(r"[\^~<>|#]|(?<![a-zA-Z0-9:])_", re.sub(r"\\label\{.*?\}", "", plain)), (
+        "all is escaped"
+    )
     for name in ("table", "tabular"):
         assert text.count(rf"\begin{{{name}}}") == text.count(rf"\end{{{name}}}")
     column = r"(?:[lr]|p\{25mm\}|S\[table-format=[+-]?\d+(?:\.\d+)?(?:e-\d)?(?:,retain-explicit-plus)?\])"
-    found = re.findall(rf"\\begin\{{tabular\}}\{{({column}+)\}}\n(.*?)\\end\{{tabular\}}", text, re.DOTALL)
+    found = re.findall(
+        rf"\\begin\{{tabular\}}\{{({column}+)\}}\n(.*?)\\end\{{tabular\}}", text, re.DOTALL
+    )
     assert len(found) == text.count(r"\begin{tabular}")
     for letters, content in found:
         columns = re.findall(column, letters)
-        head, *rows = (re.split(r" (?<!\\)& ", row) for row in content.split(" \\\\\n") if " & " in row)
+        head, *rows = (
+            re.split(r" (?<!\\)& ", row) for row in content.split(" \\\\\n") if " & " in row
+        )
         assert all(len(row) == len(columns) for row in (head, *rows))
         for kind, name, *cells in zip(columns, head, *rows, strict=True):
             if kind.startswith("S"):
                 assert name.split("\n")[-1][0] + name[-1] == "{}"
-                assert all(re.fullmatch(r"\{--\}|[+-]?\d+(\.\d+)?(e[+-]\d+)?", cell.split("\n")[-1]) for cell in cells)
+                assert all(
+                    re.fullmatch(r"\{--\}|[+-]?\d+(\.\d+)?(e[+-]\d+)?", cell.split("\n")[-1])
+                    for cell in cells
+                )
 
 
 @pytest.mark.nightly
-@pytest.mark.skipif(not (shutil.which("tectonic") or shutil.which("pdflatex")), reason="needs LaTeX")
+@pytest.mark.skipif(
+    not (shutil.which("tectonic") or shutil.which("pdflatex")), reason="needs LaTeX"
+)
 def test_latex_compiles(tmp_path: Path) -> None:
     packages = "\\usepackage{booktabs,graphicx,siunitx}"
     (tmp_path / "paper.tex").write_text(
@@ -299,7 +383,9 @@ def test_latex_compiles(tmp_path: Path) -> None:
     )
     program = shutil.which("tectonic") or "pdflatex"
     options = [] if "tectonic" in program else ["-interaction=nonstopmode", "-halt-on-error"]
-    done = subprocess.run([program, *options, "paper.tex"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [program, *options, "paper.tex"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout[-2000:]
     assert "multiply defined" not in done.stdout
     assert (tmp_path / "paper.pdf").stat().st_size > 10_000
@@ -330,11 +416,20 @@ def test_public_names_are_these() -> None:
     with pytest.raises(AttributeError, match="'replays'"):
         _ = insdvl_replay.replays  # type: ignore[attr-defined]
     listed = "import sys, insdvl_replay; dir(insdvl_replay); sys.exit('numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", listed], check=False).returncode == 0, "completion loads nothing"
+    assert subprocess.run([sys.executable, "-c", listed], check=False).returncode == 0, (
+        "completion loads nothing"
+    )
 
 
-def test_a_replay_in_python_is_that_of_the_command_line(replayed: Result, folder: Path, tmp_path: Path) -> None:
-    assert run_command_line(["run", str(SAMPLE), "-o", str(tmp_path), "--starts", "4", "--preset", "fog", *NOISE]) == 0
+def test_a_replay_in_python_is_that_of_the_command_line(
+    replayed: Result, folder: Path, tmp_path: Path
+) -> None:
+    assert (
+        run_command_line(
+            ["run", str(SAMPLE), "-o", str(tmp_path), "--starts", "4", "--preset", "fog", *NOISE]
+        )
+        == 0
+    )
     for name in ("evidence.csv", "trajectory.npz", "report.html"):
         assert (tmp_path / "figure_eight" / name).read_bytes() == (folder / name).read_bytes()
 
@@ -355,7 +450,9 @@ def test_a_result_is_read_back(replayed: Result, folder: Path) -> None:
         again.save(folder)
 
 
-def test_histories_and_reference_are_read_back(replayed: Result, folder: Path, tmp_path: Path) -> None:
+def test_histories_and_reference_are_read_back(
+    replayed: Result, folder: Path, tmp_path: Path
+) -> None:
     again = read_result(folder)
     for name, frame in replayed.histories.items():
         pd.testing.assert_frame_equal(again.histories[name], frame, rtol=1e-12)
@@ -372,7 +469,9 @@ def test_histories_and_reference_are_read_back(replayed: Result, folder: Path, t
 
 def test_a_result_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read, read_file = list[Path](), stored_results.read_file
-    monkeypatch.setattr(stored_results, "read_file", lambda path: read.append(path) or read_file(path))
+    monkeypatch.setattr(
+        stored_results, "read_file", lambda path: read.append(path) or read_file(path)
+    )
     read_result(folder)
     assert read.count(folder / "report.json") == 1
 
@@ -419,9 +518,15 @@ def test_settings_are_taken_as_a_mapping_or_as_on_the_command_line() -> None:
     assert load_config(settings={"dvl.scale": 1.5}) == load_config(settings=["dvl.scale=1.5"])
     assert load_config(preset="fog") != load_config()
     arm = np.array([0.5, 0.0, -0.25])
-    config = load_config(settings={"dvl.lever_arm_m": arm, "dvl.scale": arm[0], "evaluation.held_out": ("depth",)})
+    config = load_config(
+        settings={"dvl.lever_arm_m": arm, "dvl.scale": arm[0], "evaluation.held_out": ("depth",)}
+    )
     assert config == load_config(
-        settings=["dvl.lever_arm_m=[0.5, 0, -0.25]", "dvl.scale=0.5", 'evaluation.held_out=["depth"]']
+        settings=[
+            "dvl.lever_arm_m=[0.5, 0, -0.25]",
+            "dvl.scale=0.5",
+            'evaluation.held_out=["depth"]',
+        ]
     )
     assert load_config(settings={"dvl.topic": "a\"'="}).dvl.topic == "a\"'="
     with pytest.raises(UserError, match=r"dvl\.topic: None"):
@@ -440,7 +545,10 @@ def test_the_public_names_are_typed(tmp_path: Path) -> None:
         cwd=PROJECT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert re.findall(r"use\.py:(\d+): error: (.+)  \[assignment\]", done.stdout) == [
-        ("3", 'Incompatible types in assignment (expression has type "str", variable has type "int")')
+        (
+            "3",
+            'Incompatible types in assignment (expression has type "str", variable has type "int")',
+        )
     ], done.stdout
 
 

@@ -21,7 +21,10 @@ KML = "{http://www.opengis.net/kml/2.2}"
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("tracks")
-    assert run_command_line(["run", str(LOG), "-o", str(place), "--starts", "1", "--kml", "--geojson"]) == 0
+    assert (
+        run_command_line(["run", str(LOG), "-o", str(place), "--starts", "1", "--kml", "--geojson"])
+        == 0
+    )
     return place / "transit"
 
 
@@ -39,7 +42,8 @@ def lines(geojson: str) -> dict[str, np.ndarray[Any, Any]]:
             assert -180.0 <= place[0] <= 180.0
             assert -90.0 <= place[1] <= 90.0
     return {
-        feature["properties"]["name"]: np.array(feature["geometry"]["coordinates"]) for feature in found["features"]
+        feature["properties"]["name"]: np.array(feature["geometry"]["coordinates"])
+        for feature in found["features"]
     }
 
 
@@ -59,9 +63,15 @@ def test_kml_is_that_of_the_standard(folder: Path) -> None:
     assert [child.tag.removeprefix(KML) for child in document] == ["name", *["Placemark"] * 3]
     shown = lines((folder / "tracks.geojson").read_text("utf-8"))
     for placemark in document.iter(f"{KML}Placemark"):
-        assert [child.tag.removeprefix(KML) for child in placemark] == ["name", "Style", "LineString"]
+        assert [child.tag.removeprefix(KML) for child in placemark] == [
+            "name",
+            "Style",
+            "LineString",
+        ]
         text = placemark.findtext(f"{KML}LineString/{KML}coordinates") or ""
-        places = np.array([[float(number) for number in place.split(",")] for place in text.split()])
+        places = np.array(
+            [[float(number) for number in place.split(",")] for place in text.split()]
+        )
         np.testing.assert_allclose(places, shown[placemark.findtext(f"{KML}name") or ""], atol=1e-8)
         color = placemark.findtext(f"{KML}Style/{KML}LineStyle/{KML}color") or ""
         assert len(color) == 8
@@ -72,7 +82,10 @@ def test_python_writes_the_same_from_a_folder_and_from_memory(folder: Path, tmp_
     replayed = replay_log(LOG, load_config(settings={"evaluation.starts": 1}))
     stored: DiveResult = read_result(folder)
     for ending in ("kml", "geojson"):
-        made = [replayed.save_tracks(tmp_path / f"a.{ending}"), stored.save_tracks(tmp_path / f"b.{ending}")]
+        made = [
+            replayed.save_tracks(tmp_path / f"a.{ending}"),
+            stored.save_tracks(tmp_path / f"b.{ending}"),
+        ]
         assert {path.read_bytes() for path in made} == {(folder / f"tracks.{ending}").read_bytes()}
     with pytest.raises(UserError, match=r"a\.kml: exists"):
         replayed.save_tracks(tmp_path / "a.kml")
@@ -80,7 +93,9 @@ def test_python_writes_the_same_from_a_folder_and_from_memory(folder: Path, tmp_
         replayed.save_tracks(tmp_path / "a.gpx")
 
 
-def test_they_are_files_of_the_result(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_they_are_files_of_the_result(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = ["run", str(LOG), "-o", str(folder.parent), "--starts", "1"]
     assert run_command_line([*arguments, "--kml"]) == 0
     assert "unchanged" in capsys.readouterr().err
@@ -93,13 +108,21 @@ def test_they_are_files_of_the_result(folder: Path, tmp_path: Path, capsys: pyte
 
 def test_what_is_missing_and_hostile_names() -> None:
     frame = pd.DataFrame(
-        {"longitude_deg": [1.0, np.nan, 2.0], "latitude_deg": [3.0, 3.0, 4.0], "height_m": [np.nan, 1.0, -2.0]}
+        {
+            "longitude_deg": [1.0, np.nan, 2.0],
+            "latitude_deg": [3.0, 3.0, 4.0],
+            "height_m": [np.nan, 1.0, -2.0],
+        }
     )
     none = frame.iloc[:0]
     for format_ in ("geojson", "kml"):
-        text = map_of_tracks(format_, "<a> & \x1b b", {"aided": frame, "lost": frame.iloc[:1]}, none).decode()
+        text = map_of_tracks(
+            format_, "<a> & \x1b b", {"aided": frame, "lost": frame.iloc[:1]}, none
+        ).decode()
         if format_ == "geojson":
-            assert {name: line.tolist() for name, line in lines(text).items()} == {"aided": [[1.0, 3.0], [2.0, 4.0]]}
+            assert {name: line.tolist() for name, line in lines(text).items()} == {
+                "aided": [[1.0, 3.0], [2.0, 4.0]]
+            }
         else:
             document = ElementTree.fromstring(text)[0]
             assert document[0].text == "<a> & \\x1b b"

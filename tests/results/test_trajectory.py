@@ -31,7 +31,10 @@ def read(path: Path) -> Floats:
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("trajectories")
     log = str(folder / "dive.mcap")
-    assert run_command_line(["simulate", "lawnmower", "-o", log, "--duration", "120", "--seed", "3"]) == 0
+    assert (
+        run_command_line(["simulate", "lawnmower", "-o", log, "--duration", "120", "--seed", "3"])
+        == 0
+    )
     assert run_command_line(["run", log, "-o", str(folder), "--tum"]) == 0
     return folder / "dive"
 
@@ -40,7 +43,10 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_filters_trajectory_is_its_odometry(name: str, result: Path) -> None:
     with (result / "replay.mcap").open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        found = [message for *_, message in reader.iter_decoded_messages(topics=f"/insdvl/{name}/odometry")]
+        found = [
+            message
+            for *_, message in reader.iter_decoded_messages(topics=f"/insdvl/{name}/odometry")
+        ]
     expected = [
         [
             message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec,
@@ -59,7 +65,9 @@ def test_distances_from_the_reference_are_those_of_the_table(name: str, result: 
     The tables leave out the start, where filter and reference are the same.
     """
     estimate, reference = read(result / f"filter_{name}.tum"), read(result / "reference.tum")
-    _, of_estimate, of_reference = np.intersect1d(estimate[:, 0], reference[:, 0], return_indices=True)
+    _, of_estimate, of_reference = np.intersect1d(
+        estimate[:, 0], reference[:, 0], return_indices=True
+    )
     difference_m = (estimate[of_estimate, 1:3] - reference[of_reference, 1:3])[1:]
     table = pd.read_csv(result / "reference_error.csv").set_index("quantity")
     column = "baseline_rmse" if name == "baseline" else "rmse"
@@ -72,7 +80,9 @@ def test_axes_are_east_north_up_and_forward_port_up() -> None:
     """A degree of latitude is 110.9 km here, one of longitude 93.6 km; heading east, rolled to starboard."""
     position = ORIGIN + np.array([[0.0, 0.0, 0.0], [1e-3 * DEG, 2e-3 * DEG, -7.0]])
     mat_nb = mat_from_rpy(np.array([[0.1, 0.0, np.pi / 2.0]] * 2))
-    text = tum_trajectory(np.array([1_700_000_000_000_000_001, 1_700_000_000_500_000_000]), position, mat_nb, ORIGIN)
+    text = tum_trajectory(
+        np.array([1_700_000_000_000_000_001, 1_700_000_000_500_000_000]), position, mat_nb, ORIGIN
+    )
     first, second = text.decode().splitlines()
     assert first.startswith("1700000000.000000001 0 0 0 ")
     time_s, *numbers = map(float, second.split(" "))
@@ -107,7 +117,11 @@ def test_a_result_without_trajectories_is_replayed_when_they_are_asked_for(
     ]
     for more, begins, expected in (
         ([], "wrote", []),
-        (["--tum", "--force"], "wrote", ["filter_aided.tum", "filter_baseline.tum", "reference.tum"]),
+        (
+            ["--tum", "--force"],
+            "wrote",
+            ["filter_aided.tum", "filter_baseline.tum", "reference.tum"],
+        ),
         (["--tum"], "unchanged", ["filter_aided.tum", "filter_baseline.tum", "reference.tum"]),
     ):
         assert run_command_line([*arguments, *more]) == 0

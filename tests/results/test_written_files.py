@@ -13,7 +13,13 @@ import pytest
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.results.folder import COMPLETE, DIVE_FILES, damaged_files, result_file, result_folder
+from insdvl_replay.results.folder import (
+    COMPLETE,
+    DIVE_FILES,
+    damaged_files,
+    result_file,
+    result_folder,
+)
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "archive"
 TOOL = [sys.executable, "-m", "insdvl_replay"]
@@ -75,7 +81,9 @@ def test_a_link_to_a_file_stays_and_the_file_is_replaced_at_once(tmp_path: Path)
     ("leads", "named"),
     [("absent", "absent"), ("folder", "folder"), ("link", "does not exist")],
 )
-def test_a_link_that_leads_to_no_file_is_refused_in_words(leads: str, named: str, force: bool, tmp_path: Path) -> None:
+def test_a_link_that_leads_to_no_file_is_refused_in_words(
+    leads: str, named: str, force: bool, tmp_path: Path
+) -> None:
     (tmp_path / "folder").mkdir()
     link = tmp_path / "link"
     link.symlink_to(leads)
@@ -107,7 +115,15 @@ def test_check_leaves_what_is_no_file_where_it_is(tmp_path: Path) -> None:
     shutil.copytree(EXAMPLES, tmp_path, dirs_exist_ok=True)
     null = tmp_path / "null"
     null.symlink_to("/dev/null")
-    command = ["check", str(gates), "--results", str(tmp_path / "checked"), "--format", "junit", "--output"]
+    command = [
+        "check",
+        str(gates),
+        "--results",
+        str(tmp_path / "checked"),
+        "--format",
+        "junit",
+        "--output",
+    ]
     assert run_command_line([*command, str(null)]) in (0, 1)
     assert null.is_symlink()
     assert Path("/dev/null").is_char_device()
@@ -121,7 +137,12 @@ def test_check_refuses_where_nothing_can_be_written_before_any_work(
     link = tmp_path / "link"
     link.symlink_to(leads)
     gates = EXAMPLES / "gates.toml"
-    assert run_command_line(["check", str(gates), "--results", str(tmp_path / "checked"), option, str(link)]) == 2
+    assert (
+        run_command_line(
+            ["check", str(gates), "--results", str(tmp_path / "checked"), option, str(link)]
+        )
+        == 2
+    )
     assert capsys.readouterr().err.startswith(f"error: {option}: {link}: ")
     assert list(tmp_path.iterdir()) == [link]
 
@@ -130,7 +151,8 @@ def test_check_refuses_where_nothing_can_be_written_before_any_work(
 
 
 @pytest.mark.parametrize(
-    "report", ["", "{", "[]", '{"tool": "x"}', '{"tool": {"name": "another-tool"}}', '{"results": [1, 2]}']
+    "report",
+    ["", "{", "[]", '{"tool": "x"}', '{"tool": {"name": "another-tool"}}', '{"results": [1, 2]}'],
 )
 def test_a_report_of_another_tool_makes_no_result(report: str, tmp_path: Path) -> None:
     thesis = tmp_path / "thesis"
@@ -184,7 +206,9 @@ def test_a_result_of_an_early_version_is_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("option", ["--output", "--summary-file"])
-def test_no_folder_is_made_for_a_file(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_folder_is_made_for_a_file(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "absent" / "gates.xml"
     assert run_command_line(["check", str(EXAMPLES / "gates.toml"), option, str(file)]) == 2
     said = capsys.readouterr().err
@@ -193,7 +217,9 @@ def test_no_folder_is_made_for_a_file(option: str, tmp_path: Path, capsys: pytes
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_report_that_is_a_named_pipe_is_not_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_report_that_is_a_named_pipe_is_not_waited_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "dive").mkdir()
     os.mkfifo(tmp_path / "dive" / COMPLETE)
     dive = next((EXAMPLES / "dives").glob("*.mcap"))
@@ -212,7 +238,9 @@ def test_a_report_that_is_a_named_pipe_is_not_waited_for(tmp_path: Path, capsys:
 def result(tmp_path: Path) -> Path:
     """A result of three files."""
     with result_folder(tmp_path / "dive") as folder:
-        (folder / COMPLETE).write_text('{"tool": {"name": "insdvl-replay", "started_at": "now"}, "rmse": 0.1}')
+        (folder / COMPLETE).write_text(
+            '{"tool": {"name": "insdvl-replay", "started_at": "now"}, "rmse": 0.1}'
+        )
         (folder / "improvement.csv").write_bytes(b"a,b\n1,2\n")
         (folder / "replay.mcap").write_bytes(bytes(range(256)) * 5000)
     return tmp_path / "dive"
@@ -221,7 +249,14 @@ def result(tmp_path: Path) -> Path:
 def test_a_result_lists_the_digests_that_other_tools_find(result: Path) -> None:
     files = json.loads((result / COMPLETE).read_bytes())["files"]
     sums = "".join(f"{digest}  {name}\n" for name, digest in files.items() if name != COMPLETE)
-    subprocess.run(["sha256sum", "--check", "--strict"], cwd=result, input=sums, text=True, check=True, timeout=60)
+    subprocess.run(
+        ["sha256sum", "--check", "--strict"],
+        cwd=result,
+        input=sums,
+        text=True,
+        check=True,
+        timeout=60,
+    )
     assert sorted(files) == sorted(path.name for path in result.iterdir())
     assert damaged_files(result) == []
 
@@ -233,14 +268,18 @@ def test_the_time_of_day_does_not_count(result: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"a,b\n1,3\n", None])
-def test_a_file_that_is_emptied_changed_or_gone_is_damaged(data: bytes | None, result: Path) -> None:
+def test_a_file_that_is_emptied_changed_or_gone_is_damaged(
+    data: bytes | None, result: Path
+) -> None:
     (result / "improvement.csv").unlink()
     if data is not None:
         (result / "improvement.csv").write_bytes(data)
     assert damaged_files(result) == ["improvement.csv"]
 
 
-@pytest.mark.parametrize(("old", "new"), [("0.1", "0.0"), ('"files"', '"flies"'), ('"replay.mcap"', '"replay2.mcap"')])
+@pytest.mark.parametrize(
+    ("old", "new"), [("0.1", "0.0"), ('"files"', '"flies"'), ('"replay.mcap"', '"replay2.mcap"')]
+)
 def test_a_report_that_is_changed_is_damaged(old: str, new: str, result: Path) -> None:
     report = result / COMPLETE
     text = report.read_text()
@@ -299,7 +338,9 @@ def test_what_a_killed_run_left_is_removed_after_a_day_and_nothing_else(tmp_path
         (tmp_path / name / "notes.txt").write_text("half")
         aged(tmp_path / name, 23.0 if name.endswith("running") else 25.0)
     written(tmp_path / "dive", "new")
-    assert {path.name for path in tmp_path.iterdir()} == names - {".insdvl-replay-killed"} | {"dive"}
+    assert {path.name for path in tmp_path.iterdir()} == names - {".insdvl-replay-killed"} | {
+        "dive"
+    }
 
 
 def test_a_run_of_days_that_still_writes_keeps_its_folder(tmp_path: Path) -> None:

@@ -14,7 +14,14 @@ from insdvl_replay.show.render import render
 from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 from insdvl_replay.sim.dive import simulate_dive
 
-NAMES = ("position rms", "depth rms", "velocity rms", "drift in 60 s", "60 s without DVL", "NIS / dof")
+NAMES = (
+    "position rms",
+    "depth rms",
+    "velocity rms",
+    "drift in 60 s",
+    "60 s without DVL",
+    "NIS / dof",
+)
 
 
 @pytest.fixture(scope="module")
@@ -22,15 +29,21 @@ def reports() -> tuple[Report, Report]:
     """The same dive with one filter, and with a candidate next to it."""
     dive = simulate_dive("figure-eight", seed=1, duration_s=260.0)
     alone, pair = (
-        [*left_out, "dvl.beam_sd_mps=0.006", "evaluation.starts=1"] for left_out in (["filters.aided=false"], [])
+        [*left_out, "dvl.beam_sd_mps=0.006", "evaluation.starts=1"]
+        for left_out in (["filters.aided=false"], [])
     )
-    return tuple(report_of(replay_dive(dive, load_config("fog", overrides=given))) for given in (alone, pair))  # type: ignore[return-value]
+    return tuple(
+        report_of(replay_dive(dive, load_config("fog", overrides=given))) for given in (alone, pair)
+    )  # type: ignore[return-value]
 
 
-def test_the_errors_are_those_of_the_baseline_next_to_a_candidate(reports: tuple[Report, Report]) -> None:
+def test_the_errors_are_those_of_the_baseline_next_to_a_candidate(
+    reports: tuple[Report, Report],
+) -> None:
     alone, pair = (report.tables.reference_error for report in reports)
     assert [(row.filter, row.quantity, row.rmse, row.final, row.status) for row in alone] == [
-        ("baseline", row.quantity, row.baseline_rmse, row.baseline_final, row.status) for row in pair
+        ("baseline", row.quantity, row.baseline_rmse, row.baseline_final, row.status)
+        for row in pair
     ]
     assert {(row.baseline_rmse, row.improvement_pct) for row in alone} == {(None, None)}
 
@@ -39,11 +52,17 @@ def test_every_screen_and_page_has_them(reports: tuple[Report, Report]) -> None:
     report = reports[0]
     (line,) = quiet_lines([report])
     documents = (dive_screen(report, "page"), dive_document(report))
-    shown = [render(replay_result(report, parts, []), format_) for parts in documents for format_ in ("md", "html")]
+    shown = [
+        render(replay_result(report, parts, []), format_)
+        for parts in documents
+        for format_ in ("md", "html")
+    ]
     for text in (line, *shown):
         assert all(name in text for name in NAMES)
         assert "Reference error: baseline against" not in text
-    assert shown[-1].index("position rms") < shown[-1].index("CEP50"), "the answer is above what follows from it"
+    assert shown[-1].index("position rms") < shown[-1].index("CEP50"), (
+        "the answer is above what follows from it"
+    )
 
 
 def test_several_dives_have_a_row_each(reports: tuple[Report, Report]) -> None:
@@ -61,7 +80,9 @@ def test_the_page_of_several_dives_has_their_values_and_links_and_no_empty_colum
     head, _, first, second = (line for line in text.splitlines() if line.startswith("|"))
     cells = dict(zip(head.split(" | "), first.split(" | "), strict=True))
     assert first == second
-    position = next(row.rmse for row in alone.tables.reference_error if row.quantity == "position_h")
+    position = next(
+        row.rmse for row in alone.tables.reference_error if row.quantity == "position_h"
+    )
     assert cells["position rms [m]"] == f"{position:.3g}"
     assert cells["consistency"] == "conservative"
     assert "verdict" not in head
@@ -71,16 +92,28 @@ def test_the_page_of_several_dives_has_their_values_and_links_and_no_empty_colum
     assert "position rms" not in index_page([pair, pair]).decode(), "these are in the evidence"
 
 
-def test_the_summary_has_the_same_values_with_and_without_a_candidate(reports: tuple[Report, Report]) -> None:
+def test_the_summary_has_the_same_values_with_and_without_a_candidate(
+    reports: tuple[Report, Report],
+) -> None:
     alone, pair = reports
     (baseline,), (aided,) = summary_rows([alone]), summary_rows([pair])
-    assert (baseline.filter, baseline.verdict, baseline.evidence, aided.filter) == ("baseline", None, None, "aided")
+    assert (baseline.filter, baseline.verdict, baseline.evidence, aided.filter) == (
+        "baseline",
+        None,
+        None,
+        "aided",
+    )
     assert baseline.position_h_rmse_m == aided.position_h_baseline_rmse_m
     assert baseline.position_h_rmse_pct == aided.position_h_baseline_rmse_pct
     assert aided.verdict == pair.filters["aided"].verdict
     decided = next(row for row in pair.tables.evidence if row.quantity == aided.evidence)
     assert aided.ratio == decided.ratio
     for row, report in ((baseline, alone), (aided, pair)):
-        assert None not in (row.depth_rmse_m, row.velocity_rmse_mps, row.drift_60s_rms_m, row.outage_60s_drift_m)
+        assert None not in (
+            row.depth_rmse_m,
+            row.velocity_rmse_mps,
+            row.drift_60s_rms_m,
+            row.outage_60s_drift_m,
+        )
         sizes = next(found for found in report.tables.consistency if found.filter == row.filter)
         assert row.nis_per_dof == pytest.approx(finite(sizes.mean_nis) / sizes.dof)

@@ -23,7 +23,9 @@ pytestmark = [
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "figure_eight.mcap"
 FILTERS = ("baseline", "aided")
 FIND = 'const panels = [...document.querySelectorAll("svg.panel")];'
-TIMES = '.filter(s => s.querySelector(".label").textContent === "time [s]" && s.dataset.x !== "log")'
+TIMES = (
+    '.filter(s => s.querySelector(".label").textContent === "time [s]" && s.dataset.x !== "log")'
+)
 """Panels over the time of the dive, other than those of convergence."""
 READ = re.compile(r"^(\w+) (\S+)(?: ±(\S+))? at (\S+) s$")
 
@@ -31,7 +33,12 @@ READ = re.compile(r"^(\w+) (\S+)(?: ±(\S+))? at (\S+) s$")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("cursor")
-    assert run_command_line(["run", str(SAMPLE), "-o", str(output), "--history", "csv", "--starts", "8"]) == 0
+    assert (
+        run_command_line(
+            ["run", str(SAMPLE), "-o", str(output), "--history", "csv", "--starts", "8"]
+        )
+        == 0
+    )
     return output / "figure_eight"
 
 
@@ -147,9 +154,13 @@ def test_dots_on_the_track_are_where_the_files_say(
         f'[...document.querySelectorAll("#{TRACK} .cursor circle")].map(c => [c.getAttribute("class"), '
         '+c.getAttribute("cx"), +c.getAttribute("cy")])'
     )
-    (matrix,) = browser.value(f'[document.querySelector("#{TRACK} .data").getAttribute("transform")]')
+    (matrix,) = browser.value(
+        f'[document.querySelector("#{TRACK} .data").getAttribute("transform")]'
+    )
     scale_x, _, _, scale_y, left, top = map(float, re.findall(r"[-\d.e]+", matrix))
-    origin = {key: histories["baseline"][key][0] for key in ("latitude_deg", "longitude_deg", "height_m")}
+    origin = {
+        key: histories["baseline"][key][0] for key in ("latitude_deg", "longitude_deg", "height_m")
+    }
     for number, name in enumerate(FILTERS):
         shown = re.fullmatch(rf"{name} (\S+) north, (\S+) east at (\S+) s", texts[name])
         assert shown is not None
@@ -168,12 +179,16 @@ def test_dots_on_the_track_are_where_the_files_say(
 
 def test_a_point_of_the_track_is_a_time_of_all_panels(browser: Browser) -> None:
     point(browser, TRACK, 0.5)
-    [read] = {text.split(" at ")[1] for text in readings(browser, TRACK) if text.startswith("aided")}
+    [read] = {
+        text.split(" at ")[1] for text in readings(browser, TRACK) if text.startswith("aided")
+    }
     at_s = [float(text.split(" at ")[1].split()[0]) for text in readings(browser, ERROR)]
     assert at_s == pytest.approx([float(read.split()[0])] * 2, abs=2.7)
 
 
-def test_a_drag_zooms_all_panels_over_time_alike_and_a_double_click_restores_them(browser: Browser) -> None:
+def test_a_drag_zooms_all_panels_over_time_alike_and_a_double_click_restores_them(
+    browser: Browser,
+) -> None:
     views = (
         f'(() => {{ {FIND} return panels{TIMES}.map(s => [s.querySelector(".data").getAttribute("transform")'
         '.split(" ").filter((_, i) => i % 4 === 0).join(" ").replace(")", ""), '
@@ -196,7 +211,8 @@ def test_a_drag_zooms_all_panels_over_time_alike_and_a_double_click_restores_the
     assert browser.value("location.hash") == "", "a drag is no click"
     point(browser, ERROR, 0.5)
     assert all(
-        float(text.split(" at ")[1].split()[0]) == pytest.approx(148.0, abs=2.7) for text in readings(browser, ERROR)
+        float(text.split(" at ")[1].split()[0]) == pytest.approx(148.0, abs=2.7)
+        for text in readings(browser, ERROR)
     )
     # At once, since a busy machine takes longer between two clicks than a hand does.
     browser.value(
@@ -209,7 +225,9 @@ def test_a_drag_zooms_all_panels_over_time_alike_and_a_double_click_restores_the
     assert browser.value("location.hash") == "", "a double click does not enlarge"
 
 
-def test_a_drag_zooms_the_panels_over_logarithmic_time_alike_and_no_others(browser: Browser) -> None:
+def test_a_drag_zooms_the_panels_over_logarithmic_time_alike_and_no_others(
+    browser: Browser,
+) -> None:
     views = f"""(() => {{ {FIND} return panels.map(s => [s.dataset.x === "log" && s.querySelector(".label").textContent,
         s.querySelector(".data").getAttribute("transform"),
         [...s.querySelectorAll(".ticks text")].map(t => t.textContent).join(" ")]); }})()"""
@@ -222,7 +240,11 @@ def test_a_drag_zooms_the_panels_over_logarithmic_time_alike_and_no_others(brows
     drag(browser, "convergence-1", 0.25, 0.75)
     after = browser.value(views)
     assert [was != now for was, now in zip(before, after, strict=True)] == over_time
-    (zoomed,) = {(view[1].split()[0], view[2]) for view, is_log in zip(after, over_time, strict=True) if is_log}
+    (zoomed,) = {
+        (view[1].split()[0], view[2])
+        for view, is_log in zip(after, over_time, strict=True)
+        if is_log
+    }
     (home,) = {view[1].split()[0] for view, is_log in zip(before, over_time, strict=True) if is_log}
     across, ticks = zoomed
     assert float(across[7:]) == pytest.approx(2.0 * float(home[7:]), rel=0.03)
@@ -231,9 +253,13 @@ def test_a_drag_zooms_the_panels_over_logarithmic_time_alike_and_no_others(brows
     last_s = float(readings(browser, "convergence-1")[0].split(" at ")[1].split()[0])
     drag(browser, "convergence-1", 0.9, 1.0)
     closer = browser.value(views)
-    assert len(closer[over_time.index(True)][2].split()) > 2, "round values, linear steps between close ones"
+    assert len(closer[over_time.index(True)][2].split()) > 2, (
+        "round values, linear steps between close ones"
+    )
     point(browser, "convergence-1", 0.99)
-    assert float(readings(browser, "convergence-1")[0].split(" at ")[1].split()[0]) == pytest.approx(last_s, rel=0.04)
+    assert float(
+        readings(browser, "convergence-1")[0].split(" at ")[1].split()[0]
+    ) == pytest.approx(last_s, rel=0.04)
     browser.value(
         'document.querySelector("#convergence-1 svg.panel")'
         '.dispatchEvent(new MouseEvent("dblclick", {bubbles: true, cancelable: true}))'
@@ -292,7 +318,11 @@ def test_a_study_is_read_like_a_dive(started: Browser, tmp_path: Path) -> None:
     for found in map(READ.fullmatch, readings(started, "first")):
         assert found is not None
         name, value, _, at_s = found.groups()
-        same = [row for row in rows if row["filter"] == name and abs(float(row["time_s"]) - float(at_s)) <= 0.000501]
+        same = [
+            row
+            for row in rows
+            if row["filter"] == name and abs(float(row["time_s"]) - float(at_s)) <= 0.000501
+        ]
         decimals = len(value.partition(".")[2])
         assert value in {f"{float(row['mean_nees']):.{decimals}f}" for row in same}
     assert started.complaints == []

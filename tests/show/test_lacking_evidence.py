@@ -17,7 +17,9 @@ from insdvl_replay.show.answers import answers_of, lacking_evidence
 def bare(name: str, duration_s: float) -> Report:
     """Give a dive without a reference, of which the outage test had no window."""
     found = report(name, replace(unreferenced(tables()), evidence=[], outage=[]))
-    undecided = {key: replace(filter_, verdict=Verdict.UNDECIDED) for key, filter_ in found.filters.items()}
+    undecided = {
+        key: replace(filter_, verdict=Verdict.UNDECIDED) for key, filter_ in found.filters.items()
+    }
     return replace(found, filters=undecided, log=replace(found.log, duration_s=duration_s))
 
 
@@ -45,7 +47,9 @@ def test_warnings_of_several_dives_name_their_dive(capsys: pytest.CaptureFixture
     assert alone.startswith("warning: the IMU")
 
 
-def test_findings_beyond_the_screen_are_counted_without_their_codes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_findings_beyond_the_screen_are_counted_without_their_codes(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     notes = [Note(f"found_{number}", f"finding {number}") for number in range(MOST_FINDINGS + 2)]
     log_findings(notes, Path("vehicle.toml"))
     last = capsys.readouterr().err.splitlines()[-1]

@@ -18,7 +18,9 @@ def report() -> Report:
     simulated = simulate_dive("lawnmower", seed=1, duration_s=60.0, imu_rate_hz=20.0)
     config = load_config("levy-klein", overrides=["evaluation.starts=1"])
     found = replay_dive(simulated, config)
-    return build_report(found.dive, config, found.tables, found.verdicts, found.notes, found.start_ns, found.end_ns)
+    return build_report(
+        found.dive, config, found.tables, found.verdicts, found.notes, found.start_ns, found.end_ns
+    )
 
 
 def lines(made: Report) -> list[str]:
@@ -40,7 +42,9 @@ def test_nothing_is_said_of_a_filter_that_diverged_beside_a_baseline_in_order() 
         for row in report().tables.consistency
     ]
     tables = replace(report().tables, consistency=rows)
-    dead = replace(report().filters["aided"], verdict=Verdict.NOT_EVALUATED, reason="aided diverged")
+    dead = replace(
+        report().filters["aided"], verdict=Verdict.NOT_EVALUATED, reason="aided diverged"
+    )
     made = replace(report(), tables=tables, filters={"aided": dead, "tuned": dead})
     assert has_misfit(report())
     assert not has_misfit(made)

@@ -19,7 +19,10 @@ def answer(ratios: dict[str, list[float]], acts: float = 0.5) -> CandidateAnswer
     """Return the answer of dives with these ratios, by quantity."""
     dives = len(next(iter(ratios.values())))
     rows = [
-        [evidence_row(quantity, values[place], acts=acts, log=f"dive {place}") for quantity, values in ratios.items()]
+        [
+            evidence_row(quantity, values[place], acts=acts, log=f"dive {place}")
+            for quantity, values in ratios.items()
+        ]
         for place in range(dives)
     ]
     return pooled_candidate("aided", "baseline", rows, dives)
@@ -48,9 +51,15 @@ def test_change_that_these_dives_find_is_found_in_four_of_five_cases() -> None:
 def test_numbers_of_dives_are_the_fewest_that_find_their_change() -> None:
     row = row_of("position", answer({"position": [0.7, 0.8, 0.9, 1.0, 0.85]}))
     assert row.scatter is not None
-    for change_pct, dives in zip(SOUGHT_PCT, (row.dives_20pct, row.dives_10pct, row.dives_7pct), strict=True):
+    for change_pct, dives in zip(
+        SOUGHT_PCT, (row.dives_20pct, row.dives_10pct, row.dives_7pct), strict=True
+    ):
         assert dives is not None
-        assert power(change_pct, row.scatter, dives) >= POWER > power(change_pct, row.scatter, dives - 1)
+        assert (
+            power(change_pct, row.scatter, dives)
+            >= POWER
+            > power(change_pct, row.scatter, dives - 1)
+        )
     assert row.dives_20pct < row.dives_10pct < row.dives_7pct
 
 
@@ -92,7 +101,10 @@ def test_plan_of_a_result_has_a_row_for_each_quantity() -> None:
     result = plan_result([report("one"), report("two")])
     assert result.kind == "plan"
     rows = result.tables["plan"].rows
-    assert [(row[0], row[1]) for row in map(list, rows)] == [("aided", "position"), ("aided", "level")]
+    assert [(row[0], row[1]) for row in map(list, rows)] == [
+        ("aided", "position"),
+        ("aided", "level"),
+    ]
 
 
 def test_plan_without_evidence_says_so() -> None:

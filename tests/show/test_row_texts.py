@@ -26,7 +26,10 @@ from insdvl_replay.show.first_screen import interval_ends
 
 def answer(ratios: dict[str, list[float]], **changes: Any) -> CandidateAnswer:
     count = len(next(iter(ratios.values())))
-    dives = [[evidence_row(name, values[i], **changes) for name, values in ratios.items()] for i in range(count)]
+    dives = [
+        [evidence_row(name, values[i], **changes) for name, values in ratios.items()]
+        for i in range(count)
+    ]
     return pooled_candidate("aided", "baseline", dives, count)
 
 
@@ -50,9 +53,16 @@ def test_three_dives_have_an_interval() -> None:
 
 def test_word_of_one_dive_is_absent_and_of_a_row_that_is_only_shown_in_brackets() -> None:
     better = [0.70, 0.71, 0.72]
-    found = answer({"position": better, "level": better, "drift_30s": better, "convergence_level": better})
+    found = answer(
+        {"position": better, "level": better, "drift_30s": better, "convergence_level": better}
+    )
     words = {one.quantity: verdict_in_table(one) for one in found.rows}
-    assert words == {"position": "better", "level": "better", "drift_30s": "(better)", "convergence_level": "sooner"}
+    assert words == {
+        "position": "better",
+        "level": "better",
+        "drift_30s": "(better)",
+        "convergence_level": "sooner",
+    }
     alone = answer({"position": [0.7], "level": [0.7], "drift_30s": [0.7]})
     assert {verdict_in_table(one) for one in alone.rows} == {""}
     assert (word_of(found), word_of(alone)) == ("BETTER", "one dive")
@@ -60,7 +70,15 @@ def test_word_of_one_dive_is_absent_and_of_a_row_that_is_only_shown_in_brackets(
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(None, "-"), (math.nan, "-"), (0.847, "0.85"), (9.99, "9.99"), (9.996, "10"), (50.03, "50"), (math.inf, "inf")],
+    [
+        (None, "-"),
+        (math.nan, "-"),
+        (0.847, "0.85"),
+        (9.99, "9.99"),
+        (9.996, "10"),
+        (50.03, "50"),
+        (math.inf, "inf"),
+    ],
 )
 def test_ratio_has_two_decimals_or_three_digits(value: float | None, text: str) -> None:
     assert ratio_text(value) == text
@@ -81,14 +99,18 @@ def test_change_is_said_in_per_cent_or_times(quantity: str, ratio: float, text: 
     assert changed(row(quantity, ratio)) == text
 
 
-@pytest.mark.parametrize(("share", "text"), [(0.0, "0 %"), (0.0049, "0.49 %"), (0.04, "4 %"), (3.2, "320 %")])
+@pytest.mark.parametrize(
+    ("share", "text"), [(0.0, "0 %"), (0.0049, "0.49 %"), (0.04, "4 %"), (3.2, "320 %")]
+)
 def test_share_is_in_per_cent(share: float, text: str) -> None:
     assert share_text(share) == text
 
 
 def test_track_is_moved_by_a_length_and_its_share() -> None:
     """The baseline's error is 2 m."""
-    assert acts_line(answer({"position": [0.9]}, acts=0.2)) == ("acts: moves the track by 400 mm, 20 % of its error")
+    assert acts_line(answer({"position": [0.9]}, acts=0.2)) == (
+        "acts: moves the track by 400 mm, 20 % of its error"
+    )
     assert "by 3 m, 150 %" in acts_line(answer({"position": [0.9]}, acts=1.5))
 
 
@@ -105,8 +127,12 @@ def test_what_is_proved_on_one_dive_takes_no_other_dives() -> None:
 
 def test_convergence_says_what_its_starts_are() -> None:
     found = answer({"position": [1.0] * 3, "convergence_velocity": [0.79, 0.80, 0.81]})
-    assert settling_line(found, "level 0.5 deg").startswith("convergence: SOONER, velocity settled 0.80 (")
-    assert settling_line(found, "level 0.5 deg").endswith("from starts as uncertain as [initial]: level 0.5 deg")
+    assert settling_line(found, "level 0.5 deg").startswith(
+        "convergence: SOONER, velocity settled 0.80 ("
+    )
+    assert settling_line(found, "level 0.5 deg").endswith(
+        "from starts as uncertain as [initial]: level 0.5 deg"
+    )
     alone = answer({"position": [1.0], "convergence_velocity": [0.8]})
     assert settling_line(alone) == "convergence: velocity settled 20.0 % sooner, from drawn starts"
     assert settling_line(answer({"position": [1.0]})) == ""
@@ -115,9 +141,13 @@ def test_convergence_says_what_its_starts_are() -> None:
 
 
 def test_one_dive_says_how_many_a_verdict_takes() -> None:
-    assert plan_line(answer({"position": [0.9]}, acts=0.2)).startswith("A verdict takes 3 dives; about ")
+    assert plan_line(answer({"position": [0.9]}, acts=0.2)).startswith(
+        "A verdict takes 3 dives; about "
+    )
     assert plan_line(answer({"level": [0.9]})) == "", "nothing decides"
-    assert plan_line(answer({"position": [1.0]}, acts=0.001)) == "", "it has no effect, whatever further dives are"
+    assert plan_line(answer({"position": [1.0]}, acts=0.001)) == "", (
+        "it has no effect, whatever further dives are"
+    )
 
 
 def test_cells_of_a_table_are_of_the_quantity_that_decides() -> None:

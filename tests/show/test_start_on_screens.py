@@ -22,28 +22,41 @@ NOTE = "start: attitude of the reference, level +- 0.02 deg, heading +- 0.06 deg
 
 @cache
 def report() -> Report:
-    simulated = simulate_dive("lawnmower", seed=1, duration_s=60.0, grade="tactical", imu_rate_hz=20.0)
+    simulated = simulate_dive(
+        "lawnmower", seed=1, duration_s=60.0, grade="tactical", imu_rate_hz=20.0
+    )
     config = load_config("tactical", overrides=["evaluation.starts=1", "dvl.velocity_sd_mps=0.004"])
     found = replay_dive(simulated, config)
-    return build_report(found.dive, config, found.tables, found.verdicts, found.notes, found.start_ns, found.end_ns)
+    return build_report(
+        found.dive, config, found.tables, found.verdicts, found.notes, found.start_ns, found.end_ns
+    )
 
 
-def dive(name: str, source: HeadingSource = HeadingSource.REFERENCE, sd_deg: float = 0.06) -> Report:
+def dive(
+    name: str, source: HeadingSource = HeadingSource.REFERENCE, sd_deg: float = 0.06
+) -> Report:
     made = report()
     log = replace(made.log, name=name, sha256=name)
-    return replace(made, log=log, notes=[], imu_fingerprint=None, start_heading=StartHeading(source, sd_deg))
+    return replace(
+        made, log=log, notes=[], imu_fingerprint=None, start_heading=StartHeading(source, sd_deg)
+    )
 
 
 def starts(document: list[object]) -> list[str]:
     console = Console(width=200, record=True, file=io.StringIO(), color_system=None)
     console.print(for_terminal(document), crop=False)  # type: ignore[arg-type]
-    return [line.strip() for line in console.export_text().split("\n") if line.startswith("start: ")]
+    return [
+        line.strip() for line in console.export_text().split("\n") if line.startswith("start: ")
+    ]
 
 
 def test_several_dives_name_their_starts_once() -> None:
     dives = [dive("a"), dive("b"), dive("c", HeadingSource.SENSOR, 2.0)]
     (line,) = starts(list(dives_screen(dives, "index.html")))
-    assert line == "start: heading of the reference (0.06 deg) on 2 dives, heading of the sensor (2 deg) on 1 dive"
+    assert (
+        line
+        == "start: heading of the reference (0.06 deg) on 2 dives, heading of the sensor (2 deg) on 1 dive"
+    )
 
 
 @pytest.mark.parametrize("is_noted", [True, False])

@@ -46,7 +46,9 @@ def test_the_command_next_to_the_logs_names_them_all() -> None:
 
 @pytest.fixture(scope="module")
 def straight() -> Replay:
-    return replay_log(SAMPLES / "straight.mcap", load_config("levy-klein", overrides=["evaluation.starts=1"]))
+    return replay_log(
+        SAMPLES / "straight.mcap", load_config("levy-klein", overrides=["evaluation.starts=1"])
+    )
 
 
 def test_straight_line_improves_as_much_as_the_paper_says(straight: Replay) -> None:
@@ -65,7 +67,9 @@ def test_straight_line_ends_as_sure_as_the_paper_says(
     assert row["sd"] == pytest.approx(sd, rel=0.05)
 
 
-@pytest.mark.parametrize(("state", "reached_s", "within_s"), [("ba_x", 31, 5), ("ba_z", 88, 8), ("bg_x", 256, 8)])
+@pytest.mark.parametrize(
+    ("state", "reached_s", "within_s"), [("ba_x", 31, 5), ("ba_z", 88, 8), ("bg_x", 256, 8)]
+)
 def test_straight_line_converges_when_the_paper_says(
     straight: Replay, state: str, reached_s: float, within_s: float
 ) -> None:
@@ -73,12 +77,18 @@ def test_straight_line_converges_when_the_paper_says(
     assert row["reached_s"] == pytest.approx(reached_s, abs=within_s)
 
 
-def test_straight_line_has_the_papers_convergence_by_the_nearest_approach(straight: Replay, paper: Path) -> None:
-    published = pd.read_csv(paper / "straight.csv").set_index("state")["reached_s"].drop(["phi_d", "bg_z"])
+def test_straight_line_has_the_papers_convergence_by_the_nearest_approach(
+    straight: Replay, paper: Path
+) -> None:
+    published = (
+        pd.read_csv(paper / "straight.csv").set_index("state")["reached_s"].drop(["phi_d", "bg_z"])
+    )
     rows = frame(straight.tables.convergence).set_index("state")
     assert (rows.loc[published.index, "nearest_approach_s"] - published).abs().max() <= 8.0
     assert nearest_over_nine(straight.tables.convergence, "aided") == pytest.approx(56.73, abs=2.0)
-    assert straight.verdicts["aided"].mean_nearest_approach_improvement_pct == pytest.approx(58.24, abs=0.01)
+    assert straight.verdicts["aided"].mean_nearest_approach_improvement_pct == pytest.approx(
+        58.24, abs=0.01
+    )
 
 
 def test_papers_time_of_roll_and_pitch_is_that_of_their_worst_point(straight: Replay) -> None:
@@ -86,11 +96,15 @@ def test_papers_time_of_roll_and_pitch_is_that_of_their_worst_point(straight: Re
     for state in STATES[3:5]:
         sd = aided.sd[aided.updated, state.index] / state.factor
         time_s = (aided.time_ns[aided.updated] - aided.time_ns[0]) * 1e-9
-        assert rows.loc[state.id, "nearest_approach_s"] == pytest.approx(time_s[np.argmax(sd)], abs=1e-6)
+        assert rows.loc[state.id, "nearest_approach_s"] == pytest.approx(
+            time_s[np.argmax(sd)], abs=1e-6
+        )
         assert sd.max() / rows.loc[state.id, "target_sd"] == pytest.approx(1.0 - 0.024, abs=5e-4)
 
 
 def test_figure_eight_improves_as_much_as_the_paper_says() -> None:
-    replay = replay_log(SAMPLES / "figure_eight.mcap", load_config("levy-klein", overrides=["evaluation.starts=1"]))
+    replay = replay_log(
+        SAMPLES / "figure_eight.mcap", load_config("levy-klein", overrides=["evaluation.starts=1"])
+    )
     assert mean_over_nine(replay.tables.improvement, "aided") == pytest.approx(40.0, abs=2.0)
     assert nearest_over_nine(replay.tables.convergence, "aided") == pytest.approx(54.0, abs=2.0)

@@ -64,9 +64,16 @@ RUNS, DURATION_S = 100, 40.0
 
 def test_nees_is_the_squared_length_of_the_whitened_error() -> None:
     rng = np.random.default_rng(1)
-    roots = rng.standard_normal((5, 12, 12)) * 10.0 ** -np.arange(12)[:, None]  # as far apart as SI units set them
-    covs, errors = roots @ np.swapaxes(roots, 1, 2), rng.standard_normal((5, 12)) * 10.0 ** -np.arange(12)
-    expected = [np.sum(np.linalg.solve(root, error) ** 2) for root, error in zip(roots, errors, strict=True)]
+    roots = (
+        rng.standard_normal((5, 12, 12)) * 10.0 ** -np.arange(12)[:, None]
+    )  # as far apart as SI units set them
+    covs, errors = (
+        roots @ np.swapaxes(roots, 1, 2),
+        rng.standard_normal((5, 12)) * 10.0 ** -np.arange(12),
+    )
+    expected = [
+        np.sum(np.linalg.solve(root, error) ** 2) for root, error in zip(roots, errors, strict=True)
+    ]
     np.testing.assert_allclose(nees(errors, covs), expected, rtol=1e-9)
 
 
@@ -80,7 +87,10 @@ def test_nees_is_what_scipys_density_holds_in_its_exponent() -> None:
 
 def test_tally_gives_numpys_mean_and_standard_deviation() -> None:
     rng = np.random.default_rng(3)
-    runs = [one_run(1e6 + rng.standard_normal((4, 12)), rng.random((4, 12)), rng.random(4)) for _ in range(7)]
+    runs = [
+        one_run(1e6 + rng.standard_normal((4, 12)), rng.random((4, 12)), rng.random(4))
+        for _ in range(7)
+    ]
     ensemble = tallied(runs)
     errors = np.array([run.error for run in runs])
     assert ensemble.runs == 7
@@ -104,7 +114,10 @@ def tallied(runs: list[RunErrors]) -> Ensemble:
 
 def test_errors_have_the_signs_of_the_error_state() -> None:
     """Estimated minus true; a bias is what is left in the readings, so a small estimate leaves a positive one."""
-    truth, estimate = at_one_time(velocity=1.0, heading_deg=0.0), at_one_time(velocity=1.5, heading_deg=1.0)
+    truth, estimate = (
+        at_one_time(velocity=1.0, heading_deg=0.0),
+        at_one_time(velocity=1.5, heading_deg=1.0),
+    )
     history = History(
         filter="one",
         time_ns=estimate.time_ns,
@@ -129,10 +142,17 @@ def test_errors_have_the_signs_of_the_error_state() -> None:
 
 def test_velocity_error_is_the_one_of_which_p_speaks() -> None:
     """For a turned dive, seen by neither DVL nor IMU, ``dv + v x phi = 0`` holds exactly, however far it is turned."""
-    turn, true_n = Rotation.from_rotvec([0.05, -0.02, 0.6]).as_matrix(), np.array([[1.2, -0.7, 0.3]])
-    velocity_error_n, misalignment_n = motion_error(true_n @ turn.T, turn[None], true_n, np.eye(3)[None])
+    turn, true_n = (
+        Rotation.from_rotvec([0.05, -0.02, 0.6]).as_matrix(),
+        np.array([[1.2, -0.7, 0.3]]),
+    )
+    velocity_error_n, misalignment_n = motion_error(
+        true_n @ turn.T, turn[None], true_n, np.eye(3)[None]
+    )
     np.testing.assert_allclose(misalignment_n, [[0.05, -0.02, 0.6]], rtol=0.0, atol=1e-14)
-    np.testing.assert_allclose(velocity_error_n, -np.cross(true_n @ turn.T, misalignment_n), rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(
+        velocity_error_n, -np.cross(true_n @ turn.T, misalignment_n), rtol=0.0, atol=1e-15
+    )
     unknown = np.full((1, 3, 3), np.nan)
     velocity_error_n, misalignment_n = motion_error(true_n + 0.1, turn[None], true_n, unknown)
     np.testing.assert_allclose(velocity_error_n, 0.1, rtol=0.0, atol=1e-15)
@@ -141,7 +161,9 @@ def test_velocity_error_is_the_one_of_which_p_speaks() -> None:
 
 def at_one_time(*, velocity: float, heading_deg: float) -> ReferenceColumns:
     heading = mat_from_rpy(np.array([[0.0, 0.0, heading_deg * DEG]]))
-    return ReferenceColumns(np.array([START_NS]), np.zeros((1, 3)), np.full((1, 3), velocity), heading)
+    return ReferenceColumns(
+        np.array([START_NS]), np.zeros((1, 3)), np.full((1, 3), velocity), heading
+    )
 
 
 def test_ratios_and_improvements_are_those_of_the_last_ping() -> None:
@@ -150,9 +172,9 @@ def test_ratios_and_improvements_are_those_of_the_last_ping() -> None:
     after = replace(before, filter="other", sd=before.sd / 2.0)
     table = montecarlo_table((before, after)).set_index(["filter", "state"])
     assert table.loc[("one", "dv_n"), "ratio"] == pytest.approx(1.0)
-    assert table.loc[("other", "dv_n"), ["ratio", "predicted_improvement_pct", "true_improvement_pct"]].tolist() == (
-        pytest.approx([2.0, 50.0, 0.0])
-    )
+    assert table.loc[
+        ("other", "dv_n"), ["ratio", "predicted_improvement_pct", "true_improvement_pct"]
+    ].tolist() == (pytest.approx([2.0, 50.0, 0.0]))
     assert table.loc["one"]["predicted_improvement_pct"].isna().all()
     assert table.loc[("one", "phi_n"), "final_sd"] == pytest.approx(2000.0), "mrad"
 
@@ -171,7 +193,9 @@ def test_ratios_and_improvements_are_those_of_the_last_ping() -> None:
 )
 def test_verdict_takes_significance_and_size(mean: float, runs: int, word: str) -> None:
     shape = (3, 12)
-    ensemble = Ensemble("one", runs, np.arange(3.0), *(np.ones(shape) for _ in range(3)), np.full(3, mean))
+    ensemble = Ensemble(
+        "one", runs, np.arange(3.0), *(np.ones(shape) for _ in range(3)), np.full(3, mean)
+    )
     (row,) = verdict_table([ensemble]).itertuples()
     assert row.verdict == word
     outside = not row.low <= mean <= row.high
@@ -193,11 +217,17 @@ def test_matched_velocity_noise_is_alike_on_all_axes() -> None:
 
 def test_matched_errors_are_those_of_the_first_filters_q_and_r() -> None:
     first = Filter(aiding=("velocity",), gyro_white_rad_rts=1e-3, beam_sd_mps=0.003)
-    imu_errors, dvl_errors = matched_errors(replace_filters(MATCHED, {"first": first, **MATCHED.filters}))
+    imu_errors, dvl_errors = matched_errors(
+        replace_filters(MATCHED, {"first": first, **MATCHED.filters})
+    )
     assert imu_errors.gyro_white_rad_rts == pytest.approx(1e-3)
     assert imu_errors.accel_white_mps_rts == pytest.approx(5e-3)
     assert imu_errors.accel_bias_sd_mps2 == pytest.approx(3.0 * MG)
-    assert (imu_errors.accel_quantum_mps2, dvl_errors.beam_bias_sd_mps, dvl_errors.beam_scale_sd) == (0.0, 0.0, 0.0)
+    assert (
+        imu_errors.accel_quantum_mps2,
+        dvl_errors.beam_bias_sd_mps,
+        dvl_errors.beam_scale_sd,
+    ) == (0.0, 0.0, 0.0)
     assert (dvl_errors.beam_sd_mps, dvl_errors.velocity_sd_mps) == (0.003, 0.0)
 
 
@@ -211,7 +241,9 @@ def test_start_is_off_by_what_the_configuration_says() -> None:
     assert world.exact.reference is not None
     turned = np.array([start.mat_nb for start in starts]) @ world.exact.reference.mat_nb[0].T
     misalignment = Rotation.from_matrix(turned).as_rotvec() / DEG
-    velocity = np.array([start.velocity_n for start in starts]) - world.exact.reference.velocity_n[0]
+    velocity = (
+        np.array([start.velocity_n for start in starts]) - world.exact.reference.velocity_n[0]
+    )
     np.testing.assert_allclose(misalignment.std(axis=0), 0.5, rtol=0.15)
     np.testing.assert_allclose(velocity.std(axis=0), 0.1, rtol=0.15)
 
@@ -220,13 +252,20 @@ def test_start_is_off_by_what_the_configuration_says() -> None:
 def verdicts() -> pd.DataFrame:
     """Judge two filters on a world that is as they believe, and the same two where the IMU is far better."""
     told = study_montecarlo("figure-eight", MATCHED, runs=RUNS, duration_s=DURATION_S)[0]
-    better = study_montecarlo("figure-eight", load_config("levy-klein"), runs=20, duration_s=DURATION_S, imu="fog")[0]
-    tables = [told.tables["verdicts"].assign(world="told"), better.tables["verdicts"].assign(world="better")]
+    better = study_montecarlo(
+        "figure-eight", load_config("levy-klein"), runs=20, duration_s=DURATION_S, imu="fog"
+    )[0]
+    tables = [
+        told.tables["verdicts"].assign(world="told"),
+        better.tables["verdicts"].assign(world="better"),
+    ]
     return pd.concat(tables).set_index(["world", "filter"])
 
 
 @pytest.mark.nightly
-def test_verdict_changes_with_the_data_and_not_with_the_filters_name(verdicts: pd.DataFrame) -> None:
+def test_verdict_changes_with_the_data_and_not_with_the_filters_name(
+    verdicts: pd.DataFrame,
+) -> None:
     assert verdicts["verdict"].to_dict() == {
         ("told", "baseline"): "consistent",
         ("told", "published"): "overconfident",
@@ -275,11 +314,17 @@ def test_nees_is_followed_through_outages() -> None:
 
 
 def test_study_has_outages_where_they_are_asked_for() -> None:
-    report, _ = study_montecarlo("straight", MATCHED, runs=2, duration_s=20.0, outages=[(5.0, 10.0)])
+    report, _ = study_montecarlo(
+        "straight", MATCHED, runs=2, duration_s=20.0, outages=[(5.0, 10.0)]
+    )
     assert report.tables["outages"]["filter"].tolist() == list(MATCHED.filters)
     assert report.arguments["outages"] == [[5.0, 10.0]]
     assert "5 to 10 s" in report.title
-    sd = report.series["ensemble"].query("filter == 'baseline' and state == 'dv_n'").set_index("time_s")["sd"]
+    sd = (
+        report.series["ensemble"]
+        .query("filter == 'baseline' and state == 'dv_n'")
+        .set_index("time_s")["sd"]
+    )
     before, last, after = (float(sd[near_s:].iloc[0]) for near_s in (4.0, 9.0, 10.0))
     assert sd[5.0:10.0].is_monotonic_increasing
     assert last > 2.0 * before
@@ -306,7 +351,9 @@ def test_runs_differ_and_a_seed_gives_them_again() -> None:
 
 def test_ping_without_velocity_leaves_no_hole_in_the_ensemble() -> None:
     """A ping that one run drops is a time of that run all the same."""
-    picky = Config(noise=MATCHED.noise, initial=MATCHED.initial, dvl=Dvl(max_beam_residual_mps=0.005))
+    picky = Config(
+        noise=MATCHED.noise, initial=MATCHED.initial, dvl=Dvl(max_beam_residual_mps=0.005)
+    )
     runs = [simulated_run(make_setup("straight", picky, "fog", 20.0), seed)[0] for seed in (1, 2)]
     assert [len(run.time_s) for run in runs] == [21, 21]
 
@@ -357,8 +404,20 @@ def test_picture_is_drawn_in_shown_units_and_to_the_same_bytes() -> None:
 # --- The command.
 
 
-def test_command_writes_a_folder_once_and_prints_verdicts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["study", "montecarlo", "straight", "--runs", "2", "--duration", "5", "-o", str(tmp_path)]
+def test_command_writes_a_folder_once_and_prints_verdicts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [
+        "study",
+        "montecarlo",
+        "straight",
+        "--runs",
+        "2",
+        "--duration",
+        "5",
+        "-o",
+        str(tmp_path),
+    ]
     assert run_command_line(arguments) == 0
     said = capsys.readouterr()
     assert re.search("^baseline: .*few", said.out, re.MULTILINE)
@@ -381,10 +440,23 @@ def test_command_writes_a_folder_once_and_prints_verdicts(tmp_path: Path, capsys
 
 @pytest.mark.parametrize("format_", ["table", "json", "csv", "md", "latex"])
 def test_one_run_is_printed_in_every_format_and_writes_nothing(
-    format_: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    format_: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    arguments = ["study", "montecarlo", "straight", "--run", "7", "--duration", "5", "--format", format_]
+    arguments = [
+        "study",
+        "montecarlo",
+        "straight",
+        "--run",
+        "7",
+        "--duration",
+        "5",
+        "--format",
+        format_,
+    ]
     assert run_command_line(arguments) == 0
     printed = capsys.readouterr().out
     assert printed.endswith("\n")
@@ -394,9 +466,22 @@ def test_one_run_is_printed_in_every_format_and_writes_nothing(
 
 
 def test_interruption_leaves_nothing_and_ends_at_once(tmp_path: Path) -> None:
-    arguments = ["study", "montecarlo", "lawnmower", "--runs", "1000", "--jobs", "2", "-o", str(tmp_path / "out")]
+    arguments = [
+        "study",
+        "montecarlo",
+        "lawnmower",
+        "--runs",
+        "1000",
+        "--jobs",
+        "2",
+        "-o",
+        str(tmp_path / "out"),
+    ]
     process = subprocess.Popen(
-        [sys.executable, "-m", "insdvl_replay", *arguments], stderr=subprocess.PIPE, text=True, env=os.environ
+        [sys.executable, "-m", "insdvl_replay", *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ,
     )
     time.sleep(4.0)
     process.send_signal(signal.SIGINT)

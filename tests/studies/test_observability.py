@@ -68,7 +68,9 @@ def ranks(report: Result) -> dict[str, int]:
 
 def unobservable(report: Result, aiding: str) -> set[str]:
     rows = report.tables["directions"]
-    return set(rows.loc[(rows["aiding"] == aiding) & (rows["status"] == "unobservable"), "direction"])
+    return set(
+        rows.loc[(rows["aiding"] == aiding) & (rows["status"] == "unobservable"), "direction"]
+    )
 
 
 def exact_nominal(scenario: str) -> tuple[Timeline, History]:
@@ -76,7 +78,9 @@ def exact_nominal(scenario: str) -> tuple[Timeline, History]:
     dive = exact_dive(scenario, reference_rate_hz=100.0)
     assert dive.reference is not None
     time_ns = dive.reference.time_ns
-    timeline = build_timeline(dive.imu, time_ns[100::100], time_ns, int(time_ns[0]), int(time_ns[-1]))
+    timeline = build_timeline(
+        dive.imu, time_ns[100::100], time_ns, int(time_ns[0]), int(time_ns[-1])
+    )
     rows = len(timeline.event_ns)
     history = History(
         filter="exact",
@@ -120,15 +124,21 @@ def test_transition_is_the_papers_closed_form_with_its_sign_mended() -> None:
     pings = np.flatnonzero(timeline.ping >= 0)
     for (row, column), expected in blocks.items():
         found = transition[:, row : row + 3, column : column + 3]
-        np.testing.assert_allclose(found, expected[pings], rtol=0.0, atol=2e-4 * np.abs(expected).max())
-    np.testing.assert_allclose(transition[:, DV, DV], np.broadcast_to(np.eye(3), (len(pings), 3, 3)), atol=1e-12)
+        np.testing.assert_allclose(
+            found, expected[pings], rtol=0.0, atol=2e-4 * np.abs(expected).max()
+        )
+    np.testing.assert_allclose(
+        transition[:, DV, DV], np.broadcast_to(np.eye(3), (len(pings), 3, 3)), atol=1e-12
+    )
 
 
 def test_history_of_another_time_line_is_refused() -> None:
     timeline, _ = exact_nominal("straight")
     _, other = exact_nominal("weave")
     with pytest.raises(ValueError, match="other times"):
-        nominal_pings(timeline, History(**{**other.__dict__, "time_ns": other.time_ns + 1}), np.zeros(12))
+        nominal_pings(
+            timeline, History(**{**other.__dict__, "time_ns": other.time_ns + 1}), np.zeros(12)
+        )
 
 
 def test_rows_are_in_units_of_the_measurements_noise() -> None:
@@ -162,7 +172,9 @@ def test_decomposition_is_that_of_the_whole_stack() -> None:
     rng = np.random.default_rng(5)
     rows, prior_sd = rng.normal(size=(50, 12)), rng.uniform(0.1, 2.0, 12)
     found = analyse(rows, prior_sd, 1e-6)
-    np.testing.assert_allclose(found.singular_values, np.linalg.svd(rows * prior_sd, compute_uv=False), rtol=1e-10)
+    np.testing.assert_allclose(
+        found.singular_values, np.linalg.svd(rows * prior_sd, compute_uv=False), rtol=1e-10
+    )
     direction = rng.normal(size=12)
     direction /= np.linalg.norm(direction)
     assert found.response(direction) == pytest.approx(np.linalg.norm(rows * prior_sd @ direction))
@@ -200,7 +212,9 @@ VELOCITY_ERRORS = {"dv_n", "dv_e", "dv_d"}
         ("static", False, 8, 5, 5),
     ],
 )
-def test_ranks(scenario: str, earth_rate: bool, velocity: int, published: int, windowed: int) -> None:
+def test_ranks(
+    scenario: str, earth_rate: bool, velocity: int, published: int, windowed: int
+) -> None:
     report = study(scenario, earth_rate=earth_rate)
     assert ranks(report) == {
         "velocity": velocity,
@@ -234,14 +248,21 @@ def test_heading_stays_hidden_in_a_turn_where_the_earth_is() -> None:
 def test_named_directions_have_the_ratios_of_gravity_and_speed() -> None:
     speed_mps, mat_nb = 2.0, mat_from_rpy(np.array([0.1, -0.2, 0.5]))
     velocity_n = mat_nb @ [speed_mps, 0.0, 0.0]
-    directions = {d.id: d.error for d in named_directions(np.array(START), velocity_n, mat_nb, earth_rate=False)}
+    directions = {
+        d.id: d.error
+        for d in named_directions(np.array(START), velocity_n, mat_nb, earth_rate=False)
+    }
     for axis, name in enumerate(("phi_n held", "phi_e held", "phi_d held")):
         phi = np.eye(3)[axis]
         np.testing.assert_allclose(directions[name][PHI], phi)
-        np.testing.assert_allclose(mat_nb @ directions[name][BA], -np.cross([0.0, 0.0, GRAVITY], phi), atol=1e-12)
+        np.testing.assert_allclose(
+            mat_nb @ directions[name][BA], -np.cross([0.0, 0.0, GRAVITY], phi), atol=1e-12
+        )
         np.testing.assert_allclose(directions[name][DV], -np.cross(velocity_n, phi), atol=1e-12)
     np.testing.assert_allclose(mat_nb @ directions["bg_d held"][BG], [0.0, 0.0, 1.0], atol=1e-12)
-    assert np.linalg.norm(directions["bg_d held"][BA]) == pytest.approx(np.linalg.norm(velocity_n[:2]))
+    assert np.linalg.norm(directions["bg_d held"][BA]) == pytest.approx(
+        np.linalg.norm(velocity_n[:2])
+    )
 
 
 def test_turning_earth_adds_the_gyro_bias_that_holds_a_misalignment() -> None:
@@ -250,7 +271,9 @@ def test_turning_earth_adds_the_gyro_bias_that_holds_a_misalignment() -> None:
     catalogue = report.tables["catalogue"].set_index("direction")
     north_rate_degph = 15.04107 * np.cos(START[0])
     heading = catalogue.loc["phi_d held"]
-    assert np.hypot(heading["bg_x"], heading["bg_y"]) == pytest.approx(1e-3 * north_rate_degph, rel=3e-3)
+    assert np.hypot(heading["bg_x"], heading["bg_y"]) == pytest.approx(
+        1e-3 * north_rate_degph, rel=3e-3
+    )
 
 
 # --- The paper's subspaces.
@@ -261,9 +284,14 @@ def test_papers_subspace_has_the_other_sign_in_its_matrix() -> None:
     report = study("straight", earth_rate=False)
     values = report.tables["singular_values"]
     pairs = values[(values["aiding"] == "published") & (values["number"] > 5)]
-    phi, ba = pairs[["phi_n", "phi_e", "phi_d"]].to_numpy(), pairs[["ba_x", "ba_y", "ba_z"]].to_numpy()
+    phi, ba = (
+        pairs[["phi_n", "phi_e", "phi_d"]].to_numpy(),
+        pairs[["ba_x", "ba_y", "ba_z"]].to_numpy(),
+    )
     mat_nb = mat_from_rpy(np.array([0.0, 0.0, np.pi / 6.0]))
-    level_mg = -np.cross([0.0, 0.0, GRAVITY / 9.80665], phi) @ mat_nb  # 1 mrad tilts gravity by 1 mg
+    level_mg = (
+        -np.cross([0.0, 0.0, GRAVITY / 9.80665], phi) @ mat_nb
+    )  # 1 mrad tilts gravity by 1 mg
     np.testing.assert_allclose(ba, level_mg, rtol=0.0, atol=1e-6)
     assert np.abs(ba).max() > 1.0
 
@@ -271,7 +299,10 @@ def test_papers_subspace_has_the_other_sign_in_its_matrix() -> None:
 def test_accelerations_do_not_have_the_unobservable_subspace_of_velocities() -> None:
     """They lack the three velocity errors, and need no velocity error beside a heading error."""
     report = study("straight", earth_rate=False)
-    assert unobservable(report, "published") - unobservable(report, "velocity") == {*VELOCITY_ERRORS, "bg_d"}
+    assert unobservable(report, "published") - unobservable(report, "velocity") == {
+        *VELOCITY_ERRORS,
+        "bg_d",
+    }
     assert ranks(report)["velocity + published"] == ranks(report)["velocity"]
     at_rest = study("static", earth_rate=False)
     assert unobservable(at_rest, "published") - unobservable(at_rest, "velocity") == VELOCITY_ERRORS
@@ -284,12 +315,20 @@ def random_pings(pings: int, *, noise: float, seed: int = 6) -> NominalPings:
     """Motions that never were: transitions near one, and the noise of a filter, for matrices in numpy to work on."""
     rng = np.random.default_rng(seed)
     step = np.eye(12) + 0.1 * rng.normal(size=(pings, 12, 12))
-    transition = np.array([np.linalg.multi_dot([np.eye(12), *step[k::-1], np.eye(12)]) for k in range(pings)])
+    transition = np.array(
+        [np.linalg.multi_dot([np.eye(12), *step[k::-1], np.eye(12)]) for k in range(pings)]
+    )
     root = noise * rng.normal(size=(pings, 12, 12))
     mat_nb = Rotation.random(pings, random_state=seed).as_matrix()
     velocity_n, rate_nb_b = rng.normal(size=(2, pings, 3))
     return NominalPings(
-        velocity_n, mat_nb, rate_nb_b, np.full(pings, 9.8), transition, step, root @ np.swapaxes(root, 1, 2)
+        velocity_n,
+        mat_nb,
+        rate_nb_b,
+        np.full(pings, 9.8),
+        transition,
+        step,
+        root @ np.swapaxes(root, 1, 2),
     )
 
 
@@ -306,7 +345,11 @@ def random_measurements(pings: int) -> list[Measurement]:
 
 
 def test_covariance_is_carried_on_as_a_textbook_has_it() -> None:
-    pings, measurements, prior_sd = random_pings(9, noise=0.2), random_measurements(9), np.linspace(0.5, 2.0, 12)
+    pings, measurements, prior_sd = (
+        random_pings(9, noise=0.2),
+        random_measurements(9),
+        np.linspace(0.5, 2.0, 12),
+    )
     arm_b = np.array([1.0, 0.2, -0.3])
     P = np.diag(prior_sd**2)
     for ping in range(9):
@@ -323,11 +366,17 @@ def test_covariance_is_carried_on_as_a_textbook_has_it() -> None:
 
 def test_without_process_noise_the_end_is_the_start_carried_on() -> None:
     """The stack tells what is left of the errors at the start; at the last ping they have grown by the transition."""
-    pings, measurements, prior_sd = random_pings(9, noise=0.0), random_measurements(9), np.linspace(0.5, 2.0, 12)
+    pings, measurements, prior_sd = (
+        random_pings(9, noise=0.0),
+        random_measurements(9),
+        np.linspace(0.5, 2.0, 12),
+    )
     arm_b = np.zeros(3)
     rows = np.vstack([whitened_rows(pings, measurement, arm_b) for measurement in measurements])
     at_start = np.linalg.inv(np.diag(prior_sd**-2) + rows.T @ rows)
-    np.testing.assert_allclose(analyse(rows, prior_sd).left() * prior_sd, np.sqrt(np.diag(at_start)), rtol=1e-9)
+    np.testing.assert_allclose(
+        analyse(rows, prior_sd).left() * prior_sd, np.sqrt(np.diag(at_start)), rtol=1e-9
+    )
     expected = pings.transition[-1] @ at_start @ pings.transition[-1].T
     found = remaining_cov(pings, measurements, arm_b, prior_sd)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
@@ -336,7 +385,9 @@ def test_without_process_noise_the_end_is_the_start_carried_on() -> None:
 def left_sd(report: Result, aiding: str) -> Floats:
     """Standard deviations after the last ping, SI units."""
     rows = report.tables["states"]
-    return np.asarray(rows.loc[rows["aiding"] == aiding, "left_sd"]) * [state.factor for state in STATES]
+    return np.asarray(rows.loc[rows["aiding"] == aiding, "left_sd"]) * [
+        state.factor for state in STATES
+    ]
 
 
 def last_updated_sd(history: History) -> Floats:
@@ -354,7 +405,9 @@ def test_what_is_left_is_what_the_filter_predicts_after_the_last_ping() -> None:
     assert windowed.model == "windowed"
     report = study("figure-eight", earth_rate=True)
     np.testing.assert_allclose(left_sd(report, "velocity"), last_updated_sd(velocity), rtol=1e-6)
-    np.testing.assert_allclose(left_sd(report, "velocity + windowed"), last_updated_sd(aided), rtol=1e-6)
+    np.testing.assert_allclose(
+        left_sd(report, "velocity + windowed"), last_updated_sd(aided), rtol=1e-6
+    )
 
 
 def test_left_after_the_last_ping_may_be_more_than_at_the_start() -> None:
@@ -365,15 +418,25 @@ def test_left_after_the_last_ping_may_be_more_than_at_the_start() -> None:
     drifted_deg = np.hypot(0.5, 10.0 / 3600.0 * 423.4)
     assert heading["left_pct"] == pytest.approx(100.0 * drifted_deg / 0.5, rel=0.01)
     assert heading["left_without_noise_pct"] < 100.0
-    (sentence,) = (text for text in report.sentences if text.startswith("velocity: sigma is larger"))
+    (sentence,) = (
+        text for text in report.sentences if text.startswith("velocity: sigma is larger")
+    )
     assert f"misalignment, down ({heading['left_pct']:.0f} %)" in sentence
 
 
 def test_what_is_left_on_a_real_dive_is_what_its_filters_predict(snapir: Path) -> None:
-    log, config = snapir / "snapir_02.mcap", load_config(file=Path(__file__).parents[2] / "examples" / "snapir.toml")
-    report, (velocity, windowed, _) = study_observability(str(log), config), replay_log(log, config).histories
+    log, config = (
+        snapir / "snapir_02.mcap",
+        load_config(file=Path(__file__).parents[2] / "examples" / "snapir.toml"),
+    )
+    report, (velocity, windowed, _) = (
+        study_observability(str(log), config),
+        replay_log(log, config).histories,
+    )
     np.testing.assert_allclose(left_sd(report, "velocity"), last_updated_sd(velocity), rtol=2e-3)
-    np.testing.assert_allclose(left_sd(report, "velocity + windowed"), last_updated_sd(windowed), rtol=2e-3)
+    np.testing.assert_allclose(
+        left_sd(report, "velocity + windowed"), last_updated_sd(windowed), rtol=2e-3
+    )
 
 
 # --- Logs and the command.
@@ -389,16 +452,31 @@ def test_log_is_studied_like_a_scenario(tmp_path: Path, capsys: pytest.CaptureFi
     folders = [tmp_path / name / "observability-dive" for name in ("one", "two")]
     names = {path.name for path in folders[0].iterdir()}
     tables = {"ranks.csv", "directions.csv", "catalogue.csv", "singular_values.csv", "states.csv"}
-    assert names == tables | {"singular_values.svg", "singular_values.png", "config.toml", "report.json", "report.html"}
+    assert names == tables | {
+        "singular_values.svg",
+        "singular_values.png",
+        "config.toml",
+        "report.json",
+        "report.html",
+    }
     for name in names:
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
     assert len(pd.read_csv(folders[0] / "states.csv")) == 5 * 12
 
 
 def test_settings_of_one_vehicle_do_not_bend_a_scenario() -> None:
-    overrides = ["dvl.scale=1.1", "initial.source=level", "initial.accel_bias_mg=[5, 5, 5]", "initial.heading_deg=0.0"]
-    bent = study_observability("straight", load_config("levy-klein", overrides=overrides), earth_rate=False)
-    pd.testing.assert_frame_equal(bent.tables["ranks"], study("straight", earth_rate=False).tables["ranks"])
+    overrides = [
+        "dvl.scale=1.1",
+        "initial.source=level",
+        "initial.accel_bias_mg=[5, 5, 5]",
+        "initial.heading_deg=0.0",
+    ]
+    bent = study_observability(
+        "straight", load_config("levy-klein", overrides=overrides), earth_rate=False
+    )
+    pd.testing.assert_frame_equal(
+        bent.tables["ranks"], study("straight", earth_rate=False).tables["ranks"]
+    )
 
 
 def test_neither_log_nor_scenario_is_an_error() -> None:
@@ -415,10 +493,15 @@ def test_span_without_a_whole_window_leaves_nothing_to_accelerations(tmp_path: P
     assert (tmp_path / "singular_values.svg").stat().st_size > 0
 
 
-def test_interrupted_command_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_command_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(render, "save_result", interrupted)
-    assert run_command_line(["study", "observability", "straight", "-o", str(tmp_path / "study")]) == 130
+    assert (
+        run_command_line(["study", "observability", "straight", "-o", str(tmp_path / "study")])
+        == 130
+    )
     assert list(tmp_path.iterdir()) == []

@@ -12,15 +12,33 @@ from scipy.interpolate import CubicSpline
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.dive_columns import (
+    Dive,
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    TimeNs,
+    seconds,
+)
 from insdvl_replay.core.errors import ConfigError, LogError
-from insdvl_replay.evaluation.reference_errors import acceleration_at, reference_acceleration, vector_rmse
+from insdvl_replay.evaluation.reference_errors import (
+    acceleration_at,
+    reference_acceleration,
+    vector_rmse,
+)
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.write import write_dive
 from insdvl_replay.show import render
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.studies import window
-from insdvl_replay.studies.window import WINDOW_COLUMNS, best_windows, dive_windows, pooled_windows, study_window
+from insdvl_replay.studies.window import (
+    WINDOW_COLUMNS,
+    best_windows,
+    dive_windows,
+    pooled_windows,
+    study_window,
+)
 
 SNAPIR = Path(__file__).parents[2] / "examples" / "snapir.toml"
 PAPER = (SNAPIR, SNAPIR.with_name("paper_noise.toml"))
@@ -38,7 +56,9 @@ def body_reference(time_s: Floats, velocity_b: Floats, turn_rate: float = 0.0) -
 def level_dive(velocity_b: Floats, measured_b: Floats) -> Dive:
     """A dive on a straight line: reference at 5 Hz, pings at 1 Hz, half a reference step beside it."""
     imu_ns = np.arange(0, 10_000_000_001 * 40, 20_000_000)
-    imu = ImuColumns(imu_ns, np.tile([0.0, 0.0, -9.8], (len(imu_ns), 1)), np.zeros((len(imu_ns), 3)))
+    imu = ImuColumns(
+        imu_ns, np.tile([0.0, 0.0, -9.8], (len(imu_ns), 1)), np.zeros((len(imu_ns), 3))
+    )
     reference = body_reference(np.arange(len(velocity_b)) / 5.0, velocity_b)
     ping_ns = 1_100_000_000 + 1_000_000_000 * np.arange(len(measured_b))
     return Dive("level", imu, DvlColumns(ping_ns, velocity_d=measured_b), reference)
@@ -54,7 +74,9 @@ def rmse_of(table: pd.DataFrame, at: str, lever_arm: str = "none") -> pd.Series:
 
 def test_acceleration_is_the_rate_of_the_body_velocity_whatever_the_heading_does() -> None:
     time_s = np.cumsum([0.0, 0.2, 0.3, 0.2, 0.1, 0.4, 0.2])
-    velocity_b = np.stack([1.0 + 0.1 * time_s + 0.02 * time_s**2, -0.3 * time_s, 0 * time_s], axis=-1)
+    velocity_b = np.stack(
+        [1.0 + 0.1 * time_s + 0.02 * time_s**2, -0.3 * time_s, 0 * time_s], axis=-1
+    )
     acceleration_b = reference_acceleration(body_reference(time_s, velocity_b, turn_rate=0.5), 2.5)
     expected = np.stack([0.1 + 0.04 * time_s, np.full_like(time_s, -0.3), 0 * time_s], axis=-1)
     np.testing.assert_allclose(acceleration_b[1:-1], expected[1:-1], rtol=0.0, atol=1e-9)
@@ -67,14 +89,20 @@ def test_no_acceleration_next_to_a_pause_or_a_missing_row() -> None:
     reference.velocity_n[8] = np.nan
     known = np.isfinite(reference_acceleration(reference, max_gap_s=2.5)).all(axis=1)
     # Row 8 itself lies between two known rows; its own velocity does not enter its central difference at even spacing.
-    np.testing.assert_array_equal(np.delete(known, 8), np.delete([0, 1, 1, 0, 0, 1, 1, 0, 0, 0], 8).astype(bool))
-    assert not np.isfinite(reference_acceleration(body_reference(time_s[:2], np.zeros((2, 3))), 2.5)).any()
+    np.testing.assert_array_equal(
+        np.delete(known, 8), np.delete([0, 1, 1, 0, 0, 1, 1, 0, 0, 0], 8).astype(bool)
+    )
+    assert not np.isfinite(
+        reference_acceleration(body_reference(time_s[:2], np.zeros((2, 3))), 2.5)
+    ).any()
 
 
 def test_between_rows_the_acceleration_is_on_a_line() -> None:
     row_ns = np.array([0, 1, 2, 3], dtype=np.int64) * 1_000_000_000
     acceleration_b = np.array([[np.nan] * 3, [1.0, 2.0, 3.0], [2.0, 0.0, 3.0], [np.nan] * 3])
-    found = acceleration_at(np.array([500, 1250, 2000, 4000], dtype=np.int64) * 1_000_000, row_ns, acceleration_b)
+    found = acceleration_at(
+        np.array([500, 1250, 2000, 4000], dtype=np.int64) * 1_000_000, row_ns, acceleration_b
+    )
     np.testing.assert_allclose(found[1], [1.25, 1.5, 3.0], rtol=0.0, atol=1e-12)
     assert np.isnan(found[[0, 3]]).all()
 
@@ -97,7 +125,9 @@ def test_pooling_gives_each_sample_the_same_weight_and_the_best_is_the_least() -
     pooled = pooled_windows(table)
     assert list(pooled.columns) == WINDOW_COLUMNS
     assert set(pooled["log"]) == {"*"}
-    np.testing.assert_allclose(pooled["rmse_mps2"], [np.sqrt((1.0 + 3 * 9.0) / 4), np.sqrt((4.0 + 3 * 0.25) / 4)])
+    np.testing.assert_allclose(
+        pooled["rmse_mps2"], [np.sqrt((1.0 + 3 * 9.0) / 4), np.sqrt((4.0 + 3 * 0.25) / 4)]
+    )
     assert list(pooled["samples"]) == [4, 4]
     assert list(best_windows(table)["n"]) == [2, 3]
 
@@ -120,16 +150,23 @@ def test_steady_jerk_is_met_at_the_middle_and_missed_by_half_a_window_at_the_end
     jerk = 1e-3
     reference_s, ping_s = np.arange(1990) / 5.0, 1.1 + np.arange(390)
     forward = np.array([[1.0, 0.0, 0.0]])
-    dive = level_dive(0.5 * jerk * reference_s[:, None] ** 2 * forward, 0.5 * jerk * ping_s[:, None] ** 2 * forward)
+    dive = level_dive(
+        0.5 * jerk * reference_s[:, None] ** 2 * forward,
+        0.5 * jerk * ping_s[:, None] ** 2 * forward,
+    )
     table, _, _ = dive_windows(dive, load_config("levy-klein"), 6)
     np.testing.assert_allclose(rmse_of(table, "middle"), 0.0, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(rmse_of(table, "end"), jerk * (np.arange(2, 7) - 1) / 2.0, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        rmse_of(table, "end"), jerk * (np.arange(2, 7) - 1) / 2.0, rtol=0.0, atol=1e-9
+    )
 
 
 def test_all_windows_are_evaluated_at_the_same_pings() -> None:
     measured = np.zeros((390, 3))
     measured[200:203] = np.nan
-    table, _, notes = dive_windows(level_dive(np.zeros((1990, 3)), measured), load_config("levy-klein"), 10)
+    table, _, notes = dive_windows(
+        level_dive(np.zeros((1990, 3)), measured), load_config("levy-klein"), 10
+    )
     assert table["samples"].unique().tolist() == [390 - 3 - 2 * 9]
     assert "dvl_no_velocity" in {note.code for note in notes}
 
@@ -137,9 +174,15 @@ def test_all_windows_are_evaluated_at_the_same_pings() -> None:
 def test_lever_arm_matters_in_turns_and_is_compensated_by_the_gyro() -> None:
     arm = (-1.8, 0.1, 0.3)
     with_arm = load_config(overrides=[f"dvl.lever_arm_m={list(arm)}"])
-    turning, _, _ = dive_windows(exact_dive("figure-eight", lever_arm_m=arm, dvl_rate_hz=2.0), with_arm, 4)
-    alone, _, _ = dive_windows(exact_dive("figure-eight", dvl_rate_hz=2.0), load_config("levy-klein"), 4)
-    np.testing.assert_allclose(rmse_of(turning, "middle", "compensated"), rmse_of(alone, "middle"), rtol=0.0, atol=1e-5)
+    turning, _, _ = dive_windows(
+        exact_dive("figure-eight", lever_arm_m=arm, dvl_rate_hz=2.0), with_arm, 4
+    )
+    alone, _, _ = dive_windows(
+        exact_dive("figure-eight", dvl_rate_hz=2.0), load_config("levy-klein"), 4
+    )
+    np.testing.assert_allclose(
+        rmse_of(turning, "middle", "compensated"), rmse_of(alone, "middle"), rtol=0.0, atol=1e-5
+    )
     assert (rmse_of(turning, "middle", "ignored") > 0.05).all()
 
 
@@ -150,7 +193,9 @@ def test_velocities_serve_as_well_as_the_beams_they_come_from() -> None:
     velocity_d = dive.dvl.beam_velocity_mps @ np.linalg.pinv(dive.dvl.beam_vectors_d).T
     beams, _, _ = dive_windows(dive, load_config("levy-klein"), 5)
     velocities, _, _ = dive_windows(
-        replace(dive, dvl=DvlColumns(dive.dvl.time_ns, velocity_d=velocity_d)), load_config("levy-klein"), 5
+        replace(dive, dvl=DvlColumns(dive.dvl.time_ns, velocity_d=velocity_d)),
+        load_config("levy-klein"),
+        5,
     )
     np.testing.assert_allclose(beams["rmse_mps2"], velocities["rmse_mps2"], rtol=0.0, atol=1e-9)
 
@@ -202,13 +247,32 @@ def test_command_writes_the_same_bytes_twice(
 ) -> None:
     for name in ("one", "two"):
         assert (
-            run_command_line(["study", "window", *simulated, "-o", str(tmp_path / name), "--longest", "6", "--png"])
+            run_command_line(
+                [
+                    "study",
+                    "window",
+                    *simulated,
+                    "-o",
+                    str(tmp_path / name),
+                    "--longest",
+                    "6",
+                    "--png",
+                ]
+            )
             == 0
         )
     assert capsys.readouterr().out
     folders = [tmp_path / name / "window" for name in ("one", "two")]
     names = {path.name for path in folders[0].iterdir()}
-    assert names == {"window.csv", "best.csv", "window.svg", "window.png", "config.toml", "report.json", "report.html"}
+    assert names == {
+        "window.csv",
+        "best.csv",
+        "window.svg",
+        "window.png",
+        "config.toml",
+        "report.json",
+        "report.html",
+    }
     for name in names:
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
     table = pd.read_csv(folders[0] / "window.csv")
@@ -222,7 +286,18 @@ def test_log_that_cannot_be_used_does_not_stop_the_others(
 ) -> None:
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(b"no log at all")
-    arguments = ["study", "window", str(broken), *simulated, "-o", str(tmp_path), "--longest", "4", "--format", "json"]
+    arguments = [
+        "study",
+        "window",
+        str(broken),
+        *simulated,
+        "-o",
+        str(tmp_path),
+        "--longest",
+        "4",
+        "--format",
+        "json",
+    ]
     assert run_command_line(arguments) == 3
     printed = capsys.readouterr()
     assert {row["log"] for row in msgspec.json.decode(printed.out)["tables"]["best"]} == {
@@ -230,12 +305,16 @@ def test_log_that_cannot_be_used_does_not_stop_the_others(
         "lawnmower",
         "figure-eight",
     }
-    (left_out,) = (note for note in msgspec.json.decode(printed.out)["notes"] if note["code"] == "log_left_out")
+    (left_out,) = (
+        note for note in msgspec.json.decode(printed.out)["notes"] if note["code"] == "log_left_out"
+    )
     assert "broken.mcap" in left_out["text"]
     assert printed.err.splitlines()[-1].startswith("error: 1 of 3 ")
 
 
-def test_no_log_that_can_be_used_is_the_first_ones_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_log_that_can_be_used_is_the_first_ones_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(b"no log at all")
     assert run_command_line(["study", "window", str(broken), "-o", str(tmp_path / "study")]) == 3
@@ -275,10 +354,16 @@ def test_real_dives_fall_and_rise_with_the_window(real: dict[str, pd.DataFrame])
 
 def best_of(snapir: Path, *overrides: str) -> pd.DataFrame:
     config = load_config(file=PAPER, overrides=overrides)
-    return study_window(sorted(snapir.glob("*.mcap")), config, 10).tables["best"].set_index(["log", "lever_arm", "at"])
+    return (
+        study_window(sorted(snapir.glob("*.mcap")), config, 10)
+        .tables["best"]
+        .set_index(["log", "lever_arm", "at"])
+    )
 
 
-def test_real_dives_are_further_off_at_the_end_and_without_lever_arm(real: dict[str, pd.DataFrame]) -> None:
+def test_real_dives_are_further_off_at_the_end_and_without_lever_arm(
+    real: dict[str, pd.DataFrame],
+) -> None:
     best = real["best"].set_index(["log", "lever_arm", "at"])
     rmse = best["rmse_mps2"].unstack("at").xs("compensated", level="lever_arm")
     assert (rmse["middle"] < rmse["end"]).all()
@@ -288,14 +373,18 @@ def test_real_dives_are_further_off_at_the_end_and_without_lever_arm(real: dict[
 
 def test_best_window_at_the_end_depends_on_the_point_of_the_vehicle(snapir: Path) -> None:
     """At the point of the reference, 1.8 m ahead of the IMU, all of the arm is the DVL's."""
-    best = best_of(snapir, "dvl.lever_arm_m=[-1.834, -0.034, 0.095]", "reference.lever_arm_m=[0, 0, 0]")
+    best = best_of(
+        snapir, "dvl.lever_arm_m=[-1.834, -0.034, 0.095]", "reference.lever_arm_m=[0, 0, 0]"
+    )
     assert best.loc[("*", "compensated", "middle"), "n"] == 3
     assert best.loc[("*", "compensated", "end"), "n"] == 6
     pooled = best["rmse_mps2"].xs("*")
     assert pooled["ignored", "middle"] > 1.5 * pooled["compensated", "middle"]
 
 
-def test_finer_reference_of_real_dives_prefers_two_velocities(snapir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finer_reference_of_real_dives_prefers_two_velocities(
+    snapir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Which window is best depends on how a reference of 1 Hz is differentiated: here by a spline, to its full band."""
 
     def spline_velocity(reference: ReferenceColumns, _: float) -> Floats:

@@ -27,7 +27,8 @@ def refusal(call: Callable[..., Any], *arguments: Any, **keywords: Any) -> str:
 def noted(notes: Iterable[Note]) -> str:
     """Return what is said in each note, with code, severity and count."""
     return "\n".join(
-        f"{note.severity} {note.code} [{note.count}]: {note.text}" + (f"\nhint: {note.hint}" if note.hint else "")
+        f"{note.severity} {note.code} [{note.count}]: {note.text}"
+        + (f"\nhint: {note.hint}" if note.hint else "")
         for note in notes
     )
 

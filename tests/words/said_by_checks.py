@@ -11,7 +11,13 @@ from insdvl_replay.checks.reference import plausibility_notes, reference_notes
 from insdvl_replay.checks.reference_delay import with_reference_delay
 from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes
 from insdvl_replay.core.config import Config, Depth
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, SensorColumns
+from insdvl_replay.core.dive_columns import (
+    Dive,
+    DvlColumns,
+    ImuColumns,
+    ReferenceColumns,
+    SensorColumns,
+)
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy
@@ -31,7 +37,9 @@ def reference_of(dive: Dive) -> ReferenceColumns:
 
 def with_imu(dive: Dive, force: Any = 1.0, rate: Any = 1.0) -> Dive:
     imu = dive.imu
-    return replace(dive, imu=ImuColumns(imu.time_ns, force * imu.specific_force_b, rate * imu.angular_rate_b))
+    return replace(
+        dive, imu=ImuColumns(imu.time_ns, force * imu.specific_force_b, rate * imu.angular_rate_b)
+    )
 
 
 def with_velocity(dive: Dive, heading_deg: float = 0.0, factor: Any = 1.0, zero: Any = ()) -> Dive:
@@ -50,7 +58,9 @@ def said_by_checks(_: Path) -> Cases:
     yield from of_the_dvl(turning)
     yield from of_the_reference(turning)
     yield from of_late_references()
-    yield from of_sensors(reference_of(simulate_dive("figure-eight", seed=1, duration_s=60.0, grade="mems")))
+    yield from of_sensors(
+        reference_of(simulate_dive("figure-eight", seed=1, duration_s=60.0, grade="mems"))
+    )
 
 
 def of_the_imu(turning: Dive) -> Cases:
@@ -69,7 +79,9 @@ def of_the_imu(turning: Dive) -> Cases:
     rate_b[:, 1] = 0.25
     rows = np.arange(len(turning.imu.time_ns))
     rows[2000:2125] = 2000
-    stuck = ImuColumns(turning.imu.time_ns, turning.imu.specific_force_b[rows], turning.imu.angular_rate_b[rows])
+    stuck = ImuColumns(
+        turning.imu.time_ns, turning.imu.specific_force_b[rows], turning.imu.angular_rate_b[rows]
+    )
     for name, dive in (
         ("20 Hz", simulate_dive("straight", duration_s=60.0, imu_rate_hz=20.0, seed=2)),
         ("nine tenths of gravity", with_imu(turning, force=0.9)),
@@ -78,7 +90,10 @@ def of_the_imu(turning: Dive) -> Cases:
         ("stuck", replace(turning, imu=stuck)),
         ("another scale of the gyros", with_imu(turning, rate=0.6)),
         ("gyros that turn the other way", with_imu(turning, rate=-1.0)),
-        ("one gyro that turns the other way", with_imu(turning, np.array([1, -1, 1]), np.array([1, -1, 1]))),
+        (
+            "one gyro that turns the other way",
+            with_imu(turning, np.array([1, -1, 1]), np.array([1, -1, 1])),
+        ),
     ):
         yield f"an IMU: {name}", noted(notes_of(dive))
 
@@ -112,14 +127,18 @@ def of_the_reference(turning: Dive) -> Cases:
 
 
 def of_late_references() -> Cases:
-    dive = simulate_dive("calibration", seed=1, duration_s=200.0, grade="fog", reference_rate_hz=20.0)
+    dive = simulate_dive(
+        "calibration", seed=1, duration_s=200.0, grade="fog", reference_rate_hz=20.0
+    )
     reference = reference_of(dive)
     late = replace(reference, time_ns=reference.time_ns + SECOND // 5)
     rows = 6
     velocity_n = np.roll(reference.velocity_n, rows, axis=0)
     mixed = replace(reference, velocity_n=velocity_n).rows(slice(rows, None))
     for name, columns in (("late", late), ("whose velocity is late", mixed)):
-        notes = list(with_reference_delay(replace(dive, reference=columns, notes=()), Config()).notes)
+        notes = list(
+            with_reference_delay(replace(dive, reference=columns, notes=()), Config()).notes
+        )
         yield f"a reference: {name}", noted(notes)
 
 
@@ -134,12 +153,19 @@ def of_sensors(moving: ReferenceColumns) -> Cases:
     depth_sensor = {"depth": SensorColumns(moving.time_ns, -moving.position[:, 2:])}
     for surface_m in (10.0, -10.0):
         zero = Depth(surface_height_m=surface_m)
-        yield f"a depth of the surface {surface_m:g} m", noted(contradiction_notes(depth_sensor, moving, zero))
+        yield (
+            f"a depth of the surface {surface_m:g} m",
+            noted(contradiction_notes(depth_sensor, moving, zero)),
+        )
     start = moving.rows(np.arange(len(moving.time_ns)) == 0)
-    at_start = depth_at_start_notes(depth_sensor, None, start, Config(depth=Depth(surface_height_m=10.0)))
+    at_start = depth_at_start_notes(
+        depth_sensor, None, start, Config(depth=Depth(surface_height_m=10.0))
+    )
     yield "a depth at the start", noted(at_start)
     astray = np.deg2rad(np.linspace(-120.0, 120.0, 201) + 30.0)
     nothing = np.zeros((201, 3))
-    lying = ReferenceColumns(np.arange(201) * SECOND, nothing, nothing, np.tile(np.eye(3), (201, 1, 1)))
+    lying = ReferenceColumns(
+        np.arange(201) * SECOND, nothing, nothing, np.tile(np.eye(3), (201, 1, 1))
+    )
     heading = {"heading": SensorColumns(lying.time_ns, astray[:, None])}
     yield "a heading astray", noted(contradiction_notes(heading, lying, Depth()))

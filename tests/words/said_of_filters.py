@@ -33,8 +33,18 @@ JUDGED: tuple[tuple[dict[str, float], dict[str, Any]], ...] = (
     (SMALLER, {**CONFIDENT, "errors_of_aided": "no reference"}),
     (SMALLER, {**CONFIDENT, "errors_of_aided": "overconfident"}),
     (SMALLER, {"of_aided": "insufficient data", "errors_of_aided": "overconfident"}),
-    (SMALLER, {**CAUTIOUS, "errors_of_aided": "insufficient data", "errors_of_baseline": "insufficient data"}),
-    (SMALLER, {**CAUTIOUS, "errors_of_aided": "overconfident", "errors_of_baseline": "insufficient data"}),
+    (
+        SMALLER,
+        {
+            **CAUTIOUS,
+            "errors_of_aided": "insufficient data",
+            "errors_of_baseline": "insufficient data",
+        },
+    ),
+    (
+        SMALLER,
+        {**CAUTIOUS, "errors_of_aided": "overconfident", "errors_of_baseline": "insufficient data"},
+    ),
 )
 ACTS = (0.0, 0.005, 0.03, 0.5)  # From a copy to a candidate that is another filter.
 
@@ -49,10 +59,17 @@ def said_of_filters(_: Path) -> Cases:
         yield f"acts by {acts:g}", judged(rows).sentence
     many = history("many", np.full(100, 3.0), np.arange(100) >= 11)
     lost = history("lost", np.full(300, 3.0))
-    lost = replace(lost, innovations=(replace(lost.innovations[0], gate=25.9, reopened=np.arange(300) < 4),))
-    broken = replace(history("broken", np.full(100, 3.0)), velocity_n=np.array([[0.0, np.nan, 0.0]]))
+    lost = replace(
+        lost, innovations=(replace(lost.innovations[0], gate=25.9, reopened=np.arange(300) < 4),)
+    )
+    broken = replace(
+        history("broken", np.full(100, 3.0)), velocity_n=np.array([[0.0, np.nan, 0.0]])
+    )
     blind = replace(history("blind", np.full(100, 3.0)), sd=np.full((1, 12), np.nan))
-    yield "filters that are not evaluated", "\n".join(diverged_filters((many, lost, broken, blind)).values())
+    yield (
+        "filters that are not evaluated",
+        "\n".join(diverged_filters((many, lost, broken, blind)).values()),
+    )
     yield "gates that reject much", noted(update_notes((many,)))
     for name, pings_s in (
         ("one long outage", [*range(1, 300), *range(601, 2000)]),

@@ -10,7 +10,12 @@ import numpy as np
 from as_text import Cases, refusal, spoken
 from small_results import content, write
 
-from insdvl_replay.changes.gate_file import CellGate, TrajectoryGate, load_gates, require_known_filters
+from insdvl_replay.changes.gate_file import (
+    CellGate,
+    TrajectoryGate,
+    load_gates,
+    require_known_filters,
+)
 from insdvl_replay.changes.gates import Finding, gate_findings, trajectory_findings
 from insdvl_replay.core.result import StoredReport
 from insdvl_replay.core.states import COLUMNS
@@ -88,12 +93,17 @@ def said_of_gates(folder: Path) -> Cases:
     file = folder / "gates.toml"
     for text in FILES:
         file.write_text(text, "utf-8")
-        yield f"in a file: {text.rstrip()}".replace(GATE, "GATE\n").replace("\n", " / "), refusal(load_gates, file)
+        yield (
+            f"in a file: {text.rstrip()}".replace(GATE, "GATE\n").replace("\n", " / "),
+            refusal(load_gates, file),
+        )
     for keys in NAMES:
         lines = {"name": "b", "table": "improvement", "column": "sd", "max": 1} | keys
         if {"equals", "expected"} & keys.keys():
             del lines["max"]
-        text = "".join(f"{key} = {msgspec.json.encode(value).decode()}\n" for key, value in lines.items())
+        text = "".join(
+            f"{key} = {msgspec.json.encode(value).decode()}\n" for key, value in lines.items()
+        )
         file.write_text(f"[[gate]]\n{text}", "utf-8")
         yield f"a gate of {keys}", refusal(with_known_filters, file)
     yield from of_cells()
@@ -120,7 +130,12 @@ def of_cells() -> Cases:
     for name, keys, report, baseline in (
         ("too large", {"max": 1.0}, stored(bg_z_sd=1.5), None),
         ("too small", {"min": 1.2, "row": "ba_x"}, stored(), None),
-        ("another word", {"column": "status", "equals": ["same", "worse"], "row": "ba_x"}, stored(), None),
+        (
+            "another word",
+            {"column": "status", "equals": ["same", "worse"], "row": "ba_x"},
+            stored(),
+            None,
+        ),
         ("of a filter that is not evaluated", {"max": 1.0, "row": "ba_x"}, unjudged, None),
         ("of a part of the reference", {**errors, "row": "roll"}, part, None),
         ("empty", {"max": 1.0, "row": "ba_x"}, empty, None),
@@ -138,7 +153,12 @@ def of_cells() -> Cases:
 
 def made(samples: int = 400) -> Trajectory:
     """A baseline and a candidate at rest."""
-    return Trajectory("ab" * 32, ("baseline", "aided"), np.arange(float(samples)), np.zeros((2, samples, len(COLUMNS))))
+    return Trajectory(
+        "ab" * 32,
+        ("baseline", "aided"),
+        np.arange(float(samples)),
+        np.zeros((2, samples, len(COLUMNS))),
+    )
 
 
 def changed(column: str, samples: slice, by: float) -> Trajectory:
@@ -160,7 +180,13 @@ def of_trajectories() -> Cases:
         ("no trajectory", None, made()),
     ):
         yield name, reasons(trajectory_findings(same, new, old))
-    for keys in ({}, {"share_pct": 99.0}, {"longest_outside_s": 19.0}, {"at_s": 100.0}, {"at_s": 1000.0}):
+    for keys in (
+        {},
+        {"share_pct": 99.0},
+        {"longest_outside_s": 19.0},
+        {"at_s": 100.0},
+        {"at_s": 1000.0},
+    ):
         names = {"name": "a", "table": "trajectory", "filter": "aided", "row": "position_error_m"}
         row = TrajectoryGate(within=(0.0, 3.5), **names, **keys)  # type: ignore[arg-type]
         yield f"over time {keys}", reasons(trajectory_findings(row, outside, made()))
@@ -184,7 +210,11 @@ def by_the_command(folder: Path) -> Cases:
         ("no expected values", EXPECTED, ["dive"]),
         ("new expected values", EXPECTED, ["dive", "--update"]),
         ("the same expected values", EXPECTED, ["dive", "--update"]),
-        ("shared expected values", EXPECTED.replace("{log}", "all"), ["dive", "second", "--update"]),
+        (
+            "shared expected values",
+            EXPECTED.replace("{log}", "all"),
+            ["dive", "second", "--update"],
+        ),
         ("a name of no dive", EXPECTED, ["hostile/result", "--update"]),
         ("a name of no file", EXPECTED.replace("{log}", "a" * 5000), ["dive"]),
         ("nothing to update", PASSING, ["dive", "--update"]),

@@ -49,7 +49,12 @@ def of_channels() -> Cases:
     ):
         overrides = [f"imu.topic={topic}"] if topic else []
         yield name, refusal(first_error, channels, load_config(overrides=overrides))
-    fields = {"header": "H", "header.frame_id": "string", "angular_velocity": "V", "angular_velocity.x": "float64"}
+    fields = {
+        "header": "H",
+        "header.frame_id": "string",
+        "angular_velocity": "V",
+        "angular_velocity.x": "float64",
+    }
     for path in ("angular_velocty", "gyro"):
         yield f"no field {path}", refusal(check_path, path, fields, IMU_TYPE)
 
@@ -70,8 +75,16 @@ def of_tables(folder: Path) -> Cases:
         ("rows of other widths", [head, *good[:20], *("1,2" for _ in range(9))], "\n"),
         ("text in many cells", [head, *good, *("9,none,none,none" for _ in range(9))], "\n"),
         ("a cut end", [head, *good, "8.0,1.4"], ""),
-        ("text, two heads and a short row", [head, "s,m/s,m/s,m/s", *good, "8.0,1.4", "8.2,1.x,0.1,0.2"], "\n"),
-        ("no head, no times and empty cells", [line.partition(",")[2] for line in good] + [",0.1,"], "\n"),
+        (
+            "text, two heads and a short row",
+            [head, "s,m/s,m/s,m/s", *good, "8.0,1.4", "8.2,1.x,0.1,0.2"],
+            "\n",
+        ),
+        (
+            "no head, no times and empty cells",
+            [line.partition(",")[2] for line in good] + [",0.1,"],
+            "\n",
+        ),
         (
             "decimal commas, a row without time",
             [line.replace(",", ";").replace(".", ",") for line in [head, *good, ",1,1,1"]],
@@ -86,16 +99,24 @@ def of_tables(folder: Path) -> Cases:
             yield f"table with {name}", refusal(open_recording, path)
     for name in ("imu", "dvl"):
         (folder / f"{name}.csv").write_text("\n".join([head, *good, ""]))
-    yield "two tables from 0 s", noted(open_recording([folder / "dvl.csv", folder / "imu.csv"]).notes)
+    yield (
+        "two tables from 0 s",
+        noted(open_recording([folder / "dvl.csv", folder / "imu.csv"]).notes),
+    )
     yield "tables without settings", refusal(read_dive, folder / "imu.csv", Config())
     imu = ["imu.topic=imu.csv", "imu.specific_force=vx, vy, vz", "imu.angular_rate=vx, vy, wz"]
     dvl = ["dvl.topic=imu.csv", "dvl.velocity=vx, vy, vz"]
-    yield "a column that is not there", refusal(read_dive, folder / "imu.csv", load_config(overrides=[*imu, *dvl]))
+    yield (
+        "a column that is not there",
+        refusal(read_dive, folder / "imu.csv", load_config(overrides=[*imu, *dvl])),
+    )
 
 
 def as_they_are_read(folder: Path) -> Cases:
     sensors = {"position": SensorErrors(1.0), "depth": SensorErrors(1.0, 1.0)}
-    write_dive(folder / "dive.mcap", simulate_dive("straight", seed=1, duration_s=10.0, sensors=sensors))
+    write_dive(
+        folder / "dive.mcap", simulate_dive("straight", seed=1, duration_s=10.0, sensors=sensors)
+    )
     write_dive(folder / "bare.mcap", simulate_dive("straight", seed=1, duration_s=10.0))
     (folder / "text.mcap").write_text("this is no log")
     (folder / "bytes.mcap").write_bytes(b"\x00\x01\x02\x03" * 30)
@@ -130,7 +151,9 @@ def as_a_replay_begins() -> Cases:
     later = replace(reference, time_ns=reference.time_ns + 1000 * SECOND)
     blind = replace(dive.dvl, beam_velocity_mps=np.full_like(beams, np.nan))
     apart = replace(dive.dvl, time_ns=dive.dvl.time_ns + 1000 * SECOND)
-    plain = replace(dive.dvl, beam_velocity_mps=None, beam_vectors_d=None, velocity_d=np.zeros((len(beams), 3)))
+    plain = replace(
+        dive.dvl, beam_velocity_mps=None, beam_vectors_d=None, velocity_d=np.zeros((len(beams), 3))
+    )
     for name, made, overrides in (
         ("an empty span", dive, ["span.start_s=100"]),
         ("clocks that do not meet", replace(dive, dvl=apart), []),
@@ -139,11 +162,18 @@ def as_a_replay_begins() -> Cases:
         ("no beams", replace(dive, dvl=plain), ['filters.a.aiding=["beams"]']),
         ("no reference", replace(dive, reference=None), []),
         ("a reference of another time", replace(dive, reference=later), []),
-        ("a level start without a heading", replace(dive, reference=None), ["initial.source=level"]),
+        (
+            "a level start without a heading",
+            replace(dive, reference=None),
+            ["initial.source=level"],
+        ),
     ):
         yield f"a replay of {name}", refusal(replay_dive, made, load_config(overrides=overrides))
     for overrides in (["initial.heading_deg=77"], [*LEVEL]):
         notes = prepare_dive(dive, load_config(overrides=overrides)).notes
         yield f"notes at the start {' '.join(overrides)}", noted(notes)
-    yield "windows without a reference", refusal(dive_windows, replace(dive, reference=None), load_config(), 5)
+    yield (
+        "windows without a reference",
+        refusal(dive_windows, replace(dive, reference=None), load_config(), 5),
+    )
     yield "windows that are too long", refusal(dive_windows, dive, load_config(), 100)

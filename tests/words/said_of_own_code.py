@@ -37,7 +37,10 @@ def said_of_own_code(_: Path) -> Cases:
     dive = simulate_dive("lawnmower", seed=4, duration_s=20.0, grade="mems", imu_rate_hz=50.0)
 
     def prepared(*words: str) -> Prepared:
-        filters = {"baseline": Filter(aiding=("velocity",)), "mine": Filter(aiding=("velocity", *words))}
+        filters = {
+            "baseline": Filter(aiding=("velocity",)),
+            "mine": Filter(aiding=("velocity", *words)),
+        }
         return prepare_dive(dive, Config(filters=filters, evaluation=Evaluation(starts=1)))
 
     sys.path.insert(0, str(REPLAYS))

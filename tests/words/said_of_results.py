@@ -101,18 +101,32 @@ def of_comparisons(folder: Path) -> Cases:
         yield f"compare {' '.join(arguments)}", f"{said[0]}\n{said[-1]}"
     for sort in ("a", "b"):
         write(folder / "several" / sort / "dive", content())
-    yield "several results of one dive", refusal(compare_results, folder / "old", folder / "several")
+    yield (
+        "several results of one dive",
+        refusal(compare_results, folder / "old", folder / "several"),
+    )
 
 
 def of_verdicts(folder: Path) -> Cases:
     """Return what is said first of two sets, and in brief."""
     for name, words in {"one": "worse", "two": "worse", "three": "better"}.items():
-        write(folder / "before" / name, content(name, filter_verdict="better", prediction="confirmed"))
-        new = content(name, filter_verdict=words, prediction="undecided", rmse=0.5, window=5, sha256=f"another {name}")
+        write(
+            folder / "before" / name, content(name, filter_verdict="better", prediction="confirmed")
+        )
+        new = content(
+            name,
+            filter_verdict=words,
+            prediction="undecided",
+            rmse=0.5,
+            window=5,
+            sha256=f"another {name}",
+        )
         new["config"] |= {f"key{number}": number for number in range(20)}
         write(folder / "after" / name, new)
     write(folder / "before" / "four", content("four"))
-    changed, same = (compare_results(folder / "before", folder / name) for name in ("after", "before"))
+    changed, same = (
+        compare_results(folder / "before", folder / name) for name in ("after", "before")
+    )
     yield "in brief", as_markdown(comparison_document(changed))
     yield "nothing changed", as_markdown(comparison_document(same))
 
@@ -120,7 +134,9 @@ def of_verdicts(folder: Path) -> Cases:
 def of_reports() -> Cases:
     made = report()
     yield "a report in Markdown", as_markdown(dive_document(made))
-    near, far, beyond = (replace(tables().credibility[0], quantity=name) for name in ("velocity", "north", "ba_x"))
+    near, far, beyond = (
+        replace(tables().credibility[0], quantity=name) for name in ("velocity", "north", "ba_x")
+    )
     within = [replace(row, why=Reason.NEAR) for row in (near, far)]
     told = replace(tables(), credibility=[*within, replace(beyond, why=Reason.BEYOND_3_SD)])
     yield (
@@ -132,19 +148,33 @@ def of_reports() -> Cases:
         ),
     )
     yield "the run's log", run_log(made)
-    held_out = replace(made.tables.consistency[0], measurement="held_out_heading", used=0, rejected=2120)
+    held_out = replace(
+        made.tables.consistency[0], measurement="held_out_heading", used=0, rejected=2120
+    )
     apart = replace(made, tables=replace(made.tables, consistency=[held_out]))
     yield "the run's log of a sensor that is held out", "\n".join(run_log(apart).splitlines()[-6:])
     yield "the track's fit", "\n".join(track_fit_line(made))
-    lost = replace(made.filters["aided"], mean_improvement_pct=-66.9, mean_convergence_improvement_pct=-2.04)
-    yield "worse than before", as_markdown(dive_screen(replace(made, filters={"aided": lost}), "report.html"))
+    lost = replace(
+        made.filters["aided"], mean_improvement_pct=-66.9, mean_convergence_improvement_pct=-2.04
+    )
+    yield (
+        "worse than before",
+        as_markdown(dive_screen(replace(made, filters={"aided": lost}), "report.html")),
+    )
     evidence = made.tables.evidence
     for name, ratios, level in POOLED:
         dives = [
-            [replace(row, ratio=level if row.quantity == "level" else ratio) for row in evidence if row.ratio]
+            [
+                replace(row, ratio=level if row.quantity == "level" else ratio)
+                for row in evidence
+                if row.ratio
+            ]
             for ratio in ratios
         ]
-        yield f"dives together: {name}", paragraph(pooled_candidate("aided", "baseline", dives, len(dives), [6.7]))
+        yield (
+            f"dives together: {name}",
+            paragraph(pooled_candidate("aided", "baseline", dives, len(dives), [6.7])),
+        )
 
 
 def of_files(folder: Path) -> Cases:

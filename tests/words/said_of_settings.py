@@ -107,5 +107,11 @@ def said_of_settings(folder: Path) -> Cases:
     yield "None in Python", refusal(insdvl_replay.load_config, settings={"dvl.lever_arm_m": None})
     yield "preset phog", refusal(load_config, "phog")
     for dive in IMPOSSIBLE_DIVES:
-        yield f"a dive of {dive}", refusal(simulate_dive, **{"scenario": "static", "duration_s": 10.0, **dive})
-    yield "a study of the grade matchd", refusal(make_setup, "straight", load_config("fog"), "matchd")
+        yield (
+            f"a dive of {dive}",
+            refusal(simulate_dive, **{"scenario": "static", "duration_s": 10.0, **dive}),
+        )
+    yield (
+        "a study of the grade matchd",
+        refusal(make_setup, "straight", load_config("fog"), "matchd"),
+    )

@@ -24,7 +24,14 @@ IN_NAMES = frozenset((
     "mistake", "gauge", "anew", "whoever", "beside", "laid",
 ))  # fmt: skip
 PATTERN = re.compile(rf"\b(?:{'|'.join(map(re.escape, IN_PROSE))}|stands(?! for))\b", re.IGNORECASE)
-DOCUMENTS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "docs/*.md", "docs/reference/*.md")
+DOCUMENTS = (
+    "README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    "SECURITY.md",
+    "docs/*.md",
+    "docs/reference/*.md",
+)
 SCREENS = ("tests/cli/golden/*.txt", "tests/words/golden/*.txt", "insdvl_replay/core/notes.toml")
 
 

@@ -37,13 +37,19 @@ AREAS: dict[str, Callable[[Path], Cases]] = {
 def test_what_is_said_is_what_was_read_and_found_good(area: str, tmp_path: Path) -> None:
     said = golden_text(AREAS[area](tmp_path), tmp_path)
     stored = (GOLDEN / f"{area}.txt").read_text("utf-8")
-    moved = "\n".join(unified_diff(stored.splitlines(), said.splitlines(), "stored", "said now", lineterm="", n=2))
+    moved = "\n".join(
+        unified_diff(stored.splitlines(), said.splitlines(), "stored", "said now", lineterm="", n=2)
+    )
     assert not moved, f"{moved}\n`make golden` stores what is said now"
 
 
 def test_no_case_is_there_twice() -> None:
     for area in AREAS:
-        names = [line for line in (GOLDEN / f"{area}.txt").read_text("utf-8").splitlines() if line.startswith("=== ")]
+        names = [
+            line
+            for line in (GOLDEN / f"{area}.txt").read_text("utf-8").splitlines()
+            if line.startswith("=== ")
+        ]
         assert len(names) == len(set(names)), area
 
 

@@ -45,7 +45,9 @@ class BeamVelocities:
     def of_pings(cls, along_mps: Floats, velocity_d: Floats) -> "BeamVelocities":
         """Choose the pings that have both."""
         whole = np.isfinite(along_mps).all(axis=1) & np.isfinite(velocity_d).all(axis=1)
-        moving = whole & (np.linalg.norm(np.where(np.isfinite(velocity_d), velocity_d, 0.0), axis=1) > _MOVING_MPS)
+        moving = whole & (
+            np.linalg.norm(np.where(np.isfinite(velocity_d), velocity_d, 0.0), axis=1) > _MOVING_MPS
+        )
         return cls(along_mps[moving], velocity_d[moving])
 
     def __len__(self) -> int:
@@ -109,7 +111,9 @@ class BeamVelocities:
         return np.asarray(self.velocity_d @ by_velocity)
 
 
-def agreeing_directions(pings: BeamVelocities, reported: Floats | None, slant: float | None) -> Floats | None:
+def agreeing_directions(
+    pings: BeamVelocities, reported: Floats | None, slant: float | None
+) -> Floats | None:
     """Return other directions than those in use that agree with the velocities, shape (beams, 3); None without any.
 
     Those that the messages report come first, with other tilts: the sine and the cosine of one may be swapped, and the

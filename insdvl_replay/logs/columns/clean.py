@@ -10,7 +10,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, Scalar, TimeNs, is_new, nanoseconds, seconds
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Floats,
+    Scalar,
+    TimeNs,
+    is_new,
+    nanoseconds,
+    seconds,
+)
 from insdvl_replay.core.errors import LogError, Note, counted_clause
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.tables import (
@@ -74,7 +82,9 @@ class Cleaner:
             )
             hint = f'{self.role}.stamp = "log_time"'
             if order.jump_s > SAME_CLOCK_S:
-                raise LogError(f"{text}; their clock was set back by {order.jump_s:.3f} s", hint, *table.where)
+                raise LogError(
+                    f"{text}; their clock was set back by {order.jump_s:.3f} s", hint, *table.where
+                )
             if not is_few(order.wrong.size, self.time_ns.size):
                 raise LogError(text, hint, *table.where)
             code, text = f"{table.source.code}_wrong_stamps", f"{self.role}: {text}; dropped"
@@ -95,19 +105,28 @@ class Cleaner:
 
     def kept(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Return the rows of values that stay, in the order of time; the same array where all stay in place."""
-        return values[self.rows] if self.notes else values  # no row is dropped or moved without a note
+        return (
+            values[self.rows] if self.notes else values
+        )  # no row is dropped or moved without a note
 
-    def keep(self, good: Mask, code: str, reason: str, severity: Severity = Severity.INFO, hint: str = "") -> None:
+    def keep(
+        self, good: Mask, code: str, reason: str, severity: Severity = Severity.INFO, hint: str = ""
+    ) -> None:
         """Drop the rows that are not good; the reason says what the dropped messages are like."""
         self._keep_rows(good[self.rows], code, reason, severity, hint)
 
-    def keep_where(self, quantity: str, good: Callable[[Floats], Mask], code: str, reason: str) -> None:
+    def keep_where(
+        self, quantity: str, good: Callable[[Floats], Mask], code: str, reason: str
+    ) -> None:
         """Drop the rows of which a number of a quantity is not good, if the topic holds it."""
         if quantity in self.table:
             self.keep(np.asarray(good(self.table.values(quantity)).all(axis=1)), code, reason)
 
     def keep_finite(
-        self, *values: Floats, hint: str = "", reason: str = "messages hold a number that is not finite"
+        self,
+        *values: Floats,
+        hint: str = "",
+        reason: str = "messages hold a number that is not finite",
     ) -> None:
         """Drop the rows in which a number is missing.
 
@@ -124,14 +143,20 @@ class Cleaner:
         is_serious = 2 * count > lost.size
         if hint:
             is_serious = bool(np.any(lost[1:] & lost[:-1])) or not is_few(count, lost.size)
-        self.keep(finite, "not_finite", reason, Severity.WARNING if is_serious else Severity.INFO, hint)
+        self.keep(
+            finite, "not_finite", reason, Severity.WARNING if is_serious else Severity.INFO, hint
+        )
 
     def keep_possible(self, possible: Mask, impossible: Floats, reason: str, hint: str) -> None:
         """Drop rows with impossible readings, shape (m,), unless these mean a wrong unit."""
         if not self._are_of_another_unit(~possible[self.rows], impossible):
-            self.keep(possible, "impossible", f"{reason} ({shown(impossible)})", Severity.WARNING, hint)
+            self.keep(
+                possible, "impossible", f"{reason} ({shown(impossible)})", Severity.WARNING, hint
+            )
 
-    def without_impossible(self, values: Floats, is_impossible: Mask, reason: str, hint: str) -> Floats:
+    def without_impossible(
+        self, values: Floats, is_impossible: Mask, reason: str, hint: str
+    ) -> Floats:
         """Return values, (k, n), NaN where they cannot be, unless these mean a wrong unit."""
         impossible = values[is_impossible]
         rows: Mask = np.asarray(is_impossible.any(axis=1))
@@ -139,7 +164,9 @@ class Cleaner:
         if not impossible.size or self._are_of_another_unit(rows[has_any], impossible):
             return values
         text = f"{reason} ({shown(impossible)}) and count as missing"
-        self.note("impossible", text, impossible.size, Severity.WARNING, hint, first=np.flatnonzero(rows))
+        self.note(
+            "impossible", text, impossible.size, Severity.WARNING, hint, first=np.flatnonzero(rows)
+        )
         return np.where(is_impossible, np.nan, values)
 
     @staticmethod
@@ -152,7 +179,9 @@ class Cleaner:
         if not self.rows.size:
             reasons = "; ".join(note.text for note in self.notes)
             hint = f"to use another topic: {self.role}.topic (`inspect` lists the topics)"
-            raise LogError(f"no message of {self.time_ns.size} can be used: {reasons}", hint, *self.table.where)
+            raise LogError(
+                f"no message of {self.time_ns.size} can be used: {reasons}", hint, *self.table.where
+            )
 
     def drop_repeated_times(self, *values: Floats) -> None:
         """Keep the first of several rows with the same time.
@@ -168,7 +197,9 @@ class Cleaner:
         count = int(np.count_nonzero(differ))
         if not is_few(count, times.size):
             reason = "messages have the time of the one before, but other values (stamped together on delivery)"
-            if count > 0.5 * times.size:  # without most of its messages, a topic is not the same any more
+            if (
+                count > 0.5 * times.size
+            ):  # without most of its messages, a topic is not the same any more
                 hint = f'{self.stamp_hint}; to use the recorder\'s time: {self.role}.stamp = "log_time"'
                 raise LogError(f"{count} of {times.size} {reason}", hint, *self.table.where)
             good = np.ones(times.size, np.bool_)
@@ -201,7 +232,9 @@ class Cleaner:
         first: Rows | None = None,
     ) -> None:
         """Add a note about some of the rows, with the time of the earliest."""
-        first_s = 0.0 if first is None else float(seconds(self.time_ns[first].min(), self._first_ns))
+        first_s = (
+            0.0 if first is None else float(seconds(self.time_ns[first].min(), self._first_ns))
+        )
         text = f"{self.role}: {counted_clause(count, text)}; the first {first_s:.3f} s after the first message"
         self.notes.append(Note(f"{self.table.source.code}_{code}", text, count, severity, hint))
 
@@ -258,7 +291,9 @@ def note_lost_samples(cleaner: Cleaner) -> None:
     in_steps = step_ns / step_ns[np.abs(step_ns / first_ns - 1.0) <= 0.2].mean()
     multiples = np.round(in_steps)
     near = np.abs(in_steps - multiples) <= 0.2
-    pauses = (in_steps > 1.5) & (in_steps < 10.5)  # longer ones are outages, which have a note of their own
+    pauses = (in_steps > 1.5) & (
+        in_steps < 10.5
+    )  # longer ones are outages, which have a note of their own
     # Fewer than six pauses may be near a multiple by chance, and jitter is near none.
     if np.count_nonzero(pauses) < 6 or near.mean() < 0.8 or near[pauses].mean() < 0.9:
         return
@@ -271,13 +306,16 @@ def note_lost_samples(cleaner: Cleaner) -> None:
     share = lost / (lost + cleaner.times.size)
     usual_s = float(np.median(steps_ns[stamped[~pauses & near]])) / NS_PER_S
     text = (
-        f"samples, {100.0 * share:.2g} % of all, are missing: pauses are multiples of the usual step of {usual_s:.4g} s"
+        f"samples, {100.0 * share:.2g} % of all, are missing: pauses are "
+        f"multiples of the usual step of {usual_s:.4g} s"
     )
     severity, hint = Severity.INFO, ""
     if share >= 0.05:  # more may change the results
         hint = "check whether the recorder or the network was too slow"
         severity = Severity.WARNING
-    cleaner.note("lost_samples", text, lost, severity, hint, first=cleaner.rows[stamped[pauses & near]])
+    cleaner.note(
+        "lost_samples", text, lost, severity, hint, first=cleaner.rows[stamped[pauses & near]]
+    )
 
 
 def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
@@ -295,7 +333,9 @@ def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
         f"of {usual_ns / NS_PER_S:.4f} s apart): the stamps are times of delivery"
     )
     hint = f"{cleaner.stamp_hint}; else raise {remedy} until NIS/dof is about 1"
-    cleaner.note("bursts", text, together.size, Severity.WARNING, hint, first=cleaner.rows[together])
+    cleaner.note(
+        "bursts", text, together.size, Severity.WARNING, hint, first=cleaner.rows[together]
+    )
 
 
 def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
@@ -314,14 +354,25 @@ def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
         f"{pauses_ns[gaps].sum() / NS_PER_S:.3f} s; {long} longer than {max_gap_s:g} s"
     )
     hint = f"to allow longer gaps: {cleaner.role}.max_gap_s" if long else ""
-    cleaner.note("gaps", text, gaps.size, Severity.WARNING if long else Severity.INFO, hint, first=cleaner.rows[gaps])
+    cleaner.note(
+        "gaps",
+        text,
+        gaps.size,
+        Severity.WARNING if long else Severity.INFO,
+        hint,
+        first=cleaner.rows[gaps],
+    )
     # No recorder waits for a day in the middle of a dive; one without a clock of its own begins in 1970.
     steps = np.flatnonzero(pauses_ns > 86_400 * NS_PER_S)
     if steps.size:
-        before, after = (np.datetime64(int(cleaner.times[steps[0] + i]), "ns").astype("M8[s]") for i in (0, 1))
+        before, after = (
+            np.datetime64(int(cleaner.times[steps[0] + i]), "ns").astype("M8[s]") for i in (0, 1)
+        )
         text = (
             f"steps are longer than a day, the first from {before} to {after} UTC: the clock was set during the "
             "recording, or the log has two dives"
         )
         hint = "choose the part before or after the step with --start and --end"
-        cleaner.note("clock_set", text, steps.size, Severity.WARNING, hint, first=cleaner.rows[steps])
+        cleaner.note(
+            "clock_set", text, steps.size, Severity.WARNING, hint, first=cleaner.rows[steps]
+        )

@@ -25,7 +25,13 @@ from insdvl_replay.logs.columns.beam_directions import (
     agreeing_directions,
     azimuths_and_tilts_deg,
 )
-from insdvl_replay.logs.columns.clean import Cleaner, note_bursts, note_lost_samples, same_rows, stand_for_none
+from insdvl_replay.logs.columns.clean import (
+    Cleaner,
+    note_bursts,
+    note_lost_samples,
+    same_rows,
+    stand_for_none,
+)
 from insdvl_replay.logs.columns.flags import flag_columns, marks_some
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.tables import Mask, Table
@@ -34,7 +40,10 @@ from insdvl_replay.logs.formats.fields import split_paths
 
 Rule = tuple[str, Callable[[Floats], Mask], str, str]
 _MOVING_MPS: Final = 0.05
-_SPEEDS, _AXES = "velocities along the beams", "axes of the beams"  # columns that no message holds as such
+_SPEEDS, _AXES = (
+    "velocities along the beams",
+    "axes of the beams",
+)  # columns that no message holds as such
 _VALID_HINT: Final = 'to read a flag of valid pings: dvl.valid = "field.path", or dvl.beam_valid'
 _BEAM_HINT: Final = "set dvl.beam_tilt_deg and dvl.beam_azimuth_deg from the data sheet"
 
@@ -60,24 +69,37 @@ def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
     _note_unused_flags(table, cleaner)
     for rule in _BOTTOM_TRACK:
         cleaner.keep_where(*rule)
-    beams = _beam_velocity(table, cleaner) if "beam_velocity" in table else np.full((len(table), 0), np.nan)
+    beams = (
+        _beam_velocity(table, cleaner)
+        if "beam_velocity" in table
+        else np.full((len(table), 0), np.nan)
+    )
     has_beams = np.asarray(~np.isnan(beams).all(axis=1))
     if "beams_valid" in table:
         has_beams &= table.column("beams_valid") != 0.0
     is_beams = "beam_velocity" in table
     if settings.kind is not None:
-        is_beams, quantity = settings.kind == "beams", "beam_velocity" if settings.kind == "beams" else "velocity"
+        is_beams, quantity = (
+            settings.kind == "beams",
+            "beam_velocity" if settings.kind == "beams" else "velocity",
+        )
         if quantity not in table:
             text = f"type {table.source.type_name} has no {quantity}, but dvl.kind is '{settings.kind}'"
             raise LogError(text, f'to read it: dvl.{quantity} = "field.path"', *table.where)
     elif is_beams and "velocity" in table and not np.nan_to_num(beams[has_beams]).any():
         is_beams = False
-        cleaner.note("no_beams", "pings (all) have no valid beam; the velocities of the DVL are used", len(table))
+        cleaner.note(
+            "no_beams",
+            "pings (all) have no valid beam; the velocities of the DVL are used",
+            len(table),
+        )
     directions = None
     if is_beams:
         unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
         beams = _without_impossible(_without_none(beams, unit) * unit, cleaner)
-        directions = _used_directions(table, settings, cleaner, np.where(has_beams[:, None], beams, np.nan), is_given)
+        directions = _used_directions(
+            table, settings, cleaner, np.where(has_beams[:, None], beams, np.nan), is_given
+        )
     if directions is None:
         return _decode_velocities(table, settings, cleaner), cleaner.notes
     return _decode_beams(table, cleaner, beams, has_beams, directions), cleaner.notes
@@ -91,7 +113,10 @@ def _note_unused_flags(table: Table, cleaner: Cleaner) -> None:
     found = flag_columns(names)
     for name, flag in zip(names, table.values(UNUSED_FLAGS).T, strict=True):
         is_inverse = name in found.invalid
-        count = marks_some(np.where(flag == 0.0, 1.0, 0.0) if is_inverse else flag, is_sure=name not in found.unsure)
+        count = marks_some(
+            np.where(flag == 0.0, 1.0, 0.0) if is_inverse else flag,
+            is_sure=name not in found.unsure,
+        )
         if not count:
             continue
         values, counts = np.unique(flag[np.isfinite(flag)], return_counts=True)
@@ -112,9 +137,13 @@ def _decode_velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColu
     for rule in _VALID:
         cleaner.keep_where(*rule)
     # Of the instrument.
-    cleaner.keep_where("coordinates", lambda kind: kind == 1, "coordinates", "pings are in other coordinates")
+    cleaner.keep_where(
+        "coordinates", lambda kind: kind == 1, "coordinates", "pings are in other coordinates"
+    )
     if "good_beams" in table and table.column("good_beams").any():
-        cleaner.keep_where("good_beams", lambda n: n >= 3, "invalid", "pings have fewer than three good beams")
+        cleaner.keep_where(
+            "good_beams", lambda n: n >= 3, "invalid", "pings have fewer than three good beams"
+        )
     cleaner.keep_finite(velocity_d)
     _drop_repeats(cleaner, velocity_d)
     directions = _unused_directions(table, settings, cleaner)
@@ -127,7 +156,9 @@ def _decode_beams(
     table: Table, cleaner: Cleaner, beams_mps: Floats, has_beams: Mask, directions: _Directions
 ) -> DvlColumns:
     # Along the beams.
-    cleaner.keep_where("coordinates", lambda kind: kind == 0, "coordinates", "pings are in other coordinates")
+    cleaner.keep_where(
+        "coordinates", lambda kind: kind == 0, "coordinates", "pings are in other coordinates"
+    )
     if "beam_valid" not in table and "nortek_status" not in table:
         for rule in _VALID:
             cleaner.keep_where(*rule)
@@ -183,12 +214,18 @@ def _beam_velocity(table: Table, cleaner: Cleaner) -> Floats:
     if "beam_var" in table and (variance := table.values("beam_var")).shape == velocity.shape:
         velocity = np.where(variance < 0.0, np.nan, velocity)
     if "nortek_status" in table and velocity.shape[1] == 4:
-        velocity = np.where(_are_set(table.values("nortek_status", 1), (0, 1, 2, 3)), velocity, np.nan)
+        velocity = np.where(
+            _are_set(table.values("nortek_status", 1), (0, 1, 2, 3)), velocity, np.nan
+        )
     if "beam_valid" in table:
         valid = table.values("beam_valid")
         if valid.shape != velocity.shape:
             text = f"has {velocity.shape[1]} beam velocities, but {valid.shape[1]} validity flags"
-            raise LogError(text, "dvl.beam_velocity and dvl.beam_valid need the same number of values", *table.where)
+            raise LogError(
+                text,
+                "dvl.beam_velocity and dvl.beam_valid need the same number of values",
+                *table.where,
+            )
         velocity = np.where(valid > 0.0, velocity, np.nan)
     lost = _are_lost(table, velocity)
     if lost.any():
@@ -222,8 +259,12 @@ def _without_impossible(values_mps: Floats, cleaner: Cleaner) -> Floats:
     """Drop what no vehicle reaches, however often; most pings with different such velocities mean a wrong unit."""
     is_impossible = np.abs(values_mps) > FASTEST_MPS
     is_mark = stand_for_none(values_mps[is_impossible])
-    hint = _VALID_HINT if is_mark else "check dvl.velocity_unit, and whether the DVL had bottom lock"
-    return cleaner.without_impossible(values_mps, is_impossible, f"readings are above {FASTEST_MPS:g} m/s", hint)
+    hint = (
+        _VALID_HINT if is_mark else "check dvl.velocity_unit, and whether the DVL had bottom lock"
+    )
+    return cleaner.without_impossible(
+        values_mps, is_impossible, f"readings are above {FASTEST_MPS:g} m/s", hint
+    )
 
 
 def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
@@ -245,7 +286,9 @@ def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
             raise LogError(text, hint, *cleaner.table.where)
         count = int(np.sum(ends[long] - starts[long]))
         text = f"pings repeat the same values for over 5 s, longest run {lengths_s.max():.1f} s"
-        cleaner.note("stuck", text, count, Severity.WARNING, _VALID_HINT, first=cleaner.rows[starts[long]])
+        cleaner.note(
+            "stuck", text, count, Severity.WARNING, _VALID_HINT, first=cleaner.rows[starts[long]]
+        )
     cleaner.drop_repeated_values(values)
     cleaner.require_rows()
     note_bursts(cleaner, np.diff(cleaner.times), "dvl.velocity_sd_mps")
@@ -267,7 +310,9 @@ def _with_beam_speeds(table: Table, settings: Dvl) -> Table:
         return table
     vectors = parts.reshape(len(table), 3, -1).transpose(0, 2, 1)
     sizes = np.linalg.norm(vectors, axis=2)
-    down = in_frd(vectors.reshape(-1, 3), settings.axes or FRD, "dvl.axes")[:, 2].reshape(sizes.shape)
+    down = in_frd(vectors.reshape(-1, 3), settings.axes or FRD, "dvl.axes")[:, 2].reshape(
+        sizes.shape
+    )
     axes = np.empty((vectors.shape[1], 3))
     for beam, axis in enumerate(axes):
         moves = (sizes[:, beam] > _MOVING_MPS) & (down[:, beam] != 0.0)
@@ -281,7 +326,9 @@ def _with_beam_speeds(table: Table, settings: Dvl) -> Table:
         _AXES: np.broadcast_to(axes.ravel(), (len(table), axes.size)),
     }
     fields = {**table.source.fields, "beam_velocity": _SPEEDS, "beam_vectors": _AXES}
-    return replace(table, columns={**table.columns, **columns}, source=replace(table.source, fields=fields))
+    return replace(
+        table, columns={**table.columns, **columns}, source=replace(table.source, fields=fields)
+    )
 
 
 def _limited(values: Floats) -> Floats:
@@ -295,16 +342,22 @@ def _reported_vectors(table: Table, cleaner: Cleaner) -> Floats:
     reported = _limited(cleaner.kept(table.values(quantity)))
     if reported.shape[1] % width:
         field = table.source.fields[quantity]
-        text = f"field '{field}' holds {reported.shape[1]} numbers, which are not {width} for a beam"
+        text = (
+            f"field '{field}' holds {reported.shape[1]} numbers, which are not {width} for a beam"
+        )
         raise LogError(text, _BEAM_HINT, *table.where)
     reported = reported.reshape(len(reported), -1, width)
     if quantity == "beam_quaternions":
         # The UUV Simulator writes the axis of the turn whole, beside w: a quaternion whose vector part has length 1
         # can only be half a turn, with a w of 0.
         axis, w = reported[..., :3], reported[..., 3:]
-        whole = (np.abs(np.linalg.norm(axis, axis=-1, keepdims=True) - 1.0) < 1e-6) & (np.abs(w) <= 1.0)
+        whole = (np.abs(np.linalg.norm(axis, axis=-1, keepdims=True) - 1.0) < 1e-6) & (
+            np.abs(w) <= 1.0
+        )
         sines = np.sqrt(np.clip(1.0 - w * w, 0.0, 1.0))
-        reported = mat_from_quat(np.concatenate([np.where(whole, axis * sines, axis), w], axis=-1))[..., 0]
+        reported = mat_from_quat(np.concatenate([np.where(whole, axis * sines, axis), w], axis=-1))[
+            ..., 0
+        ]
     return np.asarray(np.median(reported, axis=0))
 
 
@@ -354,7 +407,9 @@ def _used_directions(
         why = fault or _contradiction(pings, in_use)
         other = agreeing_directions(pings, reported, _slant(table, cleaner))
         if other is not None:
-            _note_other_directions(cleaner, other, "beam_geometry" if fault else "beam_directions", why)
+            _note_other_directions(
+                cleaner, other, "beam_geometry" if fault else "beam_directions", why
+            )
             return _Directions(other)
         if len(in_use) != beams or not pings.has_other_axes(in_use):
             _note_unused_beams(cleaner, why)
@@ -362,7 +417,9 @@ def _used_directions(
         _note_contradiction(cleaner, pings, in_use)
     _require_directions(table, in_use, beams)
     if fault:
-        why = "are assumed" if pings is None else "are used, which agree with the DVL's own velocity"
+        why = (
+            "are assumed" if pings is None else "are used, which agree with the DVL's own velocity"
+        )
         text = f"pings have impossible beam vectors ({fault}); {_words(in_use)} {why}"
         cleaner.note("beam_geometry", text, cleaner.rows.size, Severity.WARNING, _BEAM_HINT)
     look = None if usable is None else usable.mean(axis=0)
@@ -385,7 +442,9 @@ def _require_directions(table: Table, vectors_d: Floats, beams: int) -> None:
         )
 
 
-def _directions_in_messages(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[Floats | None, str]:
+def _directions_in_messages(
+    table: Table, settings: Dvl, cleaner: Cleaner
+) -> tuple[Floats | None, str]:
     """Return the directions in the messages, (beams, 3), None where there are none, and what is wrong with them."""
     if not _are_reported(table) or _has_directions(settings):
         return None, ""
@@ -403,7 +462,9 @@ def _note_other_directions(cleaner: Cleaner, vectors_d: Floats, code: str, why: 
         f"pings have beams whose directions cannot be true ({why}); {_words(vectors_d)} agree with the DVL's own "
         "velocity and are used"
     )
-    cleaner.note(code, text, cleaner.rows.size, Severity.WARNING, f"to keep these: {_keys(vectors_d)}")
+    cleaner.note(
+        code, text, cleaner.rows.size, Severity.WARNING, f"to keep these: {_keys(vectors_d)}"
+    )
 
 
 def _note_unused_beams(cleaner: Cleaner, why: str) -> None:
@@ -436,18 +497,24 @@ def _note_look(cleaner: Cleaner, look: Floats | None) -> None:
     cleaner.note("beams_not_down", text, cleaner.rows.size, Severity.WARNING, hint)
 
 
-def _compared_pings(table: Table, settings: Dvl, cleaner: Cleaner, beams_mps: Floats) -> BeamVelocities | None:
+def _compared_pings(
+    table: Table, settings: Dvl, cleaner: Cleaner, beams_mps: Floats
+) -> BeamVelocities | None:
     """Return the pings whose beams can be compared with the instrument's own velocity; None without any."""
     if "velocity" not in table or "coordinates" in table:
         return None
-    pings = BeamVelocities.of_pings(cleaner.kept(beams_mps), cleaner.kept(_velocity_d(table, settings)))
+    pings = BeamVelocities.of_pings(
+        cleaner.kept(beams_mps), cleaner.kept(_velocity_d(table, settings))
+    )
     return pings if len(pings) else None
 
 
 def _contradiction(pings: BeamVelocities, vectors_d: Floats) -> str:
     """State how far beams are from the velocity."""
     if len(vectors_d) != pings.along_mps.shape[1]:
-        return f"there are {pings.along_mps.shape[1]} of them, but the geometry has {len(vectors_d)}"
+        return (
+            f"there are {pings.along_mps.shape[1]} of them, but the geometry has {len(vectors_d)}"
+        )
     if not np.isfinite(pings.misfit(vectors_d)):
         return "they are in one plane"
     if pings.misfit(vectors_d) <= AGREES:
@@ -468,7 +535,11 @@ def _slant(table: Table, cleaner: Cleaner) -> float | None:
         return None
     altitude = cleaner.kept(table.column("altitude"))
     ranges = cleaner.kept(table.values("beam_ranges"))
-    measured = (np.isfinite(ranges) & (ranges > 0.0)).all(axis=1) & np.isfinite(altitude) & (altitude > 0.0)
+    measured = (
+        (np.isfinite(ranges) & (ranges > 0.0)).all(axis=1)
+        & np.isfinite(altitude)
+        & (altitude > 0.0)
+    )
     if not measured.any():
         return None
     return float(np.median(altitude[measured, None] / ranges[measured]))

@@ -14,8 +14,12 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Floats
 
 _BEFORE: Final = r"(^|.*[._])(is|has|dvl|bt|bottom|track|ping|data|vel|velocity|[xyz]|v[xyz])*"
-_VALID: Final = re.compile(_BEFORE + r"(valid|validity|lock|locked|good|ok|usable)(_?(flag|bit|status))?")
-_INVALID: Final = re.compile(_BEFORE + r"(invalid|bad|lost|(no|not|un)_?(valid|lock|locked|good|ok))(_?(flag|bit))?")
+_VALID: Final = re.compile(
+    _BEFORE + r"(valid|validity|lock|locked|good|ok|usable)(_?(flag|bit|status))?"
+)
+_INVALID: Final = re.compile(
+    _BEFORE + r"(invalid|bad|lost|(no|not|un)_?(valid|lock|locked|good|ok))(_?(flag|bit))?"
+)
 _UNSURE: Final = re.compile(_BEFORE + r"(status|state|quality|qual|qc|flags?|error|fault)")
 _OF_OTHERS: Final = re.compile(
     r"imu|acc|gyr|gps|gnss|fix|nav|ref|ahrs|mag|depth|press|alt|head|usbl|beam|(^|[._])b\d|time|clock"

@@ -18,7 +18,13 @@ from insdvl_replay.core.states import DEG, LARGEST_FORCE_MPS2, LARGEST_RATE_RADP
 from insdvl_replay.core.units import ANGULAR_RATE_UNITS, SPECIFIC_FORCE_UNITS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import mat_from_rpy
-from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_gaps, note_lost_samples
+from insdvl_replay.logs.columns.clean import (
+    Cleaner,
+    is_few,
+    note_bursts,
+    note_gaps,
+    note_lost_samples,
+)
 from insdvl_replay.logs.columns.tables import Mask, Table
 
 FRD: Final = "frd"  # the project's axes, the default
@@ -36,7 +42,9 @@ def in_frd(vectors: Floats, axes: str, key: str, unit: float = 1.0) -> Floats:
     text = _NAMED_AXES.get(axes, axes)
     readings = re.findall(r"([+-])([xyz])", text)
     if len(text) != 6 or sorted(axis for _, axis in readings) != ["x", "y", "z"]:
-        raise ConfigError(f'{key} = "{axes}" is no set of axes', f'{key} = "frd", "flu" or for example "+y+x-z"')
+        raise ConfigError(
+            f'{key} = "{axes}" is no set of axes', f'{key} = "frd", "flu" or for example "+y+x-z"'
+        )
     if text == _NAMED_AXES[FRD] and unit == 1.0:
         return vectors
     turned = np.empty_like(vectors)
@@ -48,8 +56,12 @@ def in_frd(vectors: Floats, axes: str, key: str, unit: float = 1.0) -> Floats:
 def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     """Make the columns of the IMU; a `LogError` where no reading can be used, a `ConfigError` where axes are none."""
     settings = table.source.completed(settings)
-    force_unit = SPECIFIC_FORCE_UNITS[settings.specific_force_unit or "m/s2"] / settings.specific_force_scale
-    rate_unit = ANGULAR_RATE_UNITS[settings.angular_rate_unit or "rad/s"] / settings.angular_rate_scale
+    force_unit = (
+        SPECIFIC_FORCE_UNITS[settings.specific_force_unit or "m/s2"] / settings.specific_force_scale
+    )
+    rate_unit = (
+        ANGULAR_RATE_UNITS[settings.angular_rate_unit or "rad/s"] / settings.angular_rate_scale
+    )
     axes = settings.axes or FRD
     force_axes, force_key = axes, "imu.axes"
     if settings.specific_force_axes is not None:
@@ -61,7 +73,9 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
     # A sample is possible within the limits, and not free of gravity and Earth rate; what is not finite is not either.
-    possible = _is_within(specific_force_b, LARGEST_FORCE_MPS2) & _is_within(angular_rate_b, LARGEST_RATE_RADPS)
+    possible = _is_within(specific_force_b, LARGEST_FORCE_MPS2) & _is_within(
+        angular_rate_b, LARGEST_RATE_RADPS
+    )
     dead = np.flatnonzero(specific_force_b[:, 0] == 0.0)
     possible[dead] &= specific_force_b[dead].any(axis=1) | angular_rate_b[dead].any(axis=1)
     if not possible.all():
@@ -82,7 +96,11 @@ def turned_to_body(imu: ImuColumns, rpy_deg: Sequence[float]) -> ImuColumns:
     if not any(rpy_deg):
         return imu
     turn_b = mat_from_rpy(np.array(rpy_deg) * DEG).T
-    return replace(imu, specific_force_b=imu.specific_force_b @ turn_b, angular_rate_b=imu.angular_rate_b @ turn_b)
+    return replace(
+        imu,
+        specific_force_b=imu.specific_force_b @ turn_b,
+        angular_rate_b=imu.angular_rate_b @ turn_b,
+    )
 
 
 def measured_vectors(table: Table, quantity: str, short: str, settings: Imu) -> Floats:
@@ -105,7 +123,9 @@ def measured_vectors(table: Table, quantity: str, short: str, settings: Imu) -> 
     return np.where(unmeasured[:, None], np.nan, values) if unmeasured.any() else values
 
 
-def _drop_impossible(cleaner: Cleaner, possible: Mask, specific_force_b: Floats, angular_rate_b: Floats) -> None:
+def _drop_impossible(
+    cleaner: Cleaner, possible: Mask, specific_force_b: Floats, angular_rate_b: Floats
+) -> None:
     """Drop samples that no IMU on a vehicle reads, unless it reads nothing else."""
     rows = cleaner.rows[~possible[cleaner.rows]]
     if not 0 < rows.size < cleaner.rows.size:
@@ -152,8 +172,14 @@ def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:
     # Where readings jump all the time, or are in another unit, none stands out.
     far = np.maximum(jump, 20.0 * np.median(np.abs(step), axis=0))
     smaller = np.minimum(np.abs(there), np.abs(back))
-    alone = (smaller > far) & (there * back < 0.0) & (np.abs(there + back) < np.maximum(0.25 * far, 0.05 * smaller))
-    near = np.diff(time_ns) <= nanoseconds(0.03)  # further apart, two samples do not tell a spike from a jolt
+    alone = (
+        (smaller > far)
+        & (there * back < 0.0)
+        & (np.abs(there + back) < np.maximum(0.25 * far, 0.05 * smaller))
+    )
+    near = np.diff(time_ns) <= nanoseconds(
+        0.03
+    )  # further apart, two samples do not tell a spike from a jolt
     spikes[1:-1] = alone.any(axis=1) & near[:-1] & near[1:]
     # Of an end the samples next to it say where it should be.
     for end, first, second in ((0, 0, 1), (-1, -1, -2)):
@@ -169,4 +195,6 @@ def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:
     cleaner.drop_repeated_times()
     cleaner.note_missing("accelerometer biases", accel_bias_b)
     cleaner.note_missing("gyro biases", gyro_bias_b)
-    return TruthColumns(cleaner.times, cleaner.kept(accel_bias_b), cleaner.kept(gyro_bias_b)), cleaner.notes
+    return TruthColumns(
+        cleaner.times, cleaner.kept(accel_bias_b), cleaner.kept(gyro_bias_b)
+    ), cleaner.notes

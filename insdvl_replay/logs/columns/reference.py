@@ -51,7 +51,10 @@ from insdvl_replay.logs.columns.tables import Table, rows_among
 from insdvl_replay.logs.columns.topics import BOW_DOWN
 
 _NED, _BODY, _OLD_NED = 1, 3, 0  # PX4's frames, and that of the messages before 1.13
-_NORTHS: Final = (("pose_frame", _NED), ("local_frame", _OLD_NED))  # which frame of a pose is north-east-down
+_NORTHS: Final = (
+    ("pose_frame", _NED),
+    ("local_frame", _OLD_NED),
+)  # which frame of a pose is north-east-down
 SIZE: Final = 9  # velocity error, misalignment and position error
 DP: Final = slice(6, 9)
 _LARGEST: Final = 1e30  # powers of larger variances are no numbers
@@ -65,7 +68,9 @@ _LONGEST_AGAIN_S: Final = 2.5  # in which a topic repeats a value
 _LEAST_VALUES: Final = 20
 
 
-Part = tuple[Cleaner, dict[str, Floats]]  # what one topic gives of `_SHAPES`, and which of its messages were taken
+Part = tuple[
+    Cleaner, dict[str, Floats]
+]  # what one topic gives of `_SHAPES`, and which of its messages were taken
 _SHAPES: Final = {"position": (3,), "velocity_n": (3,), "mat_nb": (3, 3)}
 
 
@@ -76,7 +81,9 @@ def decode_reference(
     if any("latitude" in table for table in tables):
         # Positions from an origin that nobody knows are left out where another topic has them on Earth.
         for i, table in enumerate(tables):
-            fields = {name: path for name, path in table.source.fields.items() if name != "local_position"}
+            fields = {
+                name: path for name, path in table.source.fields.items() if name != "local_position"
+            }
             tables[i] = replace(table, source=replace(table.source, fields=fields))
     parts = [read_part(table, settings, initial) for table in tables]
     if not parts:
@@ -125,8 +132,12 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
             text = "positions have latitude and longitude 0 (no satellites) and are left out"
             hint = f"to read another topic of positions: {cleaner.role}.fix"
             cleaner.note("zero", text, zero.size, Severity.WARNING, hint, first=zero)
-    cleaner.keep_where("fix_status", lambda status: status >= 0.0, "no_fix", "positions have no fix")
-    cleaner.keep_where("fix_type", lambda kind: kind >= 2, "no_fix", "positions have no fix")  # of two dimensions
+    cleaner.keep_where(
+        "fix_status", lambda status: status >= 0.0, "no_fix", "positions have no fix"
+    )
+    cleaner.keep_where(
+        "fix_type", lambda kind: kind >= 2, "no_fix", "positions have no fix"
+    )  # of two dimensions
     if position is not None and "sensor_id" in table:
         cleaner.keep(np.isfinite(position[:, 0]), "no_fix", "positions are without satellites")
         cleaner.drop_repeated_values(position)
@@ -161,7 +172,9 @@ def _drop_beyond_poles(cleaner: Cleaner, latitude: Floats) -> None:
     count = int(np.count_nonzero(~possible))
     hint = f'{cleaner.role}.angle_unit, or another field: {cleaner.role}.latitude = "field.path"'
     impossible_deg = latitude[~possible] / DEG
-    cleaner.keep_possible(possible, impossible_deg, "latitudes are beyond the poles, in degrees", hint)
+    cleaner.keep_possible(
+        possible, impossible_deg, "latitudes are beyond the poles, in degrees", hint
+    )
     if not possible[cleaner.rows].all() or not cleaner.rows.size:
         what = f"{count} of {possible.size} latitudes are beyond the poles"
         raise LogError(what, hint, *cleaner.table.where)
@@ -169,7 +182,9 @@ def _drop_beyond_poles(cleaner: Cleaner, latitude: Floats) -> None:
 
 def heights_without_marks(cleaner: Cleaner, height_m: Floats) -> Floats:
     """Return heights, (k,), NaN where no water is, or where the number stands for none."""
-    is_impossible = ~((height_m > LOWEST_M) & (height_m < HIGHEST_M)) | (np.abs(height_m) == NO_HEIGHT_M)
+    is_impossible = ~((height_m > LOWEST_M) & (height_m < HIGHEST_M)) | (
+        np.abs(height_m) == NO_HEIGHT_M
+    )
     is_impossible &= np.isfinite(height_m)
     hint = f'to read another field: {cleaner.role}.height or {cleaner.role}.depth = "field.path"'
     reason = "heights are of no water on Earth, in metres"
@@ -178,14 +193,18 @@ def heights_without_marks(cleaner: Cleaner, height_m: Floats) -> Floats:
 
 def angles_without_marks(cleaner: Cleaner, angles: Floats, unit: float) -> Floats:
     """Return angles in a unit, (k, n), NaN where they are a number that stands for none, such as 999."""
-    beyond = np.abs(angles) * unit > LARGEST_ANGLE_RAD  # a heading that counts its turns may be large, too
+    beyond = (
+        np.abs(angles) * unit > LARGEST_ANGLE_RAD
+    )  # a heading that counts its turns may be large, too
     if not beyond.any() or not stand_for_none(angles[beyond]):
         return angles
     hint = f"to read other fields: {cleaner.role}.roll, pitch and heading, or {cleaner.role}.quaternion"
     return cleaner.without_impossible(angles, beyond, "angles stand for none", hint)
 
 
-def _without_published_again(cleaner: Cleaner, plural: str, columns: Floats | None) -> Floats | None:
+def _without_published_again(
+    cleaner: Cleaner, plural: str, columns: Floats | None
+) -> Floats | None:
     """Return values, missing where they repeat the row before because a topic is published faster than they are made.
 
     Else they would be those of a time that has passed. Values that stay for longer are of a vehicle at rest, or frozen.
@@ -213,11 +232,16 @@ def _without_published_again(cleaner: Cleaner, plural: str, columns: Floats | No
     return columns
 
 
-def _position(table: Table, settings: Navigation, initial: Initial, cleaner: Cleaner) -> Floats | None:
+def _position(
+    table: Table, settings: Navigation, initial: Initial, cleaner: Cleaner
+) -> Floats | None:
     if "latitude" in table:
         unit = ANGLE_UNITS[settings.angle_unit or "deg"]
         latitude = of_receiver(table, "latitude") * unit
-        longitude = angles_without_marks(cleaner, of_receiver(table, "longitude")[:, None], unit)[:, 0] * unit
+        longitude = (
+            angles_without_marks(cleaner, of_receiver(table, "longitude")[:, None], unit)[:, 0]
+            * unit
+        )
         height_m = np.full(len(table), np.nan)
         if "depth" in table:
             height_m = -table.column("depth")
@@ -236,7 +260,11 @@ def _position(table: Table, settings: Navigation, initial: Initial, cleaner: Cle
     if initial.latitude_deg is not None:
         origin[:] = initial.latitude_deg, initial.longitude_deg, initial.height_m
     if "origin" in table:
-        is_given = table.column("origin_valid") > 0.0 if "origin_valid" in table else np.ones(len(table), np.bool_)
+        is_given = (
+            table.column("origin_valid") > 0.0
+            if "origin_valid" in table
+            else np.ones(len(table), np.bool_)
+        )
         origin = np.where(is_given[:, None], table.values("origin", 3), origin)
     if np.isnan(origin).all():
         return None
@@ -274,7 +302,9 @@ def attitude(table: Table, settings: Navigation | Heading, cleaner: Cleaner) -> 
 
         def to_north(quat: Floats) -> Floats:
             mat = mat_from_quat(quat)
-            return mat if settings.axes == "ned_frd" else np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
+            return (
+                mat if settings.axes == "ned_frd" else np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
+            )
 
         mat = in_blocks(to_north, table.values("quaternion", 4), np.empty((len(table), 3, 3)))
         for frame, north in _NORTHS:
@@ -309,9 +339,13 @@ def _velocity_n(table: Table, settings: Navigation, mat_nb: Floats | None) -> Fl
     if "velocity_n" in table and ("velocity_b" not in table or settings.velocity_n is not None):
         velocity = table.values("velocity_n", 3)
         if "velocity_valid" in table:
-            velocity = np.where(table.values("velocity_valid", 2)[:, [0, 0, 1]] > 0.0, velocity, np.nan)
+            velocity = np.where(
+                table.values("velocity_valid", 2)[:, [0, 0, 1]] > 0.0, velocity, np.nan
+            )
         # Unless its axes are set, it is in those of the quaternion beside it.
-        is_enu = settings.axes == "enu_flu" or (settings.axes is None and is_by_quaternion(table, settings))
+        is_enu = settings.axes == "enu_flu" or (
+            settings.axes is None and is_by_quaternion(table, settings)
+        )
         return velocity @ MAT_ENU_NED if is_enu else velocity
     if "velocity_b" not in table or mat_nb is None:
         return None
@@ -326,7 +360,9 @@ def union(parts: Sequence[Part]) -> ReferenceColumns:
     if len(parts) == 1:
         [(cleaner, found)] = parts
         columns: dict[str, Any] = {
-            name: np.ascontiguousarray(found[name]) if name in found else nothing((cleaner.times.size, *shape))
+            name: np.ascontiguousarray(found[name])
+            if name in found
+            else nothing((cleaner.times.size, *shape))
             for name, shape in _SHAPES.items()
         }
         return ReferenceColumns(cleaner.times, **columns)
@@ -346,14 +382,19 @@ def no_covariances() -> tuple[TimeNs, Floats]:
     return np.empty(0, np.int64), np.empty((0, SIZE, SIZE))
 
 
-def decode_solution(tables: Sequence[Table], settings: Solution) -> tuple[SolutionColumns, list[Note]]:
+def decode_solution(
+    tables: Sequence[Table], settings: Solution
+) -> tuple[SolutionColumns, list[Note]]:
     """Make the columns of a solution of its topic, and of the one with its geographic positions if there is one."""
     # Positions in metres are aligned where the filters start, not where [initial] says.
     parts = [read_part(table, settings, Initial()) for table in tables]
     for cleaner, _ in parts:
         cleaner.require_rows()
     motion, table, (cleaner, found) = union(parts), tables[0], parts[0]
-    completed, notes = table.source.completed(settings), [note for other, _ in parts for note in other.notes]
+    completed, notes = (
+        table.source.completed(settings),
+        [note for other, _ in parts for note in other.notes],
+    )
     moved_n = None
     if "local_position" in table and not motion.has_position:
         moved_n = cleaner.kept(local_position_n(table, completed))
@@ -398,7 +439,9 @@ def _covariances(
         if in_body and "mat_nb" in found:
             mat, velocity_x = found["mat_nb"][rows] @ turn_b, skew(found["velocity_n"][rows])
             by_phi = -velocity_x @ cov[:, PHI]
-            cov[:, DV, DV] = mat @ twist @ mat.swapaxes(1, 2) - by_phi[:, :, PHI] @ velocity_x.swapaxes(1, 2)
+            cov[:, DV, DV] = mat @ twist @ mat.swapaxes(1, 2) - by_phi[
+                :, :, PHI
+            ] @ velocity_x.swapaxes(1, 2)
             cov[:, DV, PHI], cov[:, DV, DP] = by_phi[:, :, PHI], by_phi[:, :, DP]
             cov[:, PHI, DV], cov[:, DP, DV] = (cov[:, DV, at].swapaxes(1, 2) for at in (PHI, DP))
         elif not in_body:
@@ -416,7 +459,9 @@ def _valid_covariances(upper: Floats, size: int) -> tuple[Floats, int]:
     row, column = np.triu_indices(size)
     cov[:, row, column] = cov[:, column, row] = upper
     variances = np.diagonal(cov, axis1=1, axis2=2)
-    given = np.asarray(((variances > 0.0) & np.isfinite(variances)).reshape(len(cov), -1, 3).all(axis=2))
+    given = np.asarray(
+        ((variances > 0.0) & np.isfinite(variances)).reshape(len(cov), -1, 3).all(axis=2)
+    )
     given[cov[:, 0, 0] == -1.0] = False
     rows = np.repeat(given, 3, axis=1)
     given_cov = np.where(rows[:, :, None] & rows[:, None, :], cov, 0.0)
@@ -426,7 +471,9 @@ def _valid_covariances(upper: Floats, size: int) -> tuple[Floats, int]:
     possible = np.flatnonzero(~wrong)
     wrong[possible] = np.linalg.eigvalsh(given_cov[possible])[:, 0] <= 0.0
     rows[wrong] = False
-    return np.where(rows[:, :, None] & rows[:, None, :], given_cov, np.nan), int(np.count_nonzero(wrong))
+    return np.where(rows[:, :, None] & rows[:, None, :], given_cov, np.nan), int(
+        np.count_nonzero(wrong)
+    )
 
 
 def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns, list[Note]]:
@@ -437,7 +484,9 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
         raise LogError(f"cannot be read: {error.strerror}", f"check {role}.file", path) from error
     sha256 = hashlib.sha256(content).hexdigest()
     if settings.sha256 not in (None, sha256):
-        raise LogError(f"has changed since the settings were read: its SHA-256 is {sha256}", "run again", path)
+        raise LogError(
+            f"has changed since the settings were read: its SHA-256 is {sha256}", "run again", path
+        )
     times, poses = [], []
     for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), 1):
         words = line.replace(",", " ").split()
@@ -447,8 +496,13 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
             time_s, *pose = (Decimal(words[0]), *map(float, words[1:]))
             if len(words) != _TUM_COLUMNS or not (time_s.is_finite() and abs(time_s) < _LATEST_S):
                 raise ValueError
-        except (ArithmeticError, ValueError) as error:  # of what is in it nothing is shown: it may be any file
-            raise LogError(f"line {number} is no pose: it needs {_TUM_COLUMNS} numbers", _TUM_FORMAT, path) from error
+        except (
+            ArithmeticError,
+            ValueError,
+        ) as error:  # of what is in it nothing is shown: it may be any file
+            raise LogError(
+                f"line {number} is no pose: it needs {_TUM_COLUMNS} numbers", _TUM_FORMAT, path
+            ) from error
         times.append(round(time_s * NS_PER_S))
         poses.append(pose)
     if not poses:
@@ -472,5 +526,7 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
     if settings.axes != "ned_frd":
         way, mat = way @ MAT_ENU_NED, np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
     nothing = np.full_like(way, np.nan)
-    motion = ReferenceColumns(time_ns[rows] - round(settings.latency_s * NS_PER_S), nothing, nothing.copy(), mat)
+    motion = ReferenceColumns(
+        time_ns[rows] - round(settings.latency_s * NS_PER_S), nothing, nothing.copy(), mat
+    )
     return SolutionColumns(motion, way, *no_covariances()), notes

@@ -74,13 +74,21 @@ def _depth(table: Table, settings: Depth, cleaner: Cleaner) -> Readings:
 def _heading(table: Table, settings: Heading, cleaner: Cleaner) -> Readings:
     """Return the true heading, (k, 1), and the attitude that it is part of; NaN where a message has none."""
     declination, turned = settings.declination_deg * DEG, any(settings.mounting_rpy_deg)
-    heading_alone = settings.heading is not None and settings.quaternion is None and settings.roll is None
-    if not heading_alone and settings.angle_unit not in (None, "deg") and is_by_quaternion(table, settings):
+    heading_alone = (
+        settings.heading is not None and settings.quaternion is None and settings.roll is None
+    )
+    if (
+        not heading_alone
+        and settings.angle_unit not in (None, "deg")
+        and is_by_quaternion(table, settings)
+    ):
         raise ConfigError(
             "heading.angle_unit is set, but the messages have a quaternion",
             "leave heading.angle_unit out; to read an angle: heading.heading",
         )
-    mat = None if heading_alone else attitude(table, settings, cleaner)  # from magnetic or true north
+    mat = (
+        None if heading_alone else attitude(table, settings, cleaner)
+    )  # from magnetic or true north
     if mat is None:
         if turned:
             raise ConfigError(
@@ -109,7 +117,9 @@ def _position(table: Table, settings: Position, cleaner: Cleaner) -> Readings:
     """
     unit = ANGLE_UNITS[settings.angle_unit or "deg"]
     latitude = of_receiver(table, "latitude") * unit
-    longitude = angles_without_marks(cleaner, of_receiver(table, "longitude")[:, None], unit)[:, 0] * unit
+    longitude = (
+        angles_without_marks(cleaner, of_receiver(table, "longitude")[:, None], unit)[:, 0] * unit
+    )
     polar = np.abs(latitude) > 0.5 * np.pi
     count, known = int(polar.sum()), int(np.isfinite(latitude).sum())
     hint = 'to read another field: position.latitude = "field.path"'
@@ -125,7 +135,9 @@ def _position(table: Table, settings: Position, cleaner: Cleaner) -> Readings:
     height_m = np.full(len(table), np.nan)
     if "height" in table:
         height_m = heights_without_marks(cleaner, table.column("height"))
-    position = np.stack([latitude, longitude, np.where(np.isfinite(height_m), height_m, np.nan)], axis=1)
+    position = np.stack(
+        [latitude, longitude, np.where(np.isfinite(height_m), height_m, np.nan)], axis=1
+    )
     needed = position[:, : 2 if settings.height_sd_m is None else 3]
     lost = (latitude == 0.0) & (longitude == 0.0) | ~np.isfinite(needed).all(axis=1)
     if "fix_status" in table:

@@ -18,7 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.config_file import toml_value
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, distinct, find_runs, nanoseconds, seconds
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Floats,
+    TimeNs,
+    distinct,
+    find_runs,
+    nanoseconds,
+    seconds,
+)
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, error_context, listed
 from insdvl_replay.core.units import TIME_UNITS_NS
@@ -45,8 +53,12 @@ Mask = NDArray[np.bool_]
 RECORDER_STAMPS: Final = ("log_time", "publish_time")  # stamps that are in no message
 # Quantities that change slowly, and are large.
 SAMPLED: Final = ("pose_cov", "twist_cov", "position_cov", "position_cov_type")
-MOST_SAMPLED: Final = 20_000  # so many of their rows are kept, in all 7 MB of an odometry; of more messages, some
-_RATE: Final = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?) ?Hz")  # as a stamp: of the rows of a table
+MOST_SAMPLED: Final = (
+    20_000  # so many of their rows are kept, in all 7 MB of an odometry; of more messages, some
+)
+_RATE: Final = re.compile(
+    r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?) ?Hz"
+)  # as a stamp: of the rows of a table
 # As a stamp: a field, and the unit of its numbers.
 _WITH_UNIT: Final = re.compile(rf"(.+?) ?\[({'|'.join(TIME_UNITS_NS)})\]")
 _UNDER_WAY: Final = 1000  # messages at most that are under way from a sensor to the recorder
@@ -67,15 +79,27 @@ class Table:
 
     where: tuple[str, str]  # file and topic, for messages to the user
     source: Source
-    columns: Columns  # by field path, (k, n); those of `SAMPLED` quantities have the sampled rows alone
-    unreadable_ns: tuple[int, ...] = ()  # log times of messages that are left out because they do not fit their schema
+    columns: (
+        Columns  # by field path, (k, n); those of `SAMPLED` quantities have the sampled rows alone
+    )
+    unreadable_ns: tuple[
+        int, ...
+    ] = ()  # log times of messages that are left out because they do not fit their schema
     fault: LogError | None = None  # what is wrong with the first of these
     duplicates: int = 0  # messages that are left out because another channel or file holds them too
-    known: Kinds = field(default_factory=dict)  # every path that the messages have, with the type of what is there
-    files: Rows | None = None  # (k,), number of the file of each message, where they are from several
-    has_whole_times: bool = False  # stamps were seconds and nanoseconds; their column is nanoseconds
+    known: Kinds = field(
+        default_factory=dict
+    )  # every path that the messages have, with the type of what is there
+    files: Rows | None = (
+        None  # (k,), number of the file of each message, where they are from several
+    )
+    has_whole_times: bool = (
+        False  # stamps were seconds and nanoseconds; their column is nanoseconds
+    )
     others: int = 0  # messages without a row, less the rows that some messages have beyond one
-    sampled: Rows = field(default_factory=lambda: np.empty(0, np.int64))  # rows of the `SAMPLED` quantities
+    sampled: Rows = field(
+        default_factory=lambda: np.empty(0, np.int64)
+    )  # rows of the `SAMPLED` quantities
     was_set: bool = False  # whether the recorder's clock was set, so that stamps of messages under way have the old one
 
     def __len__(self) -> int:
@@ -114,15 +138,24 @@ class Table:
     def stamp_numbers(self) -> NDArray[Any] | None:
         """Stamps that are plain numbers, shape (k,); None where they are times."""
         values = self.columns[stamp_path(self.source.stamp)]
-        is_time = self.source.stamp in RECORDER_STAMPS or self.has_whole_times or values.shape[1] != 1
+        is_time = (
+            self.source.stamp in RECORDER_STAMPS or self.has_whole_times or values.shape[1] != 1
+        )
         is_time |= self.is_time_column(stamp_path(self.source.stamp))
-        is_time |= any(form.fullmatch(self.source.stamp) is not None for form in (_RATE, _WITH_UNIT))
+        is_time |= any(
+            form.fullmatch(self.source.stamp) is not None for form in (_RATE, _WITH_UNIT)
+        )
         return None if is_time else values[:, 0]
 
     def is_time_column(self, path: str) -> bool:
         """Return whether a stamp without unit is the column of a table by which its rows have their log times."""
         channel = self.source.channels[0] if self.source.channels else None
-        if channel is None or not channel.time_column or path != self.source.stamp or path in RECORDER_STAMPS:
+        if (
+            channel is None
+            or not channel.time_column
+            or path != self.source.stamp
+            or path in RECORDER_STAMPS
+        ):
             return False
         return column_of(channel, path) == channel.time_column
 
@@ -139,14 +172,24 @@ class Table:
         elif stamp not in RECORDER_STAMPS and not self.has_whole_times:
             if values.shape[1] != 1:
                 text = f"field '{path}' has {values.shape[1]} numbers and is no time"
-                raise LogError(text, f"set {role}.stamp to a builtin_interfaces/Time or one number", *self.where)
+                raise LogError(
+                    text,
+                    f"set {role}.stamp to a builtin_interfaces/Time or one number",
+                    *self.where,
+                )
             if missing := int(np.count_nonzero(~np.isfinite(values))):
-                raise LogError(f"stamp '{path}' is not a number in {missing} messages", hint, *self.where)
+                raise LogError(
+                    f"stamp '{path}' is not a number in {missing} messages", hint, *self.where
+                )
             log_time_ns = self.columns["log_time"][:, 0]
             if rate := _RATE.fullmatch(stamp):
-                counted = int(log_time_ns.min()) + np.rint(values[:, 0] * (NS_PER_S / float(rate[1]))).astype(np.int64)
+                counted = int(log_time_ns.min()) + np.rint(
+                    values[:, 0] * (NS_PER_S / float(rate[1]))
+                ).astype(np.int64)
             elif with_unit := _WITH_UNIT.fullmatch(stamp):
-                from insdvl_replay.logs.formats.table_times import in_ns  # with pandas, which other logs do not need
+                from insdvl_replay.logs.formats.table_times import (
+                    in_ns,
+                )  # with pandas, which other logs do not need
 
                 counted = in_ns(values[:, 0], with_unit[2])
             else:
@@ -160,14 +203,18 @@ class Table:
         if "interval_us" in self:
             interval_us = self.column("interval_us")
             possible = (interval_us >= 0.0) & (interval_us < 2.0**32)
-            time_ns = time_ns - np.rint(np.where(possible, interval_us, 0.0) * 500.0).astype(np.int64)
+            time_ns = time_ns - np.rint(np.where(possible, interval_us, 0.0) * 500.0).astype(
+                np.int64
+            )
         latency_ns = nanoseconds(self.source.latency_s)
         return time_ns - latency_ns if latency_ns else time_ns
 
     def clock(self) -> Clock:
         """Compare the stamps with the times of recording; what is measured over an interval has the middle of it."""
         source, log_time_ns = self.source, self.columns["log_time"][:, 0]
-        return measure_clock(source.role, source.topic, source.stamp, self.time_ns(), log_time_ns, source.latency_s)
+        return measure_clock(
+            source.role, source.topic, source.stamp, self.time_ns(), log_time_ns, source.latency_s
+        )
 
     def damage_error(self) -> LogError:
         """Return the error with which a log is refused of which messages cannot be read."""
@@ -225,12 +272,17 @@ class Column:
             alike = np.broadcast_to(self._first, values.shape)
             # The last row mostly tells that not all are the same.
             if all(
-                np.array_equal(values[rows], alike[rows], equal_nan=True) for rows in (slice(-1, None), slice(None))
+                np.array_equal(values[rows], alike[rows], equal_nan=True)
+                for rows in (slice(-1, None), slice(None))
             ):
                 return
         width = max(before.shape[1], values.shape[1])
         dtype = np.result_type(before, values) if is_even else np.dtype(np.float64)
-        if self._rows is None or end > len(self._rows) or (width, dtype) != (before.shape[1], before.dtype):
+        if (
+            self._rows is None
+            or end > len(self._rows)
+            or (width, dtype) != (before.shape[1], before.dtype)
+        ):
             # Component by component, as messages are read and as numpy goes through rows of three the fastest.
             room = max(end, self._announced if self._rows is None else 2 * done)
             self._rows = np.empty((room, width), dtype, order="F")
@@ -271,7 +323,9 @@ class _Builder:
             paths += split_paths(joined)
             self.sampled |= set(split_paths(joined)) if quantity in SAMPLED else set()
         room = min(announced, enough)
-        self.columns = {path: Column(room // (self.every if path in self.sampled else 1) + 1) for path in paths}
+        self.columns = {
+            path: Column(room // (self.every if path in self.sampled else 1) + 1) for path in paths
+        }
         self.readers = {channel.id: self._reader(channel) for channel in source.channels}
 
     def _reader(self, channel: LogChannel) -> FieldReader:
@@ -363,7 +417,9 @@ class _Builder:
         """State that there are no messages, or which elements there are where none is what was asked for."""
         element = self.source.element
         if element is None:
-            return LogError("has no messages", "the counts in the log's summary are wrong", *self.where)
+            return LogError(
+                "has no messages", "the counts in the log's summary are wrong", *self.where
+            )
         seen = {texts for reader in self.readers.values() for texts in getattr(reader, "seen", ())}
         pairs = [f"{self.source.role}.frames = {toml_value(texts)}" for texts in sorted(seen)]
         asked = f"has no transform from {' to '.join(element.texts)}" if element.texts else ""
@@ -380,7 +436,9 @@ def rows_among(some: Rows, rows: Rows, count: int) -> tuple[Rows, Rows]:
     return order, place[some[order]]
 
 
-def merge_channels(columns: Columns, runs: Sequence[tuple[int, int]]) -> tuple[Columns, Rows, Rows | None]:
+def merge_channels(
+    columns: Columns, runs: Sequence[tuple[int, int]]
+) -> tuple[Columns, Rows, Rows | None]:
     """Merge the messages of several channels by log time, each in its own order, and leave out repetitions.
 
     The runs are channels, and how many messages in a row are of each. Repetitions are messages that another channel
@@ -418,13 +476,24 @@ def repeated_rows(columns: Columns, origin: Rows) -> Mask:
 
 # --- Clocks.
 
-SAME_CLOCK_S: Final = 1.0  # messages are not under way for longer; clocks further apart are two clocks
-LARGEST_JITTER_S: Final = 1.0  # what varies by more between stamp and recording is a drift or a jump
+SAME_CLOCK_S: Final = (
+    1.0  # messages are not under way for longer; clocks further apart are two clocks
+)
+LARGEST_JITTER_S: Final = (
+    1.0  # what varies by more between stamp and recording is a drift or a jump
+)
 FEW_PLACES: Final = 5  # messages do not overtake more others than this
 LEAP_S: Final = 3600.0  # stamps that run ahead of the log time by more at once are those of a clock that was set
-_UNITS: Final = ((1, "nanoseconds"), (10**3, "microseconds"), (10**6, "milliseconds"), (10**9, "seconds"))
+_UNITS: Final = (
+    (1, "nanoseconds"),
+    (10**3, "microseconds"),
+    (10**6, "milliseconds"),
+    (10**9, "seconds"),
+)
 _UNIX_TIME_S: Final = 1e8  # the time since 1970 has been longer than this since 1973
-_IN_STEP: Final = 0.2  # a recorder keeps step with the stamps better than this; units are 1000 apart
+_IN_STEP: Final = (
+    0.2  # a recorder keeps step with the stamps better than this; units are 1000 apart
+)
 
 
 def measure_clock(
@@ -436,7 +505,9 @@ def measure_clock(
     first_ns = int(behind_ns[0])
     behind_ns -= first_ns
     low, median, high = np.percentile(behind_ns, (5, 50, 95)).tolist()
-    steps_ns = np.subtract(time_ns[1:], time_ns[:-1], out=behind_ns[1:])  # in place: such arrays are large
+    steps_ns = np.subtract(
+        time_ns[1:], time_ns[:-1], out=behind_ns[1:]
+    )  # in place: such arrays are large
     back_steps, repeats = int(np.count_nonzero(steps_ns < 0)), int(np.count_nonzero(steps_ns == 0))
     changes = len(distinct(time_ns)) - 1 if back_steps else steps_ns.size - repeats
     span_ns = int(time_ns.max()) - int(time_ns.min())
@@ -488,17 +559,29 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
                 f"varies by {clock.spread_s:.3f} s (5th to 95th percentile)"
             )
             hint = f'{clock.role}.stamp = "log_time"'
-            unsteady.append(Note(f"{code}_clock_unsteady", text, clock.messages, Severity.WARNING, hint))
+            unsteady.append(
+                Note(f"{code}_clock_unsteady", text, clock.messages, Severity.WARNING, hint)
+            )
     apart = []
     for other in others:
         jitter_s = min(other.spread_s, LARGEST_JITTER_S) + min(imu.spread_s, LARGEST_JITTER_S)
-        apart_s = min(abs(its - ours) for its in both_ways(other) for ours in both_ways(imu)) - jitter_s
-        both = f"{imu.topic} and {other.topic}" if imu.topic != other.topic else f"imu and {other.role} of {imu.topic}"
+        apart_s = (
+            min(abs(its - ours) for its in both_ways(other) for ours in both_ways(imu)) - jitter_s
+        )
+        both = (
+            f"{imu.topic} and {other.topic}"
+            if imu.topic != other.topic
+            else f"imu and {other.role} of {imu.topic}"
+        )
         text = (
             f"{both} are stamped by different clocks: log time minus stamp is {imu.log_minus_stamp_s:.3f} s and "
             f"{other.log_minus_stamp_s:.3f} s{latencies(imu, other)}"
         )
-        to_set = (f"--set {clock.role}.stamp=log_time" for clock in (imu, other) if clock.stamp != "log_time")
+        to_set = (
+            f"--set {clock.role}.stamp=log_time"
+            for clock in (imu, other)
+            if clock.stamp != "log_time"
+        )
         by_recorder = f"to use the recorder's clock for both: {' '.join(to_set)}"
         if apart_s > max_disagreement_s:
             hint = f"{by_recorder}; if the clocks are right, raise clocks.max_disagreement_s"
@@ -516,7 +599,10 @@ def stamp_unit(values: NDArray[Any], log_time_ns: TimeNs) -> tuple[int, str]:
     the recorder's clock does not keep step with them, because the log was written later, their size decides: it is
     taken for the time since 1970.
     """
-    ran, recorded_s = float(values[-1]) - float(values[0]), float(log_time_ns[-1] - log_time_ns[0]) * 1e-9
+    ran, recorded_s = (
+        float(values[-1]) - float(values[0]),
+        float(log_time_ns[-1] - log_time_ns[0]) * 1e-9,
+    )
     for unit in _UNITS:
         if abs(ran * unit[0] * 1e-9 - recorded_s) < _IN_STEP * recorded_s:
             return unit
@@ -544,7 +630,9 @@ def find_order(time_ns: TimeNs, log_time_ns: TimeNs) -> Order:
     """
     ahead_ns = time_ns - log_time_ns
     # The extremes mostly tell that there is no leap.
-    may_leap = bool(ahead_ns.size) and int(ahead_ns.max()) - int(ahead_ns.min()) > nanoseconds(LEAP_S)
+    may_leap = bool(ahead_ns.size) and int(ahead_ns.max()) - int(ahead_ns.min()) > nanoseconds(
+        LEAP_S
+    )
     leaps = may_leap and bool(_leaps(time_ns, log_time_ns).any())
     if np.all(time_ns[1:] >= time_ns[:-1]) and not leaps:
         none = np.empty(0, np.int64)
@@ -573,12 +661,20 @@ def _contradictions(stamp_ns: TimeNs, log_time_ns: TimeNs) -> tuple[Mask, float]
     rising = _rising(stamp_ns)
     others, bad = np.flatnonzero(~rising), ~rising
     # A run of others is wrong if one of it belongs far from its place among the rising ones.
-    rising_ns, other_ns, places = stamp_ns[rising], stamp_ns[others], np.cumsum(rising, dtype=np.int64)[others]
+    rising_ns, other_ns, places = (
+        stamp_ns[rising],
+        stamp_ns[others],
+        np.cumsum(rising, dtype=np.int64)[others],
+    )
     before_ns, after_ns = (rising_ns[np.clip(places + at, 0, rising_ns.size - 1)] for at in (-1, 0))
     off_s = np.maximum(seconds(before_ns, other_ns), seconds(other_ns, after_ns))
-    far = (off_s > SAME_CLOCK_S) | (np.abs(np.searchsorted(rising_ns, other_ns) - places) > FEW_PLACES)
+    far = (off_s > SAME_CLOCK_S) | (
+        np.abs(np.searchsorted(rising_ns, other_ns) - places) > FEW_PLACES
+    )
     starts = np.flatnonzero(np.diff(others, prepend=-2) > 1)
-    bad[others] = np.repeat(np.logical_or.reduceat(far, starts), np.diff(starts, append=others.size))
+    bad[others] = np.repeat(
+        np.logical_or.reduceat(far, starts), np.diff(starts, append=others.size)
+    )
     # Of parts between leaps, such as that before a clock was set, all but the longest are wrong.
     part = np.concatenate([[0], np.cumsum(_leaps(stamp_ns[~bad], log_time_ns[~bad]))])
     bad[~bad] = part != np.bincount(part).argmax()
@@ -591,7 +687,9 @@ def _contradictions(stamp_ns: TimeNs, log_time_ns: TimeNs) -> tuple[Mask, float]
 
 def _rising(values: TimeNs) -> Mask:
     """Mark a longest subsequence that never falls."""
-    rising: Mask = (values == np.maximum.accumulate(values)) & (values == np.minimum.accumulate(values[::-1])[::-1])
+    rising: Mask = (values == np.maximum.accumulate(values)) & (
+        values == np.minimum.accumulate(values[::-1])[::-1]
+    )
     # What is above all before it and below all behind it is part of any; the others are few in a log that is sound.
     loose = np.flatnonzero(~rising)
     lowest_ends: list[int] = []

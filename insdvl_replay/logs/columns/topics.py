@@ -41,19 +41,24 @@ class KnownType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     about: str = ""
 
 
-Types = Mapping[str, KnownType]  # by name; of two types that a log has, the earlier one is the better source
+Types = Mapping[
+    str, KnownType
+]  # by name; of two types that a log has, the earlier one is the better source
 LOG_TIME: Final = "log_time"  # the recorder's time of arrival, as a stamp
 _ENTRIES: Final = msgspec.toml.decode(
     Path(__file__).with_name("known_types.toml").read_text("utf-8"), type=dict[str, list[KnownType]]
 )
 TYPES: Final[dict[str, Types]] = {
-    group: {name: entry for entry in entries for name in entry.names} for group, entries in _ENTRIES.items()
+    group: {name: entry for entry in entries for name in entry.names}
+    for group, entries in _ENTRIES.items()
 }
 
 
 def _upper_triangle(path: str, size: int, of: int = 6) -> str:
     """Name the upper triangle of the first rows of a covariance of some: of six, a third of what messages repeat."""
-    return ", ".join(f"{path}[{of * row + column}]" for row in range(size) for column in range(row, size))
+    return ", ".join(
+        f"{path}[{of * row + column}]" for row in range(size) for column in range(row, size)
+    )
 
 
 # Of a reference and of an onboard solution the covariances are read, too.
@@ -81,7 +86,9 @@ class Needs:
 
     quantities: Sequence[str] = ()  # whose paths the settings may name
     groups: Sequence[str] = ()  # of known types; the first of which the log has a type is taken
-    if_named: Sequence[str] = ()  # groups of types that only a topic may have that the settings name
+    if_named: Sequence[
+        str
+    ] = ()  # groups of types that only a topic may have that the settings name
     enough: Sequence[AbstractSet[str]] = ()  # the quantities of one of these sets must be there
     together: Sequence[AbstractSet[str]] = ()  # of each of these sets all must be there or none
 
@@ -105,10 +112,16 @@ _BY_SENSOR: Final = {
 _DVL: Final = ("beam_velocity", "beam_valid", "velocity", "valid", "invalid")
 NEEDS: Final = {
     "imu": Needs((*_IMU, "increment_s"), ("imu", "imu_of_drivers"), enough=[set(_IMU)]),
-    "dvl": Needs(_DVL, ("dvl_beams", "dvl_velocity"), ["dvl_if_named"], [{"beam_velocity"}, {"velocity"}]),
-    "reference": Needs(TOPIC_KEYS, ("nav_solution", "odometry"), (*_FIXES, "poses"), _MOTION, _ANGLES),
+    "dvl": Needs(
+        _DVL, ("dvl_beams", "dvl_velocity"), ["dvl_if_named"], [{"beam_velocity"}, {"velocity"}]
+    ),
+    "reference": Needs(
+        TOPIC_KEYS, ("nav_solution", "odometry"), (*_FIXES, "poses"), _MOTION, _ANGLES
+    ),
     "fix": Needs(groups=_FIXES, enough=[_POSITION]),
-    "solution": Needs(TOPIC_KEYS, (), ["solution"], [*_MOTION, _POSITION, {"local_position"}], _ANGLES),
+    "solution": Needs(
+        TOPIC_KEYS, (), ["solution"], [*_MOTION, _POSITION, {"local_position"}], _ANGLES
+    ),
     "truth": Needs(groups=["truth"], enough=[{"accel_bias", "gyro_bias"}]),
     "topic": Needs(["values"], enough=[{"values"}]),
     **_BY_SENSOR,
@@ -130,12 +143,22 @@ _KINDS: Final = {
 }
 # Of increments over a time: their kind, and the unit in which they give the usual one of the rate.
 _INCREMENTS: Final = {"specific_force": ("velocity", "m/s"), "angular_rate": ("angle", "rad")}
-UNUSED_FLAGS: Final = "unused_flags"  # columns of a table that may mark pings as invalid, and that no setting names
+UNUSED_FLAGS: Final = (
+    "unused_flags"  # columns of a table that may mark pings as invalid, and that no setting names
+)
 LOG_TOPIC: Final = "topics."  # begins the role of a topic for user-defined measurements
 BOW_DOWN: Final = "_bow_down"  # ends the name of a pitch with the opposite sign
-PROPOSED: Final = ("imu", "dvl", "reference")  # roles for which `inspect` proposes topics and fields of unknown types
-_MAVLINK: Final = re.compile(r"(?:^|/)mavlink/\d+/\d+/([A-Z][A-Z0-9_]+)$")  # whole messages, as BlueOS records them
-_TELEMETRY: Final = re.compile(r"(^|/)(RAW_IMU|SCALED_IMU\d?|HIGHRES_IMU)$")  # of MAVLink, too slow to be replayed
+PROPOSED: Final = (
+    "imu",
+    "dvl",
+    "reference",
+)  # roles for which `inspect` proposes topics and fields of unknown types
+_MAVLINK: Final = re.compile(
+    r"(?:^|/)mavlink/\d+/\d+/([A-Z][A-Z0-9_]+)$"
+)  # whole messages, as BlueOS records them
+_TELEMETRY: Final = re.compile(
+    r"(^|/)(RAW_IMU|SCALED_IMU\d?|HIGHRES_IMU)$"
+)  # of MAVLink, too slow to be replayed
 _FULL_RATE: Final = (
     "convert the vehicle's .BIN with clydemcqueen/dive_to_bag; it has every sample if LOG_REPLAY was 1; see "
     "docs/inputs.md"
@@ -155,7 +178,11 @@ def solution_role(name: str) -> str:
 
 def solution_name(role: str) -> str | None:
     """Return which filter's solution plays a role; None where none does."""
-    return role.removeprefix("filters.").removesuffix(".solution") if role.startswith("filters.") else None
+    return (
+        role.removeprefix("filters.").removesuffix(".solution")
+        if role.startswith("filters.")
+        else None
+    )
 
 
 @dataclass(frozen=True)
@@ -169,9 +196,15 @@ class Source:
     fields: Mapping[str, str]  # path of the field by the quantity that it holds
     stamp: str  # header, log_time, publish_time or a field path
     latency_s: float  # from validity to stamp
-    conventions: Mapping[str, Any] = field(default_factory=dict)  # of the type, where the settings leave a key out
-    element: Element | None = None  # which elements of a list in the messages count, each as if it were a message
-    factors: Mapping[str, float] = field(default_factory=dict)  # from the unit in a column's title to the usual one
+    conventions: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # of the type, where the settings leave a key out
+    element: Element | None = (
+        None  # which elements of a list in the messages count, each as if it were a message
+    )
+    factors: Mapping[str, float] = field(
+        default_factory=dict
+    )  # from the unit in a column's title to the usual one
 
     @property
     def code(self) -> str:
@@ -180,7 +213,9 @@ class Source:
 
     def completed(self, section: Section) -> Section:
         """Fill in by the type what this role's settings leave out."""
-        left_out = {key: value for key, value in self.conventions.items() if getattr(section, key) is None}
+        left_out = {
+            key: value for key, value in self.conventions.items() if getattr(section, key) is None
+        }
         return msgspec.structs.replace(section, **left_out)
 
 
@@ -192,7 +227,9 @@ class TopicRequirement:
     needs: Needs
     key: str = ""  # of the settings that names the topic; empty where none does
     topic: str | None = None  # that the settings name
-    paths: Mapping[str, str | None] = field(default_factory=dict)  # field paths of the settings by quantity
+    paths: Mapping[str, str | None] = field(
+        default_factory=dict
+    )  # field paths of the settings by quantity
     stamp: str | None = None
     latency_s: float = 0.0  # from validity to stamp
     frames: tuple[str, str] | None = None  # parent and child of the transforms that count
@@ -229,16 +266,27 @@ class TopicRequirement:
         for quantities in self.needs.together:
             if (lacking := sorted(quantities - given)) and (alone := sorted(quantities & given)):
                 missing = f'{self.role}.{lacking[0]} = "field.path"'
-                raise LogError(f"topic '{topic}' has {' and '.join(alone)}, but no {' and '.join(lacking)}", missing)
+                raise LogError(
+                    f"topic '{topic}' has {' and '.join(alone)}, but no {' and '.join(lacking)}",
+                    missing,
+                )
         if not any(quantities <= fields.keys() for quantities in self.needs.enough):
-            reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
+            reason = (
+                f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
+            )
             if known.fields:
                 reason = f"is of type {type_name}, but its schema lacks some of {', '.join(known.fields.values())}"
             raise LogError(f"topic '{topic}' {reason}", self.how_to_name())
         stamp = self.stamp
         if stamp is None:
             by_type = known.stamp == LOG_TIME or find_path(known.stamp, paths)
-            stamp = known.stamp if by_type else "header" if find_path("header.stamp", paths) else LOG_TIME
+            stamp = (
+                known.stamp
+                if by_type
+                else "header"
+                if find_path("header.stamp", paths)
+                else LOG_TIME
+            )
         element = None
         if known.element:
             element = Element(known.element[0], known.element[1:], self.frames or ())
@@ -248,7 +296,8 @@ class TopicRequirement:
         if channels[0].untimed and stamp == LOG_TIME:
             by_rate = f'or count rows: {self.role}.stamp = "100 Hz"'
             raise LogError(
-                channels[0].untimed, f"write seconds, the unit in the title as in time [h], or dates; {by_rate}"
+                channels[0].untimed,
+                f"write seconds, the unit in the title as in time [h], or dates; {by_rate}",
             )
         factors: Mapping[str, float] = {}
         if channels[0].encoding == TABLE:
@@ -295,8 +344,12 @@ class TopicRequirement:
                     or_set = f", or set {self.role}.{key}" if key else ""
                     of_increments = _INCREMENTS.get(quantity)
                     if of_increments and unit in UNITS_BY_KIND[of_increments[0]]:
-                        or_set = f"; of increments set {self.role}.increment_s, the interval in seconds"
-                    raise LogError(text, f"known are {', '.join(units)}: convert the column{or_set}")
+                        or_set = (
+                            f"; of increments set {self.role}.increment_s, the interval in seconds"
+                        )
+                    raise LogError(
+                        text, f"known are {', '.join(units)}: convert the column{or_set}"
+                    )
         return {path: factor for path, factor in factors.items() if factor != 1.0}
 
     def how_to_name(self) -> str:
@@ -304,9 +357,13 @@ class TopicRequirement:
         if not self.paths:
             return f"known types: {', '.join(self.types)}"
         ways = sorted(sorted(quantities) for quantities in self.needs.enough)
-        joined = " or ".join(" and ".join(f'{self.role}.{name} = "field.path"' for name in way) for way in ways)
+        joined = " or ".join(
+            " and ".join(f'{self.role}.{name} = "field.path"' for name in way) for way in ways
+        )
         does = "for a proposal" if self.role in PROPOSED else "for a list of topics"
-        return f'for other types: {self.key} = "/topic" with {joined}; {does}: `insdvl-replay inspect`'
+        return (
+            f'for other types: {self.key} = "/topic" with {joined}; {does}: `insdvl-replay inspect`'
+        )
 
 
 def requirement(role: str, section: Any, kind: str = "", key: str = "topic") -> TopicRequirement:
@@ -324,7 +381,9 @@ def requirement(role: str, section: Any, kind: str = "", key: str = "topic") -> 
         stamp=section.stamp,
         latency_s=section.latency_s,
         frames=getattr(section, "frames", None) if key == "topic" else None,
-        unit_keys={name for _, name in _KINDS.values() if name and getattr(section, name, None) is not None},
+        unit_keys={
+            name for _, name in _KINDS.values() if name and getattr(section, name, None) is not None
+        },
     )
 
 
@@ -340,10 +399,18 @@ class Topics:
     def __init__(self, place: str, channels: Sequence[LogChannel]) -> None:
         self.place = place
         self._channels = by_topic(channel for channel in channels if channel.messages)
-        self._empty = {channel.topic: channel.type_name for channel in channels if channel.topic not in self._channels}
-        announced = f" Topics without messages: {listed(sorted(self._empty))}" if self._empty else ""
+        self._empty = {
+            channel.topic: channel.type_name
+            for channel in channels
+            if channel.topic not in self._channels
+        }
+        announced = (
+            f" Topics without messages: {listed(sorted(self._empty))}" if self._empty else ""
+        )
         self._nothing_recorded = f"was anything recorded?{announced}"
-        self.reason_for_none = "no topic has a known type for it" if self._channels else "the log has no messages"
+        self.reason_for_none = (
+            "no topic has a known type for it" if self._channels else "the log has no messages"
+        )
 
     def source(self, required: TopicRequirement, topic: str) -> Source:
         """Make a topic the source of a role."""
@@ -359,7 +426,11 @@ class Topics:
 
     def candidates(self, required: TopicRequirement, besides: Collection[str]) -> list[str]:
         """Name the topics of the first group of types that the log has, the better types first."""
-        type_names = {topic: type_of(channels[0]) for topic, channels in self._channels.items() if topic not in besides}
+        type_names = {
+            topic: type_of(channels[0])
+            for topic, channels in self._channels.items()
+            if topic not in besides
+        }
         for types in required.by_type:
             if found := [topic for topic, type_name in type_names.items() if type_name in types]:
                 order = list(types)
@@ -374,7 +445,10 @@ class Topics:
         if len(candidates) > 1:
             named = " or ".join(f'{required.key} = "{topic}"' for topic in candidates)
             hint = named if required.key else "keep one of them"
-            raise LogError(f"{' and '.join(candidates)} could each be the {required.key or required.role}", hint)
+            raise LogError(
+                f"{' and '.join(candidates)} could each be the {required.key or required.role}",
+                hint,
+            )
         return self.source(required, candidates[0]) if candidates else None
 
     def need(self, required: TopicRequirement) -> Source:
@@ -386,16 +460,30 @@ class Topics:
         if not self._channels:
             raise LogError(f"{lack}: it has no messages at all", self._nothing_recorded)
         if all(channel.encoding == TABLE for same in self._channels.values() for channel in same):
-            ways = " or ".join(" and ".join(f"{role}.{name}" for name in sorted(way)) for way in required.needs.enough)
+            ways = " or ".join(
+                " and ".join(f"{role}.{name}" for name in sorted(way))
+                for way in required.needs.enough
+            )
             hint = f"give the folder of all tables, or all of them with --one-dive; to name its fields: {ways}"
-            raise LogError(f"{lack}: no setting names a table for it; it has {listed(sorted(self._channels))}", hint)
+            raise LogError(
+                f"{lack}: no setting names a table for it; it has {listed(sorted(self._channels))}",
+                hint,
+            )
         slow = sorted(topic for topic in self._channels if _TELEMETRY.search(topic))
         if role == "imu" and slow:
             text = f"{lack} that can be replayed: {listed(slow, 3)} is telemetry and too slow"
             raise LogError(text, _FULL_RATE)
         wanted = [type_name for types in required.by_type for type_name in types]
-        empty = sorted(topic for topic, type_name in self._empty.items() if full_name(type_name) in wanted)
-        found = sorted({channel.type_name or topic for topic, same in self._channels.items() for channel in same})
+        empty = sorted(
+            topic for topic, type_name in self._empty.items() if full_name(type_name) in wanted
+        )
+        found = sorted(
+            {
+                channel.type_name or topic
+                for topic, same in self._channels.items()
+                for channel in same
+            }
+        )
         but = f"; {listed(empty)} has a known type, but no messages" if empty else ""
         raise LogError(
             f"{lack}: no topic has one of its known types ({', '.join(wanted)}); it has {listed(found)}{but}",

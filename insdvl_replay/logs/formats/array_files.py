@@ -20,7 +20,9 @@ from insdvl_replay.logs.formats.log_file import most_opened
 
 MOST_COLUMNS: Final = 4096
 """Columns or arrays of a file; a log of sensors has some dozens."""
-_MOST_TIMES: Final = 16  # larger columns are believed only if their file is compressed less densely than this
+_MOST_TIMES: Final = (
+    16  # larger columns are believed only if their file is compressed less densely than this
+)
 _NUMBERS: Final = "biufM"  # kinds of arrays that are columns
 
 Arrays = dict[str, NDArray[Any]]
@@ -69,7 +71,10 @@ def read_numpy(content: memoryview) -> Found:
     with zipfile.ZipFile(BytesIO(content)) as archive:
         members = archive.infolist()
         require_few(len(members))
-        if any(member.filename.startswith("xl/") or member.filename == "content.xml" for member in members):
+        if any(
+            member.filename.startswith("xl/") or member.filename == "content.xml"
+            for member in members
+        ):
             raise SpreadsheetError
         require_room(sum(member.file_size for member in members), len(content))
     with np.load(BytesIO(content)) as stored:
@@ -82,7 +87,9 @@ def _of_numbers(values: Mapping[str, Any]) -> Arrays:
     for name, value in values.items():
         array = np.asarray(value)
         fields = array.dtype.names or ()
-        found |= _of_numbers({f"{name}.{inner}" if name else inner: array[inner] for inner in fields})
+        found |= _of_numbers(
+            {f"{name}.{inner}" if name else inner: array[inner] for inner in fields}
+        )
         if array.dtype.kind in _NUMBERS:
             found[name] = array
     return found
@@ -100,7 +107,13 @@ _STRUCTURE: Final = 2  # classes of variables
 _TEXT: Final = 4
 _NUMBER_CLASSES: Final = range(6, 16)
 _OPAQUE: Final = 17
-_OTHER_KINDS: Final = {1: "of cells", 3: "an object", 5: "sparse", 16: "a function", _OPAQUE: "an object"}
+_OTHER_KINDS: Final = {
+    1: "of cells",
+    3: "an object",
+    5: "sparse",
+    16: "a function",
+    _OPAQUE: "an object",
+}
 _IS_COMPLEX: Final = 0x0800  # in the flags of a variable
 _DEEPEST: Final = 16  # levels of structures
 
@@ -185,7 +198,9 @@ class _MatlabReader:
         elif kind == _STRUCTURE and math.prod(dimensions) == 1 and level < _DEEPEST:
             self._take_fields(parts, name, level)
         elif kind != _TEXT:
-            self.found.ignored[name] = _OTHER_KINDS.get(kind, "of complex numbers" if not is_real else "of structures")
+            self.found.ignored[name] = _OTHER_KINDS.get(
+                kind, "of complex numbers" if not is_real else "of structures"
+            )
 
     def _take_fields(self, parts: Iterator[_Element], above: str, level: int) -> None:
         """Read the fields of a structure."""

@@ -27,7 +27,9 @@ from insdvl_replay.logs.formats.log_file import Block
 _STRUCTURE: Final = "object"  # the kind of a JSON object
 
 Numbers = Callable[[Any], Sequence[float]]  # reads the numbers at a place of a decoded message
-Access = Callable[[Any, str, "Shape"], Any]  # takes a field out of a decoded structure; None where it is absent
+Access = Callable[
+    [Any, str, "Shape"], Any
+]  # takes a field out of a decoded structure; None where it is absent
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,10 @@ class DecodedFields:
         messages = [self._decode(block.buffer[offset : offset + size]) for offset, size in places]
         if not self._numbers:
             self.learn(messages)
-        return {path: _as_rows([numbers(message) for message in messages]) for path, numbers in self._numbers.items()}
+        return {
+            path: _as_rows([numbers(message) for message in messages])
+            for path, numbers in self._numbers.items()
+        }
 
 
 def _as_rows(rows: Sequence[Sequence[float]]) -> NDArray[Any]:
@@ -144,13 +149,23 @@ def _inside(shape: Shape, steps: Sequence[tuple[str, slice]], access: Access) ->
         name, chosen = steps[0]
         return _field(name, shape.fields[name], chosen, steps[1:], access)
     inner = shape.fields.values()
-    if len(inner) > 1 and all(part.kind == NUMBER and not part.is_list and not part.may_be_absent for part in inner):
-        return attrgetter(*shape.fields)  # of protobuf, where attributes are never absent: a vector is read at once
-    parts = [_field(name, part, slice(None), (), access) for name, part in shape.fields.items() if part.kind != TEXT]
+    if len(inner) > 1 and all(
+        part.kind == NUMBER and not part.is_list and not part.may_be_absent for part in inner
+    ):
+        return attrgetter(
+            *shape.fields
+        )  # of protobuf, where attributes are never absent: a vector is read at once
+    parts = [
+        _field(name, part, slice(None), (), access)
+        for name, part in shape.fields.items()
+        if part.kind != TEXT
+    ]
     return lambda value: [number for part in parts for number in part(value)]
 
 
-def _field(name: str, shape: Shape, chosen: slice, rest: Sequence[tuple[str, slice]], access: Access) -> Numbers:
+def _field(
+    name: str, shape: Shape, chosen: slice, rest: Sequence[tuple[str, slice]], access: Access
+) -> Numbers:
     inside = _inside(shape, rest, access)
     end = shape
     for step, _ in rest:
@@ -159,7 +174,11 @@ def _field(name: str, shape: Shape, chosen: slice, rest: Sequence[tuple[str, sli
 
     def elements(value: Any) -> list[float]:
         items = access(value, name, shape)
-        return [number for item in items[chosen] for number in inside(item)] if items is not None else []
+        return (
+            [number for item in items[chosen] for number in inside(item)]
+            if items is not None
+            else []
+        )
 
     def single(value: Any) -> Sequence[float]:
         inner = access(value, name, shape)
@@ -202,9 +221,13 @@ def protobuf_reader(type_name: str, schema_data: bytes, paths: Sequence[str]) ->
             ) from error
 
     def access(message: Any, name: str, shape: Shape) -> Any:
-        return None if shape.may_be_absent and not message.HasField(name) else getattr(message, name)
+        return (
+            None if shape.may_be_absent and not message.HasField(name) else getattr(message, name)
+        )
 
-    return DecodedFields(type_name, paths, decode, access, _protobuf_shape(kind.DESCRIPTOR, (), count()))
+    return DecodedFields(
+        type_name, paths, decode, access, _protobuf_shape(kind.DESCRIPTOR, (), count())
+    )
 
 
 def _protobuf_shape(descriptor: Any, above: tuple[str, ...], numbers: Iterator[int]) -> Shape:
@@ -234,7 +257,15 @@ def _protobuf_shape(descriptor: Any, above: tuple[str, ...], numbers: Iterator[i
 _EXAMPLES: Final = 100  # messages from which the fields are learnt that no schema names
 _MOST_FAILURES: Final = 20  # searches in vain before one message is taken for all that come with it
 _DEEPEST: Final = 32  # levels of structures within structures that are looked at
-_FIRST: Final = ("sec", "nsec", "nanosec", "x", "y", "z", "w")  # of members, which have no order, these come last
+_FIRST: Final = (
+    "sec",
+    "nsec",
+    "nanosec",
+    "x",
+    "y",
+    "z",
+    "w",
+)  # of members, which have no order, these come last
 _DECODER: Final = msgspec.json.Decoder()
 _NO_NUMBER: Final = re.compile(rb"(?<=[:,\[])\s*[+-]?(?:NaN|Infinity)(?=[\s,}\]])")
 _UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
@@ -267,7 +298,9 @@ def _decoded(message: memoryview) -> Any:
     try:
         return _DECODER.decode(_NO_NUMBER.sub(b"null", bytes(message)))
     except _UNREADABLE as error:
-        raise LogError(f"a message of {len(message)} bytes is not JSON: {error}", "the log is damaged") from error
+        raise LogError(
+            f"a message of {len(message)} bytes is not JSON: {error}", "the log is damaged"
+        ) from error
 
 
 def _member(structure: Any, name: str, shape: Shape) -> Any:
@@ -283,7 +316,8 @@ def _schema_shape(schema_data: bytes) -> Shape:
         schema = msgspec.json.decode(schema_data)
     except _UNREADABLE as error:
         raise LogError(
-            f"the JSON schema is no JSON: {error}", "record the log again with a correct schema, or without one"
+            f"the JSON schema is no JSON: {error}",
+            "record the log again with a correct schema, or without one",
         ) from error
 
     def described(schema: Any, level: int) -> Shape:
@@ -294,7 +328,9 @@ def _schema_shape(schema_data: bytes) -> Shape:
             properties = schema.get("properties")
             known = properties if isinstance(properties, Mapping) else {}
             return _object({name: described(inner, level + 1) for name, inner in known.items()})
-        return Shape(NUMBER if kind in ("number", "integer", "boolean") else TEXT, may_be_absent=True)
+        return Shape(
+            NUMBER if kind in ("number", "integer", "boolean") else TEXT, may_be_absent=True
+        )
 
     shape = described(schema, 0)
     return shape if shape.kind == _STRUCTURE else Shape(_STRUCTURE)
@@ -305,13 +341,17 @@ def _shape_of(value: Any, level: int = 0) -> Shape:
     if isinstance(value, dict) and level <= _DEEPEST:
         return _object({name: _shape_of(inner, level + 1) for name, inner in value.items()})
     if isinstance(value, list) and level <= _DEEPEST:
-        return _list_of(reduce(_merged, (_shape_of(item, level + 1) for item in value), Shape(TEXT)))
+        return _list_of(
+            reduce(_merged, (_shape_of(item, level + 1) for item in value), Shape(TEXT))
+        )
     return Shape(NUMBER if isinstance(value, int | float) else TEXT, may_be_absent=True)
 
 
 def _list_of(inner: Shape) -> Shape:
     """Describe a list; one of lists has no path, so that its inner lists are as closed as text."""
-    return Shape(TEXT if inner.is_list else inner.kind, {} if inner.is_list else inner.fields, True, True)
+    return Shape(
+        TEXT if inner.is_list else inner.kind, {} if inner.is_list else inner.fields, True, True
+    )
 
 
 def _object(fields: Mapping[str, Shape]) -> Shape:

@@ -22,12 +22,18 @@ PRIMITIVES: Final[dict[str, str]] = {
     "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2",
     "int32": "<i4", "uint32": "<u4", "int64": "<i8", "uint64": "<u8", "float32": "<f4", "float64": "<f8",
 }  # fmt: skip
-MOST_PATHS: Final = 1 << 16  # fields of a type: real types have hundreds, and a short schema can mean billions
+MOST_PATHS: Final = (
+    1 << 16
+)  # fields of a type: real types have hundreds, and a short schema can mean billions
 MOST_LEVELS: Final = 64  # structures within structures
 LONGEST_ARRAY: Final = 2**32 - 1  # CDR counts elements in words of four bytes
 LEAVE_OUT: Final = "do not use its topic for a role"
 _ROS2_RECORDER: Final = "`ros2 bag record --storage mcap`"
-_RECORDERS: Final = {"ros1msg": "`mcap convert`", "ros2msg": _ROS2_RECORDER, "ros2idl": _ROS2_RECORDER}
+_RECORDERS: Final = {
+    "ros1msg": "`mcap convert`",
+    "ros2msg": _ROS2_RECORDER,
+    "ros2idl": _ROS2_RECORDER,
+}
 _ROS1_SYNONYMS: Final = {"byte": "int8", "char": "uint8"}
 _RULE: Final = "=" * 80
 _LINE: Final = re.compile(
@@ -41,13 +47,17 @@ class Field:
     """One field of a message."""
 
     name: str
-    type_name: str  # a key of PRIMITIVES, "string", "wstring", or a message type as package/msg/Type
+    type_name: (
+        str  # a key of PRIMITIVES, "string", "wstring", or a message type as package/msg/Type
+    )
     kind: Literal["single", "array", "sequence"] = "single"
     length: int = 1  # values of an array; 0 for a sequence, whose length is in the message
 
 
 Definitions = Mapping[str, tuple[Field, ...]]  # by type name; constants are no fields
-_EMPTY: Final = (Field("structure_needs_at_least_one_member", "uint8"),)  # ROS 2 sends a byte where no fields are
+_EMPTY: Final = (
+    Field("structure_needs_at_least_one_member", "uint8"),
+)  # ROS 2 sends a byte where no fields are
 
 
 def full_name(type_name: str) -> str:
@@ -65,7 +75,9 @@ def _only(language: str) -> str:
 
 
 @cache
-def definitions_of(type_name: str, schema_text: str, encoding: str, schema_encoding: str = "") -> Definitions:
+def definitions_of(
+    type_name: str, schema_text: str, encoding: str, schema_encoding: str = ""
+) -> Definitions:
     """Parse a channel's schema. What a schema of ROS 2 lacks, all of it or types in it, comes with the tool."""
     if encoding == "ros1":
         return parse_definitions(type_name, schema_text, "ros1msg")
@@ -76,7 +88,9 @@ def definitions_of(type_name: str, schema_text: str, encoding: str, schema_encod
         return parse_definitions(type_name, schema_text, "ros2idl")
     for missing in missing_types(type_name, text):  # BlueOS records the file of a type alone
         with suppress(LogError):
-            text = f"{text}\n{_RULE}\nMSG: {missing.replace('/msg/', '/')}\n{definition_text(missing)}"
+            text = (
+                f"{text}\n{_RULE}\nMSG: {missing.replace('/msg/', '/')}\n{definition_text(missing)}"
+            )
     return parse_definitions(type_name, text)
 
 
@@ -154,7 +168,10 @@ def _fields(type_name: str, section: str, language: str) -> Iterator[Field]:
 
 def _parse_idl(type_name: str, text: str) -> dict[str, tuple[Field, ...]]:
     """Parse OMG's interface language, in which ROS 2 describes messages that have no .msg file."""
-    from rosbags.typesys import TypesysError, get_types_from_idl  # takes a while, and few logs have it
+    from rosbags.typesys import (
+        TypesysError,
+        get_types_from_idl,
+    )  # takes a while, and few logs have it
 
     # The texts of all types in a schema, without the lines between them and those of the preprocessor.
     plain = re.sub(r"(?m)^(?:[ \t]*#|={3,}[ \t]*$|(?:IDL|MSG):).*$", "", text.replace("\r\n", "\n"))
@@ -164,7 +181,9 @@ def _parse_idl(type_name: str, text: str) -> dict[str, tuple[Field, ...]]:
         lines = str(error).splitlines()  # more than one repeat the whole text
         what = f"{type_name}: the schema is not ROS 2's part of IDL{f' ({lines[0]})' if len(lines) == 1 else ''}"
         raise LogError(what, _only("ros2idl")) from error
-    definitions = {name: tuple(_idl_field(type_name, *field) for field in types[name][1]) for name in types}
+    definitions = {
+        name: tuple(_idl_field(type_name, *field) for field in types[name][1]) for name in types
+    }
     if full_name(type_name) not in definitions:
         raise LogError(f"{type_name}: the schema does not define it", record_again("ros2idl"))
     return definitions
@@ -179,7 +198,9 @@ def _idl_field(type_name: str, name: str, description: Any) -> Field:
         if node == 4:
             return Field(name, base, "sequence", 0)
         if not isinstance(length, int) or not 0 < length <= LONGEST_ARRAY:
-            raise LogError(f"{type_name}: the schema has an array of '{length!s:.12}'", record_again("ros2idl"))
+            raise LogError(
+                f"{type_name}: the schema has an array of '{length!s:.12}'", record_again("ros2idl")
+            )
         return Field(name, base, "array", length)
     return Field(name, argument if node == 2 else argument[0])
 
@@ -212,7 +233,9 @@ def too_large(type_name: str) -> LogError:
     return LogError(text, LEAVE_OUT)
 
 
-def binary_paths(definitions: Definitions, type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:
+def binary_paths(
+    definitions: Definitions, type_name: str, prefix: str = ""
+) -> Iterator[tuple[str, str]]:
     """Give every field path of a type, with the type of what is there."""
     for field in definitions[type_name]:
         path = f"{prefix}{field.name}"
@@ -229,7 +252,10 @@ def binary_paths(definitions: Definitions, type_name: str, prefix: str = "") -> 
 
 def missing_types(type_name: str, text: str) -> list[str]:
     """List the types that a text of ROS 2 uses and does not define."""
-    defined = {name: list(_fields(name, section, "ros2msg")) for name, section in _sections(type_name, text, "ros2msg")}
+    defined = {
+        name: list(_fields(name, section, "ros2msg"))
+        for name, section in _sections(type_name, text, "ros2msg")
+    }
     used = dict.fromkeys(field.type_name for fields in defined.values() for field in fields)
     return [name for name in used if "/" in name and name not in defined]
 
@@ -240,7 +266,9 @@ def definition_text(type_name: str) -> str:
     for name in names:
         found = (field.type_name for field in _fields(name, _known_text(name), "ros2msg"))
         names += dict.fromkeys(other for other in found if "/" in other and other not in names)
-    sections = [f"{_RULE}\nMSG: {name.replace('/msg/', '/')}\n{_known_text(name)}" for name in names[1:]]
+    sections = [
+        f"{_RULE}\nMSG: {name.replace('/msg/', '/')}\n{_known_text(name)}" for name in names[1:]
+    ]
     return "".join([_known_text(names[0]), *sections])
 
 
@@ -253,7 +281,9 @@ def _known_text(type_name: str) -> str:
             file = folder / package / "msg" / f"{name}.msg"
             if file.is_file():
                 return file.read_text("utf-8")
-    raise LogError(f"{type_name}: no definition of this type comes with the tool", record_again("ros2msg"))
+    raise LogError(
+        f"{type_name}: no definition of this type comes with the tool", record_again("ros2msg")
+    )
 
 
 def definition_folders() -> tuple[Path, ...]:

@@ -33,9 +33,13 @@ from insdvl_replay.logs.formats.definitions import (
 )
 from insdvl_replay.logs.formats.log_file import Block, LogChannel, gather
 
-Columns = dict[str, NDArray[Any]]  # by path, (k, n): a row per message; int64 where all are whole, else float64
+Columns = dict[
+    str, NDArray[Any]
+]  # by path, (k, n): a row per message; int64 where all are whole, else float64
 Kinds = Mapping[str, str]  # every path that a type knows, with the type of what is there
-ROWS: Final = ""  # key of the messages' numbers in columns, where a message may give several rows, or none
+ROWS: Final = (
+    ""  # key of the messages' numbers in columns, where a message may give several rows, or none
+)
 TABLE: Final = "table"  # encoding of the rows of a table
 ROW: Final = "row number"  # path of the number of a row in its table, from 0
 NUMBER: Final = "number"  # kinds of what is decoded message by message
@@ -80,16 +84,24 @@ def check_path(path: str, known: Kinds, type_name: str) -> None:
     if kind is None:
         meant = nearest(path, known)
         hint = fields_hint(known, path)
-        raise LogError(f"{type_name} has no field '{path}'", f"the nearest one is '{meant}'; {hint}" if meant else hint)
+        raise LogError(
+            f"{type_name} has no field '{path}'",
+            f"the nearest one is '{meant}'; {hint}" if meant else hint,
+        )
     if kind in TEXTS:
         raise LogError(
-            f"field '{path}' of {type_name} is text", f"use a field with numbers; {fields_hint(known, path)}"
+            f"field '{path}' of {type_name} is text",
+            f"use a field with numbers; {fields_hint(known, path)}",
         )
 
 
 def fields_hint(known: Kinds, path: str) -> str:
     """List the fields with numbers, for a hint."""
-    numbers = {name: kind for name, kind in known.items() if kind not in TEXTS and f"{name}[*]" not in known}
+    numbers = {
+        name: kind
+        for name, kind in known.items()
+        if kind not in TEXTS and f"{name}[*]" not in known
+    }
     if not numbers:
         return "the type has no fields with numbers"
     near = set(most_like(path, numbers, _LISTED))
@@ -112,7 +124,9 @@ ENCODINGS: Final = {
 
 def check_encoding(channel: LogChannel) -> None:
     """Refuse a channel whose messages cannot be read."""
-    if channel.encoding != TABLE and channel.schema_encoding not in ENCODINGS.get(channel.encoding, ()):
+    if channel.encoding != TABLE and channel.schema_encoding not in ENCODINGS.get(
+        channel.encoding, ()
+    ):
         known = ", ".join(f"{name} with {schemas[0]}" for name, schemas in ENCODINGS.items())
         raise LogError(
             f"messages on '{channel.topic}' are encoded as {channel.encoding or 'nothing'} with "
@@ -133,7 +147,9 @@ def column_of(channel: LogChannel, path: str) -> str:
     return RowReader(channel, [path]).names[path]
 
 
-def open_reader(channel: LogChannel, paths: Sequence[str], element: Element | None = None) -> FieldReader:
+def open_reader(
+    channel: LogChannel, paths: Sequence[str], element: Element | None = None
+) -> FieldReader:
     """Make the reader of some fields of a readable channel; a LogError names a field that its schema does not know."""
     # What reads an encoding is not loaded before a log has it: protobuf's takes longer than to read a short log.
     if channel.encoding == TABLE:
@@ -148,14 +164,20 @@ def open_reader(channel: LogChannel, paths: Sequence[str], element: Element | No
             raise LogError(text, "record the selected element on its own topic")
         make = protobuf_reader if channel.encoding == "protobuf" else JsonReader
         return make(channel.type_name, channel.schema_data, paths)
-    definitions = definitions_of(channel.type_name, channel.schema_text, channel.encoding, channel.schema_encoding)
-    return BinaryReader(definitions, channel.type_name, paths, is_cdr=channel.encoding == "cdr", element=element)
+    definitions = definitions_of(
+        channel.type_name, channel.schema_text, channel.encoding, channel.schema_encoding
+    )
+    return BinaryReader(
+        definitions, channel.type_name, paths, is_cdr=channel.encoding == "cdr", element=element
+    )
 
 
 # --- Messages of ROS 2 and ROS 1.
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"  # begins each little-endian XCDR1 message
-MOST_PLACES: Final = 1 << 18  # fields and structures of a message, each element of a list of structures for itself
+MOST_PLACES: Final = (
+    1 << 18
+)  # fields and structures of a message, each element of a list of structures for itself
 MOST_NUMBERS: Final = 1 << 16  # numbers that are read of one message; a sensor gives some hundreds
 _MOST_SEEN: Final = 100  # combinations of texts that are remembered for an error
 _LITTLE_ENDIAN: Final = int.from_bytes(ENCAPSULATION[:2], "little")
@@ -173,9 +195,13 @@ Rows = NDArray[np.int64]  # numbers of messages in a block
 class Layout:
     """Where the fields of a message are."""
 
-    dtype: np.dtype[np.void]  # the whole message; fields are named by their paths, such as ``beam_unit_vec[0].x``
+    dtype: np.dtype[
+        np.void
+    ]  # the whole message; fields are named by their paths, such as ``beam_unit_vec[0].x``
     length_offsets: tuple[int, ...]  # of the length word of each string and sequence, in order
-    lengths: tuple[int, ...]  # what these words hold; in CDR a string's length counts its final zero byte
+    lengths: tuple[
+        int, ...
+    ]  # what these words hold; in CDR a string's length counts its final zero byte
 
     @property
     def size(self) -> int:
@@ -191,7 +217,9 @@ class Layout:
         return np.tile(template, (count, 1)).view(self.dtype)[:, 0]
 
 
-def layout_for_texts(definitions: Definitions, type_name: str, texts: Mapping[str, bytes]) -> Layout:
+def layout_for_texts(
+    definitions: Definitions, type_name: str, texts: Mapping[str, bytes]
+) -> Layout:
     """Lay out a message in CDR that has to hold the given strings, and no sequences."""
     return _layout_of(definitions, type_name, lambda path, _: len(texts.get(path, b"")) + 1)
 
@@ -216,7 +244,9 @@ def message_layout(
 def _layout_of(
     definitions: Definitions,
     type_name: str,
-    length_at: Callable[[str, int], int],  # of the string or sequence at a path, whose length word is at an offset
+    length_at: Callable[
+        [str, int], int
+    ],  # of the string or sequence at a path, whose length word is at an offset
     *,
     is_cdr: bool = True,
     room: int = sys.maxsize,  # bytes of the message
@@ -281,7 +311,12 @@ def _layout_of(
             if field.type_name in PRIMITIVES:
                 size = _SIZES[field.type_name]
                 # None at all are not aligned.
-                place(path, (PRIMITIVES[field.type_name], (number,)), number * size, size if number else 1)
+                place(
+                    path,
+                    (PRIMITIVES[field.type_name], (number,)),
+                    number * size,
+                    size if number else 1,
+                )
             else:
                 for i in range(number):
                     value(f"{path}[{i}]", field.type_name)
@@ -297,7 +332,9 @@ def _layout_of(
 class _Plan:
     """What is read of the messages of one layout, as one structure: words that must agree, numbers and texts."""
 
-    def __init__(self, layout: Layout, paths: Sequence[str], element: Element | None, *, is_cdr: bool) -> None:
+    def __init__(
+        self, layout: Layout, paths: Sequence[str], element: Element | None, *, is_cdr: bool
+    ) -> None:
         self.size = layout.size
         formats: list[Any] = []
         offsets: list[int] = []
@@ -313,13 +350,21 @@ class _Plan:
         total = len(formats)
         self.fields: dict[str, list[str]] = {}
         for path in paths:
-            runs: list[tuple[np.dtype[Any], int, int]] = []  # kind, offset and count of numbers that are side by side
+            runs: list[
+                tuple[np.dtype[Any], int, int]
+            ] = []  # kind, offset and count of numbers that are side by side
             for dtype, offset in _leaves(layout.dtype, path):
                 base, start, number = dtype.base, offset, math.prod(dtype.shape)
                 total += number
                 if total > MOST_NUMBERS:
-                    raise LogError(f"'{path}' means more than {MOST_NUMBERS} numbers of a message", "use fewer")
-                if runs and runs[-1][0] == base and runs[-1][1] + runs[-1][2] * base.itemsize == offset:
+                    raise LogError(
+                        f"'{path}' means more than {MOST_NUMBERS} numbers of a message", "use fewer"
+                    )
+                if (
+                    runs
+                    and runs[-1][0] == base
+                    and runs[-1][1] + runs[-1][2] * base.itemsize == offset
+                ):
                     _, start, before = runs.pop()
                     number += before
                 runs.append((base, start, number))
@@ -327,11 +372,22 @@ class _Plan:
         self.texts: list[list[str]] = []  # of each element of the list that is meant
         known = dict(layout.dtype.fields or {})
         if element is not None:
-            names = ([f"{element.list_name}[{i}].{name}" for name in element.fields] for i in count())
+            names = (
+                [f"{element.list_name}[{i}].{name}" for name in element.fields] for i in count()
+            )
             for texts in takewhile(lambda texts: texts[0] in known, names):
-                self.texts.append([take((np.uint8, (known[name][0].itemsize,)), known[name][1]) for name in texts])
-        size = max((np.dtype(one).itemsize + offset for one, offset in zip(formats, offsets, strict=True)), default=0)
-        columns: Any = {"names": [*map(str, range(len(formats)))], "formats": formats, "offsets": offsets}
+                self.texts.append(
+                    [take((np.uint8, (known[name][0].itemsize,)), known[name][1]) for name in texts]
+                )
+        size = max(
+            (np.dtype(one).itemsize + offset for one, offset in zip(formats, offsets, strict=True)),
+            default=0,
+        )
+        columns: Any = {
+            "names": [*map(str, range(len(formats)))],
+            "formats": formats,
+            "offsets": offsets,
+        }
         self.dtype: np.dtype[Any] = np.dtype(columns | {"itemsize": size})
 
     def numbers(self, values: NDArray[Any], path: str) -> NDArray[Any]:
@@ -342,7 +398,11 @@ class _Plan:
             if part.dtype.kind == "b":
                 part = part.view(np.uint8) != 0
             parts.append(part.astype(np.float64 if part.dtype.kind == "f" else np.int64))
-        return parts[0] if len(parts) == 1 else np.concatenate([np.empty((len(values), 0), np.int64), *parts], axis=1)
+        return (
+            parts[0]
+            if len(parts) == 1
+            else np.concatenate([np.empty((len(values), 0), np.int64), *parts], axis=1)
+        )
 
 
 def _leaves(dtype: np.dtype[np.void], path: str) -> Iterator[tuple[np.dtype[Any], int]]:
@@ -353,7 +413,11 @@ def _leaves(dtype: np.dtype[np.void], path: str) -> Iterator[tuple[np.dtype[Any]
         return re.compile(re.escape(path).replace(r"\[\*\]", r"\[\d+\]") + r"(?![^.\[])")
 
     match = re.fullmatch(r"(.*)\[(\d+|\*)\]", path)
-    whole, element, index = pattern(path), pattern(match[1]) if match else None, match[2] if match else ""
+    whole, element, index = (
+        pattern(path),
+        pattern(match[1]) if match else None,
+        match[2] if match else "",
+    )
     for name, (field, offset, *_) in (dtype.fields or {}).items():
         if field.base.kind not in "biuf":
             continue
@@ -386,7 +450,9 @@ class BinaryReader:
         self._plans: dict[tuple[int, ...], _Plan] = {}  # by the lengths of strings and sequences
         self._latest: _Plan | None = None
         self._is_found = False
-        self.seen: dict[tuple[str, ...], None] = {}  # the texts of other elements, while none was found
+        self.seen: dict[
+            tuple[str, ...], None
+        ] = {}  # the texts of other elements, while none was found
         self.known: Kinds = dict(binary_paths(definitions, self._type_name))
         for path in paths:
             check_path(path, self.known, self._type_name)
@@ -400,7 +466,9 @@ class BinaryReader:
         left = np.arange(len(block))
         while left.size:
             rows, plan, values = self._next_group(block, left)
-            left = left[:0] if rows.size == left.size else np.setdiff1d(left, rows, assume_unique=True)
+            left = (
+                left[:0] if rows.size == left.size else np.setdiff1d(left, rows, assume_unique=True)
+            )
             found = {path: plan.numbers(values, path) for path in self._paths}
             if self._element is not None:
                 wanted = self._wanted(plan, values, self._element)
@@ -408,14 +476,22 @@ class BinaryReader:
                 rows = rows[np.nonzero(wanted)[0]]
                 if not rows.size:
                     continue
-                found = {path: one.reshape(len(values), elements, -1)[wanted] for path, one in found.items()}
+                found = {
+                    path: one.reshape(len(values), elements, -1)[wanted]
+                    for path, one in found.items()
+                }
             parts.append((rows, found))
-        columns = {path: _joined([(rows, found[path]) for rows, found in parts]) for path in self._paths}
+        columns = {
+            path: _joined([(rows, found[path]) for rows, found in parts]) for path in self._paths
+        }
         if self._element is None:
             return columns
         if not parts:
             return {ROWS: np.empty((0, 1), np.int64)}
-        return {ROWS: np.sort(np.concatenate([rows for rows, _ in parts]), kind="stable")[:, None], **columns}
+        return {
+            ROWS: np.sort(np.concatenate([rows for rows, _ in parts]), kind="stable")[:, None],
+            **columns,
+        }
 
     def _next_group(self, block: Block, left: Rows) -> tuple[Rows, _Plan, NDArray[Any]]:
         """Read all messages that share a layout: the latest one if any has it, else that of the first message."""
@@ -427,10 +503,15 @@ class BinaryReader:
             self._require_little_endian(block)
         start, size = int(block.offsets[left[0]]), int(block.sizes[left[0]])
         layout = message_layout(
-            self._definitions, self._type_name, block.buffer[start : start + size], is_cdr=self._is_cdr
+            self._definitions,
+            self._type_name,
+            block.buffer[start : start + size],
+            is_cdr=self._is_cdr,
         )
         if layout.lengths not in self._plans:
-            self._plans[layout.lengths] = _Plan(layout, self._paths, self._element, is_cdr=self._is_cdr)
+            self._plans[layout.lengths] = _Plan(
+                layout, self._paths, self._element, is_cdr=self._is_cdr
+            )
         self._latest = plan = self._plans[layout.lengths]
         rows, values = self._with_layout(block, left, plan)
         if not rows.size:
@@ -454,7 +535,9 @@ class BinaryReader:
 
     def _require_little_endian(self, block: Block) -> None:
         if np.any(block.sizes < len(ENCAPSULATION)):
-            raise LogError(f"a message of {block.sizes.min()} bytes is no CDR", "the log is damaged")
+            raise LogError(
+                f"a message of {block.sizes.min()} bytes is no CDR", "the log is damaged"
+            )
         kinds = gather(block.buffer, block.offsets, np.dtype("<u2"))
         wrong = kinds[kinds != _LITTLE_ENDIAN]
         if wrong.size:
@@ -473,15 +556,21 @@ class BinaryReader:
         wanted = np.zeros((len(values), len(plan.texts)), np.bool_)
         for i, names in enumerate(plan.texts):
             texts = [values[name] for name in names]
-            if asked and all(text.shape[1] == one.size for text, one in zip(texts, asked, strict=True)):
+            if asked and all(
+                text.shape[1] == one.size for text, one in zip(texts, asked, strict=True)
+            ):
                 wanted[:, i] = np.all(
-                    [(text == one).all(axis=1) for text, one in zip(texts, asked, strict=True)], axis=0
+                    [(text == one).all(axis=1) for text, one in zip(texts, asked, strict=True)],
+                    axis=0,
                 )
             if not self._is_found and not wanted[:, i].any():
                 for row in np.unique(np.concatenate(texts, axis=1), axis=0)[:_MOST_SEEN]:
                     parts = np.split(row, np.cumsum([text.shape[1] for text in texts])[:-1])
                     if len(self.seen) < _MOST_SEEN:
-                        decoded = (part.tobytes().removesuffix(end).decode("utf-8", "replace") for part in parts)
+                        decoded = (
+                            part.tobytes().removesuffix(end).decode("utf-8", "replace")
+                            for part in parts
+                        )
                         self.seen[tuple(decoded)] = None
         self._is_found |= bool(wanted.any())
         return wanted

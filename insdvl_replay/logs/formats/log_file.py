@@ -34,7 +34,9 @@ COPY_AGAIN: Final = "copy the log again from the recorder if it still has it"
 LARGEST_CHUNK: Final = 1 << 30  # bytes to which a chunk may open; recorders write some megabytes
 MOST_OF_A_CUT_CHUNK: Final = 1 << 26  # more of one that lacks its end is not looked at
 _USUAL_SIZE: Final = 64 << 20
-_MOST_COMPRESSED: Final = 256  # larger chunks are believed only if they are compressed less densely than this
+_MOST_COMPRESSED: Final = (
+    256  # larger chunks are believed only if they are compressed less densely than this
+)
 _SHOWN: Final = 3  # damaged places that a note lists
 
 
@@ -84,7 +86,10 @@ class Block:
 
     def part(self, rows: slice | NDArray[np.int64]) -> "Block":
         """Return some of the messages."""
-        columns = {name: getattr(self, name)[rows] for name in ("offsets", "sizes", "log_time", "publish_time")}
+        columns = {
+            name: getattr(self, name)[rows]
+            for name in ("offsets", "sizes", "log_time", "publish_time")
+        }
         return replace(self, **columns)
 
 
@@ -94,7 +99,9 @@ def gather(buffer: memoryview, offsets: NDArray[np.int64], dtype: np.dtype[Any])
         return np.empty(offsets.size, dtype)
     # As mere bytes, structures are copied six times as fast.
     copied: Any = dtype if dtype.fields is None else (np.void, dtype.itemsize)
-    windows: NDArray[Any] = np.ndarray((len(buffer) - dtype.itemsize + 1,), copied, buffer, strides=(1,))
+    windows: NDArray[Any] = np.ndarray(
+        (len(buffer) - dtype.itemsize + 1,), copied, buffer, strides=(1,)
+    )
     return windows[offsets].view(dtype)
 
 
@@ -124,7 +131,9 @@ class ChangedLogError(LogError):
     """A file has changed since it was opened."""
 
 
-def damaged_file_error(faults: Sequence[LogError], saved: Iterable[TimeNs], place: str = "damaged place") -> LogError:
+def damaged_file_error(
+    faults: Sequence[LogError], saved: Iterable[TimeNs], place: str = "damaged place"
+) -> LogError:
     """Return the error for a damaged log: its first fault, the count of the others, and what could be saved.
 
     The log times of all messages that can be read are given in parts, ns.
@@ -152,13 +161,21 @@ def damage_note(name: str, found: Iterable[Damage], lost: str) -> Note:
 # --- Compressed bytes.
 
 
-def most_opened(compressed_size: int, usual: int = _USUAL_SIZE, times: int = _MOST_COMPRESSED) -> int:
+def most_opened(
+    compressed_size: int, usual: int = _USUAL_SIZE, times: int = _MOST_COMPRESSED
+) -> int:
     """Return the bytes to which compressed bytes may open: what is usual, or more where there are more of them."""
     return max(usual, times * compressed_size)
 
 
 def opened(
-    data: memoryview, compression: str, size: int, offset: int, crc: int = 0, *, is_cut: bool = False
+    data: memoryview,
+    compression: str,
+    size: int,
+    offset: int,
+    crc: int = 0,
+    *,
+    is_cut: bool = False,
 ) -> memoryview:
     """Decompress a chunk that is at an offset of the file, and check its length and, if it has one, its checksum.
 
@@ -168,14 +185,18 @@ def opened(
     if is_cut:
         size = min(size or room, room, MOST_OF_A_CUT_CHUNK)
     elif compression and size > room:
-        raise DamageError(offset, f"a chunk of {len(data)} compressed bytes says it opens to {size}")
+        raise DamageError(
+            offset, f"a chunk of {len(data)} compressed bytes says it opens to {size}"
+        )
     try:
         if compression == "":
             content = data
         elif compression == "zstd":
             content = memoryview(zstandard.ZstdDecompressor().stream_reader(data).read(size + 1))
         elif compression == "lz4":
-            content = memoryview(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
+            content = memoryview(
+                lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+            )
         elif compression == "bz2":
             import bz2
 
@@ -184,11 +205,15 @@ def opened(
             what = f"a chunk is compressed with '{compression}'; only zstd, lz4 and bz2 can be read"
             raise DamageError(offset, what)
     except (zstandard.ZstdError, RuntimeError, OverflowError, OSError) as error:
-        raise DamageError(offset, f"a {compression} chunk cannot be decompressed ({error})") from error
+        raise DamageError(
+            offset, f"a {compression} chunk cannot be decompressed ({error})"
+        ) from error
     if len(content) > size:
         raise DamageError(offset, f"a chunk opens to more than {size} bytes")
     if not is_cut and len(content) < size:
-        raise DamageError(offset, f"a chunk opens to {len(content)} bytes, but {size} were announced")
+        raise DamageError(
+            offset, f"a chunk opens to {len(content)} bytes, but {size} were announced"
+        )
     if not is_cut and crc and zlib_ng.crc32(content) != crc:
         raise DamageError(offset, "the checksum of a chunk is not that of its bytes")
     return content
@@ -196,7 +221,9 @@ def opened(
 
 # --- Files.
 
-_NOT_WAITING: Final = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_NOT_WAITING: Final = (
+    getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+)
 _PIECE: Final = 1 << 20
 
 
@@ -218,7 +245,11 @@ class FileBytes:
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else str(error)
             many = isinstance(error, OSError) and error.errno == errno.EMFILE
-            hint = "each part of a dive stays open; raise the limit with `ulimit -n`" if many else "check the path"
+            hint = (
+                "each part of a dive stays open; raise the limit with `ulimit -n`"
+                if many
+                else "check the path"
+            )
             raise LogError(f"cannot be read: {reason}", hint, path) from error
         weakref.finalize(self, os.close, self._descriptor)
         self._before = os.fstat(self._descriptor)
@@ -227,7 +258,9 @@ class FileBytes:
         if not stat.S_ISREG(self._before.st_mode):
             raise LogError("is a pipe or a device, not a file", "write it to a file first", path)
         if not self._before.st_size:
-            raise UnusableFileError("is empty (0 bytes)", "the recording never began, or the copy failed", path)
+            raise UnusableFileError(
+                "is empty (0 bytes)", "the recording never began, or the copy failed", path
+            )
 
     def __len__(self) -> int:
         """Return the size of the file in bytes."""
@@ -242,10 +275,14 @@ class FileBytes:
             while more := os.pread(self._descriptor, wanted - len(data), start + len(data)):
                 data += more
         except OSError as error:
-            raise LogError(f"cannot be read: {error.strerror}", "copy it to another disk", self.path) from error
+            raise LogError(
+                f"cannot be read: {error.strerror}", "copy it to another disk", self.path
+            ) from error
         if len(data) < wanted:
             self.require_unchanged()
-            raise ChangedLogError("ends before its size says", "copy it again, and read the copy", self.path)
+            raise ChangedLogError(
+                "ends before its size says", "copy it again, and read the copy", self.path
+            )
         return memoryview(data)
 
     def digest(self, section_end: int = 0, section_crc: int = 0) -> Digest:
@@ -310,7 +347,11 @@ class LogFile(ABC):
     def span_ns(self) -> Span | None:
         """First and last log time; None without messages."""
         times = [times for times in self.log_times().values() if times.size]
-        return (min(int(part.min()) for part in times), max(int(part.max()) for part in times)) if times else None
+        return (
+            (min(int(part.min()) for part in times), max(int(part.max()) for part in times))
+            if times
+            else None
+        )
 
     @property
     @abstractmethod
@@ -327,7 +368,10 @@ class LogFile(ABC):
 
     def faults(self) -> list[LogError]:
         """Return an error for each damaged place found so far."""
-        return [LogError(f"is damaged at byte {place}: {found}", "", self.path) for place, found in self.damages]
+        return [
+            LogError(f"is damaged at byte {place}: {found}", "", self.path)
+            for place, found in self.damages
+        ]
 
     def saved_times(self) -> Iterator[TimeNs]:
         """Give the log times of all messages that can be read, some at a time; ns."""
@@ -364,12 +408,16 @@ class LogFile(ABC):
 
 _AHEAD: Final = 3  # chunks that are opened while the one before is read
 _MOST_OPEN: Final = 256 << 20  # bytes that they open to together, if they are more than one
-_KEPT: Final = 16 << 20  # bytes of chunks that stay open, since samples of many topics are read from the same ones
+_KEPT: Final = (
+    16 << 20
+)  # bytes of chunks that stay open, since samples of many topics are read from the same ones
 _SAMPLED: Final = 2  # chunks with which a sample begins
 _LISTED: Final = 4  # topics that a note lists
 _LONGEST_NS: Final = 10**15  # no recording covers more
 
-Messages = NDArray[np.int64]  # (5, k): channel, log time, publish time, and start and size of the payload
+Messages = NDArray[
+    np.int64
+]  # (5, k): channel, log time, publish time, and start and size of the payload
 
 
 @dataclass(eq=False)
@@ -385,8 +433,12 @@ class Chunk:
     size: int = 0  # bytes to which it opens
     crc: int = 0  # of these; 0 where the recorder computed none
     span_ns: Span = (0, 0)  # as it says itself
-    indexes: list[tuple[int, int]] = field(default_factory=list)  # start and end of each index behind it
-    counts: Counter[int] = field(default_factory=Counter)  # messages by channel, as the indexes or the content say
+    indexes: list[tuple[int, int]] = field(
+        default_factory=list
+    )  # start and end of each index behind it
+    counts: Counter[int] = field(
+        default_factory=Counter
+    )  # messages by channel, as the indexes or the content say
     is_indexed: bool = True  # whether the indexes name all messages, as far as is known
     is_cut: bool = False
 
@@ -427,7 +479,9 @@ class ChunkedFile(LogFile):
         self._lost: list[Chunk] = []  # that cannot be opened
         self._passed: list[Span] = []  # start and end of bytes in which no record is found
         self._missing: list[int] = []  # where chunks were whose places are known
-        self._announced: Counter[int] | None = None  # messages by channel, as the end of the file says
+        self._announced: Counter[int] | None = (
+            None  # messages by channel, as the end of the file says
+        )
         self._announced_ns: Span | None = None  # first and last log time, likewise
         self._is_open_ended = False  # whether the end of the recording is not in the file
         self._opened: set[int] = set()
@@ -449,7 +503,9 @@ class ChunkedFile(LogFile):
         """Leave out the chunks beyond what a file of this size may open to: a bomb would be read for hours."""
         most, total = max(self.usually_opened, self.most_compressed * len(self.file)), 0
         for chunk in list(self._chunks):
-            total += chunk.size if chunk.size <= most else 0  # a larger one is refused where it is opened
+            total += (
+                chunk.size if chunk.size <= most else 0
+            )  # a larger one is refused where it is opened
             if total > most:
                 what = f"the chunks up to here open to {total} bytes, where a file of {len(self.file)} may hold {most}"
                 self.damage(chunk.start, what)
@@ -507,7 +563,9 @@ class ChunkedFile(LogFile):
         if len(data) != chunk.data_size and not chunk.is_cut:
             what = f"a chunk says it has {chunk.data_size} compressed bytes; there are {len(data)}"
             raise DamageError(chunk.start, what)
-        data = opened(data, chunk.compression, chunk.size, chunk.start, chunk.crc, is_cut=chunk.is_cut)
+        data = opened(
+            data, chunk.compression, chunk.size, chunk.start, chunk.crc, is_cut=chunk.is_cut
+        )
         return data, raw[end:]
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
@@ -522,13 +580,17 @@ class ChunkedFile(LogFile):
         for chunk in list(self._chunks):
             found = self._listed(chunk)
             for channel, log_ns, *_ in (
-                [found] if found is not None else [content.messages for content in self._contents([chunk])]
+                [found]
+                if found is not None
+                else [content.messages for content in self._contents([chunk])]
             ):
                 yield chunk, {id_: log_ns[channel == id_] for id_ in np.unique(channel).tolist()}
 
     def log_times(self) -> dict[int, TimeNs]:
         """Return the log times of all messages by channel, (k,) ns."""
-        parts: dict[int, list[TimeNs]] = {channel.id: [np.empty(0, np.int64)] for channel in self.channels}
+        parts: dict[int, list[TimeNs]] = {
+            channel.id: [np.empty(0, np.int64)] for channel in self.channels
+        }
         for _, times in self._times_by_chunk():
             for channel_id, time_ns in times.items():
                 parts.setdefault(channel_id, []).append(time_ns)
@@ -542,7 +604,9 @@ class ChunkedFile(LogFile):
 
     def check_unopened(self) -> Iterator[None]:
         """Open the chunks that nobody has opened so far, one by one, for their checksums alone."""
-        for _ in self._contents([chunk for chunk in self._chunks if chunk.crc and chunk.start not in self._opened]):
+        for _ in self._contents(
+            [chunk for chunk in self._chunks if chunk.crc and chunk.start not in self._opened]
+        ):
             yield
 
     def _losses(self) -> str:
@@ -551,40 +615,57 @@ class ChunkedFile(LogFile):
         bad = {(chunk.start, chunk.end) for chunk in self._lost} | set(self._passed)
         holes = np.sort(np.array([*(start for start, _ in bad), *self._missing], np.int64))
         spans = {chunk.span_ns for chunk in [*self._chunks, *self._lost] if not chunk.is_loose}
-        last_ns = max((last for first, last in spans if 0 < first <= last < first + _LONGEST_NS), default=0)
+        last_ns = max(
+            (last for first, last in spans if 0 < first <= last < first + _LONGEST_NS), default=0
+        )
         first_ns, last_ns = self._announced_ns or (None, last_ns)
         # A topic is interrupted from its last message before damaged bytes to its first one behind them.
         found, gap_ns, latest = Counter[str](), Counter[str](), dict[str, tuple[int, int]]()
         for chunk, times in self._times_by_chunk():
-            holes_before, together = int(np.searchsorted(holes, chunk.start, "right")), dict[str, list[TimeNs]]()
+            holes_before, together = (
+                int(np.searchsorted(holes, chunk.start, "right")),
+                dict[str, list[TimeNs]](),
+            )
             for channel_id in times.keys() & topics:
                 together.setdefault(topics[channel_id], []).append(times[channel_id])
             for topic, parts in together.items():
                 time_ns = np.concatenate(parts)
                 found[topic] += time_ns.size
                 earliest_ns = int(time_ns.min())
-                passed, since_ns = latest.get(topic, (0, earliest_ns if first_ns is None else first_ns))
+                passed, since_ns = latest.get(
+                    topic, (0, earliest_ns if first_ns is None else first_ns)
+                )
                 if passed < holes_before:
                     gap_ns[topic] += max(earliest_ns - since_ns, 0)
-                latest[topic] = holes_before, max(since_ns if topic in latest else 0, int(time_ns.max()))
+                latest[topic] = (
+                    holes_before,
+                    max(since_ns if topic in latest else 0, int(time_ns.max())),
+                )
         for topic, (passed, since_ns) in latest.items():
             if passed < holes.size or self._is_open_ended:
                 gap_ns[topic] += max(last_ns - since_ns, 0)
         counts = self._announced
         is_exact, is_open = counts is not None, self._is_open_ended and counts is None
-        announced, lost_counts = Counter[str](), sum((chunk.counts for chunk in self._lost), Counter[int]())
+        announced, lost_counts = (
+            Counter[str](),
+            sum((chunk.counts for chunk in self._lost), Counter[int]()),
+        )
         for channel_id, count in (counts if counts is not None else lost_counts).items():
             announced[topics.get(channel_id, "unknown channels")] += count
         lost = (announced - found if is_exact else announced).most_common()
         least = "" if is_exact else "at least "
         lost_by_topic = [
-            f"{least}{counted(count, 'message')} of {topic} ({gap_ns[topic] * 1e-9:.3f} s)" for topic, count in lost
+            f"{least}{counted(count, 'message')} of {topic} ({gap_ns[topic] * 1e-9:.3f} s)"
+            for topic, count in lost
         ]
         size = sum(end - start for start, end in bad)
         if not lost_by_topic and (is_exact or not (size or is_open)):
             lost_by_topic = ["no messages"]
         longest_s = max(gap_ns.values(), default=0) * 1e-9
-        what = listed(lost_by_topic, _LISTED) or f"an unknown number of messages (at least {longest_s:.3f} s)"
+        what = (
+            listed(lost_by_topic, _LISTED)
+            or f"an unknown number of messages (at least {longest_s:.3f} s)"
+        )
         damaged = f", {counted_clause(size, 'bytes are damaged')}" if size else ""
         verb = "is" if [count for _, count in lost] == [1] else "are"
         return f"{what} {verb} lost{damaged}{'; the end of the recording is unknown' if is_open else ''}"

@@ -47,14 +47,29 @@ _LEAST: Final = (1 << 64, 8, 20, 14, 16, 22, 40, 6, 64, 36, 64, 46, 8, 20, 17, 4
 _LAST_KNOWN: Final = 15  # kind that the specification knows
 _FIRST_PRIVATE: Final = 128
 MESSAGE: Final = np.dtype(
-    [("opcode", "u1"), ("length", "<i8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
+    [
+        ("opcode", "u1"),
+        ("length", "<i8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log", "<i8"),
+        ("publish", "<i8"),
+    ]
 )  # in front of each payload
 _MESSAGE_FIELDS: Final = MESSAGE.itemsize - HEADER_SIZE
 _ENTRY: Final = np.dtype([("log", "<i8"), ("start", "<i8")])  # of a message index
-_WINDOW, _LARGE_WINDOW = 4 << 10, 1 << 20  # bytes that the walk looks at at a time: among chunks, among messages
+_WINDOW, _LARGE_WINDOW = (
+    4 << 10,
+    1 << 20,
+)  # bytes that the walk looks at at a time: among chunks, among messages
 _END_OF_TIME_NS: Final = 2**63  # times are signed in numpy as in ROS, and unsigned in the format
 _CUT: Final = "the closing bytes are missing; the file was cut or is still being written"
-_SUMMARY_ONLY: Final = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
+_SUMMARY_ONLY: Final = (
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
 _RECORDS: Final[dict[int, Any]] = {
     Opcode.HEADER: records.Header,
     Opcode.FOOTER: records.Footer,
@@ -83,7 +98,10 @@ def walk(buffer: memoryview, room: int) -> tuple[NDArray[np.int64], int, int, bo
     found: list[tuple[int, int, int]] = []
     place, others, before, patience, most = 0, 0, (0, 0), 0, 64
     # The head of each message must be in the buffer.
-    is_broken, last = False, len(buffer) - (HEADER_SIZE if len(buffer) >= room else MESSAGE.itemsize)
+    is_broken, last = (
+        False,
+        len(buffer) - (HEADER_SIZE if len(buffer) >= room else MESSAGE.itemsize),
+    )
     while place <= last:
         head = kind, length = HEADER.unpack_from(buffer, place)
         is_broken = length > room - place - HEADER_SIZE or not can_be_record(kind, length)
@@ -139,7 +157,9 @@ def next_record(file: FileBytes, place: int, end: int) -> int:
             return 0
         kind, length = HEADER.unpack_from(head)
         is_known = kind <= _LAST_KNOWN and can_be_record(kind, length)
-        return place + HEADER_SIZE + length if is_known and length <= end - place - HEADER_SIZE else 0
+        return (
+            place + HEADER_SIZE + length if is_known and length <= end - place - HEADER_SIZE else 0
+        )
 
     for start in range(place, end, _LARGE_WINDOW):
         piece = file.read(start, min(start + _LARGE_WINDOW + HEADER_SIZE - 1, end))
@@ -156,7 +176,9 @@ def next_record(file: FileBytes, place: int, end: int) -> int:
 
 
 def log_channels(
-    channels: Mapping[int, records.Channel], schemas: Mapping[int, records.Schema], counts: Mapping[int, int]
+    channels: Mapping[int, records.Channel],
+    schemas: Mapping[int, records.Schema],
+    counts: Mapping[int, int],
 ) -> tuple[LogChannel, ...]:
     """Return the channels of a file with their types and numbers of messages."""
     no_schema = records.Schema(id=0, name="", encoding="", data=b"")
@@ -188,7 +210,9 @@ class McapFile(ChunkedFile):
         self._channels: dict[int, records.Channel] = {}
         self.metadata: list[records.Metadata] = []
         self.attachments: list[records.AttachmentIndex] = []
-        self._attachments: list[tuple[int, int, int]] = []  # start and length without checksum, and this
+        self._attachments: list[
+            tuple[int, int, int]
+        ] = []  # start and length without checksum, and this
         self._chunk_indexes: dict[int, records.ChunkIndex] = {}
         self._only: dict[int, tuple[int, Any]] = {}  # where the only record of a kind is, and this
         self._private = 0
@@ -215,15 +239,24 @@ class McapFile(ChunkedFile):
     def _end(self) -> int:
         """Return where the records end, and refuse a file that is no MCAP file."""
         size, magic = len(self.file), len(MAGIC)
-        opening, closing = bytes(self.file.read(0, magic + HEADER_SIZE)), bytes(self.file.read(size - magic, size))
+        opening, closing = (
+            bytes(self.file.read(0, magic + HEADER_SIZE)),
+            bytes(self.file.read(size - magic, size)),
+        )
         self._is_closed = size >= 2 * magic and closing == MAGIC
         if opening[:magic] != MAGIC:
             kind, length = HEADER.unpack(opening[magic:].ljust(HEADER_SIZE, b"\0"))
             # It may be that only its opening bytes are damaged.
-            if closing != MAGIC and (kind != Opcode.HEADER or length > size or not can_be_record(kind, length)):
-                what = f"is not an MCAP file, nor a bag: it starts with bytes '{opening[:8].hex(' ')}'"
+            if closing != MAGIC and (
+                kind != Opcode.HEADER or length > size or not can_be_record(kind, length)
+            ):
+                what = (
+                    f"is not an MCAP file, nor a bag: it starts with bytes '{opening[:8].hex(' ')}'"
+                )
                 raise UnusableFileError(what, "give an .mcap, .db3 or .bag file", self.path)
-            self.damage(0, f"the opening bytes are '{opening[:magic].hex(' ')}', not those of an MCAP file")
+            self.damage(
+                0, f"the opening bytes are '{opening[:magic].hex(' ')}', not those of an MCAP file"
+            )
         return size - magic if self._is_closed else size
 
     def _walk(self, end: int) -> None:
@@ -238,10 +271,17 @@ class McapFile(ChunkedFile):
             for first, behind in pairwise(edges if len(found) else ()):
                 if is_message[first]:
                     ids = gather(window, found[first:behind, 1] + HEADER_SIZE, np.dtype("<u2"))
-                    numbers, counts = (values.tolist() for values in np.unique(ids, return_counts=True))
-                    start, stops = int(found[first, 1]), int(found[behind - 1, 1:].sum()) + HEADER_SIZE
+                    numbers, counts = (
+                        values.tolist() for values in np.unique(ids, return_counts=True)
+                    )
+                    start, stops = (
+                        int(found[first, 1]),
+                        int(found[behind - 1, 1:].sum()) + HEADER_SIZE,
+                    )
                     counted = Counter(dict(zip(numbers, counts, strict=True)))
-                    self._chunks.append(Chunk(place + start, place + stops, is_loose=True, counts=counted))
+                    self._chunks.append(
+                        Chunk(place + start, place + stops, is_loose=True, counts=counted)
+                    )
                     continue
                 for kind, start, length in found[first:behind].tolist():
                     with self.collected():
@@ -251,7 +291,10 @@ class McapFile(ChunkedFile):
                 place += stop
                 continue
             what = what_is_there(window[stop:], end - place - stop)
-            broken, place = place + stop, place + (int(found[-1, 1:].sum()) + HEADER_SIZE if len(found) else 0)
+            broken, place = (
+                place + stop,
+                place + (int(found[-1, 1:].sum()) + HEADER_SIZE if len(found) else 0),
+            )
             following = next_record(self.file, place + 1, end)
             if following == end and not self._is_closed:
                 last = place
@@ -287,14 +330,21 @@ class McapFile(ChunkedFile):
             chunk.indexes.append((begin, end))
             if size > length - 6 or size % _ENTRY.itemsize or channel_id in chunk.counts:
                 chunk.is_indexed = False
-                raise DamageError(start, f"an index of {length} bytes says it has {size} bytes of channel {channel_id}")
+                raise DamageError(
+                    start,
+                    f"an index of {length} bytes says it has {size} bytes of channel {channel_id}",
+                )
             chunk.counts[channel_id] = size // _ENTRY.itemsize
         elif kind == Opcode.ATTACHMENT:
             self._take_attachment(begin, length)
         elif kind in _SUMMARY_ONLY and Opcode.DATA_END not in self._only:
             raise DamageError(start, f"a record of kind {kind} is among the messages")
         elif kind in _RECORDS:
-            self._take_record(kind, content[:length] if len(content) >= length else self.file.read(begin, end), start)
+            self._take_record(
+                kind,
+                content[:length] if len(content) >= length else self.file.read(begin, end),
+                start,
+            )
 
     def _take_record(self, kind: int, content: memoryview, offset: int) -> None:
         """Read a record whole; a schema or a channel may be repeated in the summary and in chunks."""
@@ -323,22 +373,34 @@ class McapFile(ChunkedFile):
             name = bytes(fields[32 : 32 + name_size]).decode("ascii", "replace")
             data_size = struct.unpack_from("<Q", fields, 32 + name_size)[0]
         except struct.error as error:
-            raise DamageError(start, f"a chunk has {len(fields)} bytes, too few for its own header") from error
+            raise DamageError(
+                start, f"a chunk has {len(fields)} bytes, too few for its own header"
+            ) from error
         data_start = start + HEADER_SIZE + 40 + name_size
         return Chunk(start, end, False, name, data_start, data_size, size, crc, (first_ns, last_ns))
 
     def _take_attachment(self, begin: int, length: int) -> None:
         """Read an attachment's fields; its bytes are not touched."""
         try:
-            stream = ReadDataStream(BytesIO(self.file.read(begin, begin + min(length, _LARGE_WINDOW))))
+            stream = ReadDataStream(
+                BytesIO(self.file.read(begin, begin + min(length, _LARGE_WINDOW)))
+            )
             log_ns, create_ns = stream.read8(), stream.read8()
-            name, media_type, size = stream.read_prefixed_string(), stream.read_prefixed_string(), stream.read8()
+            name, media_type, size = (
+                stream.read_prefixed_string(),
+                stream.read_prefixed_string(),
+                stream.read8(),
+            )
         except (McapError, struct.error, UnicodeDecodeError) as error:
             raise DamageError(begin, f"an attachment of {length} bytes cannot be parsed") from error
         if stream.count + size + 4 > length:
-            raise DamageError(begin, f"an attachment says it has {size} bytes; its record has {length}")
+            raise DamageError(
+                begin, f"an attachment says it has {size} bytes; its record has {length}"
+            )
         end = begin + stream.count + size
-        self.attachments.append(records.AttachmentIndex(end - size, size, log_ns, create_ns, size, name, media_type))
+        self.attachments.append(
+            records.AttachmentIndex(end - size, size, log_ns, create_ns, size, name, media_type)
+        )
         crc = int.from_bytes(self.file.read(end, end + 4), "little")
         self._attachments.append((begin, stream.count + size, crc))
 
@@ -358,7 +420,10 @@ class McapFile(ChunkedFile):
                 self.damage(end, "the footer before the closing bytes is missing")
         else:
             if footer.summary_start not in (0, summary_start):
-                self.damage(footer_start, f"the footer says that the summary starts at byte {footer.summary_start}")
+                self.damage(
+                    footer_start,
+                    f"the footer says that the summary starts at byte {footer.summary_start}",
+                )
             # The checksum covers the footer up to itself.
             covered = self.file.read(summary_start, footer_start + HEADER_SIZE + 16)
             if footer.summary_crc and zlib_ng.crc32(covered) != footer.summary_crc:
@@ -382,7 +447,8 @@ class McapFile(ChunkedFile):
         for chunk in list(self._chunks):
             channels = [self._channels.get(channel_id) for channel_id in chunk.counts]
             is_defined = all(
-                channel and (not channel.schema_id or channel.schema_id in self.schemas) for channel in channels
+                channel and (not channel.schema_id or channel.schema_id in self.schemas)
+                for channel in channels
             )
             if not chunk.is_loose and not (chunk.indexes and chunk.is_indexed and is_defined):
                 for content in self._contents([chunk]):
@@ -400,13 +466,24 @@ class McapFile(ChunkedFile):
         order = np.argsort(starts, kind="stable")
         ids, log_ns, starts = ids[order], log_ns[order], starts[order]
         inside = (starts >= 0) & (starts <= len(buffer) - MESSAGE.itemsize)
-        heads = gather(buffer, np.where(inside, starts, 0), MESSAGE) if inside.any() else np.zeros(starts.size, MESSAGE)
+        heads = (
+            gather(buffer, np.where(inside, starts, 0), MESSAGE)
+            if inside.any()
+            else np.zeros(starts.size, MESSAGE)
+        )
         ends, follows = starts + HEADER_SIZE + heads["length"], np.append(starts, len(buffer))[1:]
-        right = inside & (heads["opcode"] == Opcode.MESSAGE) & (heads["channel"] == ids) & (heads["log"] == log_ns)
+        right = (
+            inside
+            & (heads["opcode"] == Opcode.MESSAGE)
+            & (heads["channel"] == ids)
+            & (heads["log"] == log_ns)
+        )
         right &= (heads["length"] >= _MESSAGE_FIELDS) & (ends <= follows)
         if chunk.indexes and right.all():
             gaps = [(0, int(starts[0]) if starts.size else len(buffer))]
-            gaps += zip(ends[ends < follows].tolist(), follows[ends < follows].tolist(), strict=True)
+            gaps += zip(
+                ends[ends < follows].tolist(), follows[ends < follows].tolist(), strict=True
+            )
             if not any(self._has_messages(chunk, buffer[start:end]) for start, end in gaps):
                 return _messages(heads, starts)
         # Record by record, up to bytes that are none; behind them, those that the indexes know.
@@ -426,10 +503,15 @@ class McapFile(ChunkedFile):
             # Some recorders name one message more for a channel than they wrote; what else is named wrongly is damage.
             there = set(zip(content.messages[0].tolist(), starts.tolist(), strict=True))
             extra = Counter(id_ for id_, _ in named - there)
-            wrong = {id_ for id_, _ in there - named} | {id_ for id_, count in extra.items() if count > 1}
+            wrong = {id_ for id_, _ in there - named} | {
+                id_ for id_, count in extra.items() if count > 1
+            }
             if wrong:
                 channels = listed(map(str, sorted(wrong)))
-                self.damage(chunk.start, f"the indexes of a chunk do not agree with its messages of channel {channels}")
+                self.damage(
+                    chunk.start,
+                    f"the indexes of a chunk do not agree with its messages of channel {channels}",
+                )
             if wrong or is_broken:
                 chunk.counts, chunk.is_indexed = content.counts(), False
         return content.messages
@@ -441,7 +523,9 @@ class McapFile(ChunkedFile):
             channel_id, size = struct.unpack_from("<HI", behind, start - chunk.end)
             count = min(size, end - start - 6) // _ENTRY.itemsize
             entries = np.frombuffer(behind, _ENTRY, count, start - chunk.end + 6)
-            parts.append(np.stack([np.full(count, channel_id, np.int64), entries["log"], entries["start"]]))
+            parts.append(
+                np.stack([np.full(count, channel_id, np.int64), entries["log"], entries["start"]])
+            )
         return np.concatenate(parts, axis=1)
 
     def _listed(self, chunk: Chunk) -> Messages | None:
@@ -472,22 +556,34 @@ class McapFile(ChunkedFile):
         for start, length, crc in self._attachments:
             found = 0
             for place in range(start, start + length, _LARGE_WINDOW):
-                found = zlib_ng.crc32(self.file.read(place, min(place + _LARGE_WINDOW, start + length)), found)
+                found = zlib_ng.crc32(
+                    self.file.read(place, min(place + _LARGE_WINDOW, start + length)), found
+                )
             if crc and found != crc:
-                digest.damages.append(Damage(start, "the checksum of an attachment is not that of its bytes"))
+                digest.damages.append(
+                    Damage(start, "the checksum of an attachment is not that of its bytes")
+                )
         return digest
 
     @property
     def notes(self) -> tuple[Note, ...]:
         """What was found wrong so far."""
         notes = []
-        missing = self._record(Opcode.STATISTICS).message_count - self._counts().total() if self._announced_ns else 0
+        missing = (
+            self._record(Opcode.STATISTICS).message_count - self._counts().total()
+            if self._announced_ns
+            else 0
+        )
         if self.damages:
             notes.append(damage_note(self.path.name, self.damages, self._losses()))
         elif missing:
             text = f"the summary of {self.path.name} announces {missing:+d} messages compared with the log"
             notes.append(Note("log_summary", text, abs(missing), Severity.WARNING, COPY_AGAIN))
-        spans = [self._announced_ns] if self._announced_ns else [chunk.span_ns for chunk in self._chunks]
+        spans = (
+            [self._announced_ns]
+            if self._announced_ns
+            else [chunk.span_ns for chunk in self._chunks]
+        )
         last_ns = max((last for _, last in spans), default=0)
         if last_ns >= _END_OF_TIME_NS:
             text = (

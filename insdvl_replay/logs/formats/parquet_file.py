@@ -114,7 +114,11 @@ def _as_numpy(column: Any) -> NDArray[Any]:
 def _cells(metadata: Any) -> int:
     """Return how many values all columns have, of which a list has several a row."""
     groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
-    return sum(group.column(number).num_values for group in groups for number in range(metadata.num_columns))
+    return sum(
+        group.column(number).num_values
+        for group in groups
+        for number in range(metadata.num_columns)
+    )
 
 
 # --- Headers of pages.

@@ -32,13 +32,21 @@ class OneClock:
     @property
     def note(self) -> Note:
         """Report that the clock was set, and what is used."""
-        before, after = (np.datetime64(time_ns, "ns").astype("M8[s]") for time_ns in (self.from_ns, self.to_ns))
+        before, after = (
+            np.datetime64(time_ns, "ns").astype("M8[s]") for time_ns in (self.from_ns, self.to_ns)
+        )
         length_s = (self.last_ns - self.first_ns) / NS_PER_S
         text = (
             f"the recorder's clock was set {self.set_s:.1f} s in, from {before} to {after} UTC, or the log has two "
             f"dives: the longest side, {length_s:.1f} s, is used, and {self.unused} messages of the other are not"
         )
-        return Note("clock_set", text, self.unused, Severity.WARNING, "to use the other side, cut the log at this time")
+        return Note(
+            "clock_set",
+            text,
+            self.unused,
+            Severity.WARNING,
+            "to use the other side, cut the log at this time",
+        )
 
 
 def spans_a_step(first_ns: int, last_ns: int) -> bool:

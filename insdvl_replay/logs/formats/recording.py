@@ -15,7 +15,15 @@ import msgspec
 
 from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
-from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, is_writable, read_text, visible
+from insdvl_replay.core.errors import (
+    LogError,
+    Note,
+    counted,
+    counted_clause,
+    is_writable,
+    read_text,
+    visible,
+)
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.log_file import (
@@ -86,13 +94,17 @@ class Recording:
         if any(channel.time_column for part in opened for channel in part.channels):
             _align_times_of_day(opened)
         if len(opened) > 1:  # by their first log times, files without messages last
-            opened.sort(key=lambda part: (part.span_ns[0] if part.span_ns else float("inf"), part.path.name))
+            opened.sort(
+                key=lambda part: (part.span_ns[0] if part.span_ns else float("inf"), part.path.name)
+            )
         self.parts = tuple(opened)
         self._is_one_file = len(files) == 1 and self.parts[0].path == path
-        self.channels = tuple(  # of all parts; their ids count on from part to part, so that none occurs twice
-            replace(channel, id=channel.id + number * CHANNELS_OF_A_PART)
-            for number, part in enumerate(self.parts)
-            for channel in part.channels
+        self.channels = (
+            tuple(  # of all parts; their ids count on from part to part, so that none occurs twice
+                replace(channel, id=channel.id + number * CHANNELS_OF_A_PART)
+                for number, part in enumerate(self.parts)
+                for channel in part.channels
+            )
         )
         self._raise_if_damaged()
 
@@ -108,8 +120,16 @@ class Recording:
         if len(self.parts) > 1:
             names = ", ".join(part.path.name for part in self.parts)
             notes.insert(0, Note("joined_files", f"read as one dive: {names}", len(self.parts)))
-            logs = [part for part in self.parts if not all(channel.encoding == TABLE for channel in part.channels)]
-            at_0 = [part.path.name for part in self.parts if part not in logs and part.span_ns and not part.span_ns[0]]
+            logs = [
+                part
+                for part in self.parts
+                if not all(channel.encoding == TABLE for channel in part.channels)
+            ]
+            at_0 = [
+                part.path.name
+                for part in self.parts
+                if part not in logs and part.span_ns and not part.span_ns[0]
+            ]
             if len(at_0) > 1:
                 text = f"tables that begin at 0 s may have no common clock: {', '.join(at_0)}"
                 hint = "to shift one: dvl.latency_s or reference.latency_s"
@@ -127,9 +147,15 @@ class Recording:
     @cached_property
     def one_clock(self) -> OneClock | None:
         """The part of a recording with one clock that is used; None where its clock was not set."""
-        logs = [part for part in self.parts if not all(channel.encoding == TABLE for channel in part.channels)]
+        logs = [
+            part
+            for part in self.parts
+            if not all(channel.encoding == TABLE for channel in part.channels)
+        ]
         spans = [part.span_ns for part in logs if part.span_ns]
-        if not spans or not spans_a_step(min(first for first, _ in spans), max(last for _, last in spans)):
+        if not spans or not spans_a_step(
+            min(first for first, _ in spans), max(last for _, last in spans)
+        ):
             return None
         return one_clock([times for part in logs for times in part.log_times().values()])
 
@@ -148,7 +174,9 @@ class Recording:
 
         It changes nothing here, so that another thread can do it.
         """
-        unusable = [Digest(hashlib.sha256(file.read_bytes()).hexdigest(), []) for file in self._unusable]
+        unusable = [
+            Digest(hashlib.sha256(file.read_bytes()).hexdigest(), []) for file in self._unusable
+        ]
         return [part.digest() for part in self.parts] + unusable
 
     def sha256(self, digests: Sequence[Digest] | None = None) -> str:
@@ -192,7 +220,10 @@ class Recording:
 
     def damage_error(self) -> LogError | None:
         """Return the error with which the files would be refused, by the damage found so far."""
-        faults = [*(fault for part in self.parts for fault in part.faults()), *self._unusable.values()]
+        faults = [
+            *(fault for part in self.parts for fault in part.faults()),
+            *self._unusable.values(),
+        ]
         saved = (times for part in self.parts for times in part.saved_times())
         return damaged_file_error(faults, saved) if faults else None
 
@@ -228,7 +259,9 @@ def _align_times_of_day(parts: Sequence[LogFile]) -> None:
         shift = shift_ns(bounds, period_ns, joined_bounds(fixed)) if fixed else 0
         if shift is None:
             what = f"the times of day of {part.channels[channel_id].topic} fit the other tables in several hours"
-            raise LogError(what, "write them with date and hour, such as 2021-06-08T10:41:07.25", part.path)
+            raise LogError(
+                what, "write them with date and hour, such as 2021-06-08T10:41:07.25", part.path
+            )
         if shift:
             part.shift(channel_id, shift, "shifted to overlap the other tables, by")
         fixed.append((bounds[0] + shift, bounds[1] + shift))
@@ -242,7 +275,10 @@ def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) 
     given = (path,) if isinstance(path, Path) else tuple(path)
     for name in map(str, given):
         if not is_writable(name):
-            raise LogError(f"{visible(name)}: its name is not UTF-8, so it cannot be stored in results", "rename it")
+            raise LogError(
+                f"{visible(name)}: its name is not UTF-8, so it cannot be stored in results",
+                "rename it",
+            )
     if len(given) == 1 and not given[0].is_dir():
         return Recording(given[0], given, allow_damaged=allow_damaged)
     files = [file for part in given for file in (bag_parts(part) if part.is_dir() else (part,))]
@@ -276,7 +312,10 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
         # A part that the list has as it was packed may be there as the user has unpacked it.
         listed = [path / name for name in _listed(metadata, by_name)]
         plain = [part.with_suffix("") if part.suffix == _PACKED else part for part in listed]
-        parts = tuple(unpacked if _is_file(unpacked) else part for part, unpacked in zip(listed, plain, strict=True))
+        parts = tuple(
+            unpacked if _is_file(unpacked) else part
+            for part, unpacked in zip(listed, plain, strict=True)
+        )
         for part in parts:
             if not _is_file(part):
                 hint = f"copy the whole bag, or read the existing parts: {by_name}"
@@ -284,11 +323,19 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
         for other in found:
             if other not in parts:
                 what = f"does not list {other.name}, which is in the folder of the bag"
-                raise LogError(what, f"move it to another folder, or read all logs of the folder: {by_name}", metadata)
+                raise LogError(
+                    what,
+                    f"move it to another folder, or read all logs of the folder: {by_name}",
+                    metadata,
+                )
     for packed in _logs_in(path, _PACKED):
         if packed.with_suffix("") not in parts:
-            raise LogError("is compressed as a whole with zstd", f"unpack it: `zstd -d {packed}`", packed)
-    parts = parts or tuple(file for file in sorted(path.iterdir()) if file.suffix.lower() in TABLE_SUFFIXES)
+            raise LogError(
+                "is compressed as a whole with zstd", f"unpack it: `zstd -d {packed}`", packed
+            )
+    parts = parts or tuple(
+        file for file in sorted(path.iterdir()) if file.suffix.lower() in TABLE_SUFFIXES
+    )
     if not parts:
         what = f"is a folder without {' or '.join(LOG_SUFFIXES)} files, and without tables"
         raise LogError(what, "give a log, or a folder with the parts of one", path)
@@ -311,7 +358,10 @@ def _listed(metadata: Path, by_name: str) -> list[str]:
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is no text"
         raise LogError(f"cannot be read: {reason}", hint, metadata) from error
-    found = re.search(r'relative_file_paths"?:[ \t]*(\[[^\]]*\]|(?:\n[ \t]*-[ \t]+[^\n]+)+)', text.replace("\r", ""))
+    found = re.search(
+        r'relative_file_paths"?:[ \t]*(\[[^\]]*\]|(?:\n[ \t]*-[ \t]+[^\n]+)+)',
+        text.replace("\r", ""),
+    )
     listed = found[1] if found else ""
     items = re.split(r"[\[\],]" if listed.startswith("[") else r"\n[ \t]*-[ \t]+", listed)
     names = [_unquoted(item.strip()) for item in items if item.strip()]
@@ -327,7 +377,11 @@ def _unquoted(name: str) -> str:
     """Return a name as YAML means it."""
     if name[:1] == name[-1:] == "'" and len(name) > 1:
         return name[1:-1].replace("''", "'")
-    return re.sub(r"\\(.)", r"\1", name[1:-1]) if name[:1] == name[-1:] == '"' and len(name) > 1 else name
+    return (
+        re.sub(r"\\(.)", r"\1", name[1:-1])
+        if name[:1] == name[-1:] == '"' and len(name) > 1
+        else name
+    )
 
 
 # --- Files of other formats: what they are, by their first bytes, and the step that makes a log of them.
@@ -345,18 +399,27 @@ class OtherFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 OTHER_FORMATS: Final = msgspec.toml.decode(
-    Path(__file__).with_name("other_formats.toml").read_text("utf-8"), type=dict[str, list[OtherFormat]]
+    Path(__file__).with_name("other_formats.toml").read_text("utf-8"),
+    type=dict[str, list[OtherFormat]],
 )["format"]
 
 
 def other_format(path: Path, start: bytes) -> OtherFormat | None:
     """Return the format of a file by its first 16 bytes, of several by the ending of its name too; else by this."""
     ending = path.suffix.lower()
-    alike = [known for known in OTHER_FORMATS if start.startswith(tuple(map(bytes.fromhex, known.starts)))]
+    alike = [
+        known
+        for known in OTHER_FORMATS
+        if start.startswith(tuple(map(bytes.fromhex, known.starts)))
+    ]
     if alike:
         return next((known for known in alike if ending in known.endings), alike[-1])
     # MAVLink: each message is behind its time in microseconds, from 2001 to 2096, the larger bytes first.
-    if len(start) > 8 and start[8] in (0xFD, 0xFE) and 10**15 < int.from_bytes(start[:8]) < 4 * 10**15:
+    if (
+        len(start) > 8
+        and start[8] in (0xFD, 0xFE)
+        and 10**15 < int.from_bytes(start[:8]) < 4 * 10**15
+    ):
         return next(known for known in OTHER_FORMATS if ".tlog" in known.endings)
     # An ending that belongs to bytes which are not there tells nothing.
     by_ending = (known for known in OTHER_FORMATS if not known.starts and ending in known.endings)

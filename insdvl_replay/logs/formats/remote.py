@@ -56,8 +56,20 @@ _CHECK: Final = "check the URL and the connection"
 _FETCH: Final = "fetch it with `insdvl-replay run URL`"
 _ONLINE: Final = "leave out --offline, and INSDVL_REPLAY_OFFLINE"
 _LONGER: Final = "set INSDVL_REPLAY_FETCH_GB to fetch it all the same"
-_STATE: Final = ("size", "ETag", "Last-Modified", "LastModified")  # that a server says of a log, on the web and in S3
-_OF_THIS_DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR)
+_STATE: Final = (
+    "size",
+    "ETag",
+    "Last-Modified",
+    "LastModified",
+)  # that a server says of a log, on the web and in S3
+_OF_THIS_DISK: Final = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EROFS,
+    errno.EACCES,
+    errno.EPERM,
+    errno.ENOTDIR,
+)
 _LONGEST_NAME: Final = 200  # bytes of a file's name
 _ABANDONED_S: Final = 86400.0  # a part that was left so long ago belongs to no other process
 _FIRST_TAIL: Final = 128 << 10  # bytes of a log's end that are asked for first
@@ -83,7 +95,11 @@ class StalledError(LogError):
 def remote_name(url: str) -> Path:
     """Return the name of the file that a URL is of."""
     name = Path(unquote(urlsplit(url).path)).name
-    return Path(name if name.strip(".") and len(name.encode()) <= _LONGEST_NAME else f"dive{Path(name).suffix[:9]}")
+    return Path(
+        name
+        if name.strip(".") and len(name.encode()) <= _LONGEST_NAME
+        else f"dive{Path(name).suffix[:9]}"
+    )
 
 
 def cache_folder() -> Path:
@@ -92,7 +108,11 @@ def cache_folder() -> Path:
 
 
 def fetched(
-    url: str, sha256: str = "", is_stopped: Callable[[], bool] = lambda: False, *, offline: bool = False
+    url: str,
+    sha256: str = "",
+    is_stopped: Callable[[], bool] = lambda: False,
+    *,
+    offline: bool = False,
 ) -> Path:
     """Return a remote log from the cache, after fetching it if it is not there or has changed.
 
@@ -104,7 +124,10 @@ def fetched(
         The log cannot be fetched whole, changes meanwhile, is too long, or has another digest.
     """
     path = _fetched(
-        url, sha256, is_stopped, offline=offline or os.environ.get("INSDVL_REPLAY_OFFLINE", "") not in ("", "0")
+        url,
+        sha256,
+        is_stopped,
+        offline=offline or os.environ.get("INSDVL_REPLAY_OFFLINE", "") not in ("", "0"),
     )
     show_as(path, shown_url(url))
     return path
@@ -120,7 +143,11 @@ def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: 
     if offline and is_kept:
         return kept
     if offline:
-        raise LogError("is not kept from an earlier command, and offline nothing is fetched", _ONLINE, shown_url(url))
+        raise LogError(
+            "is not kept from an earlier command, and offline nothing is fetched",
+            _ONLINE,
+            shown_url(url),
+        )
     longest_bytes, longest_s = _limits()
     system, path = _file_system(url)
     try:
@@ -134,10 +161,19 @@ def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: 
         text = "its server does not say how long it is, so that a part of it could be taken for the whole"
         raise LogError(text, "list it in a manifest with its sha256", shown_url(url))
     # A size alone shows no change.
-    if is_kept and known_sha256 == kept.parent.name and known_state == state and (sha256 or len(state) > 1):
+    if (
+        is_kept
+        and known_sha256 == kept.parent.name
+        and known_state == state
+        and (sha256 or len(state) > 1)
+    ):
         return kept
     if int(state.get("size", 0)) > longest_bytes:
-        raise LogError(f"has {int(state['size']) / 1e9:.3g} GB: {_too_long(longest_bytes)}", _LONGER, shown_url(url))
+        raise LogError(
+            f"has {int(state['size']) / 1e9:.3g} GB: {_too_long(longest_bytes)}",
+            _LONGER,
+            shown_url(url),
+        )
     with _refused(url):
         _make_private(logs, said.parent)
         _remove_abandoned(logs)
@@ -146,7 +182,9 @@ def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: 
             is_over = Event()
             watch = _watch(state.get("size"), longest_bytes, is_over.is_set)
             try:
-                _within(longest_s, lambda: system.get_file(path, str(part), callback=watch), is_stopped)
+                _within(
+                    longest_s, lambda: system.get_file(path, str(part), callback=watch), is_stopped
+                )
             finally:
                 is_over.set()
             if _within(ANSWERED_S, lambda: _state(system, path)) != state:
@@ -203,14 +241,19 @@ def _digest_of_whole(part: Path, state: Mapping[str, Any], sha256: str, shown: s
 def _limits() -> tuple[float, float]:
     """Return the longest log that is fetched, in bytes, and the longest transfer, in s."""
     found = []
-    for name, default in (("INSDVL_REPLAY_FETCH_GB", LONGEST_GB), ("INSDVL_REPLAY_FETCH_HOURS", LONGEST_HOURS)):
+    for name, default in (
+        ("INSDVL_REPLAY_FETCH_GB", LONGEST_GB),
+        ("INSDVL_REPLAY_FETCH_HOURS", LONGEST_HOURS),
+    ):
         text = os.environ.get(name) or str(default)
         try:
             value = float(text)
         except ValueError:
             value = 0.0
         if not 0.0 < value < math.inf:
-            raise ConfigError(f"{name}={text}: must be a number above 0", f"{name}={default:g} is the default")
+            raise ConfigError(
+                f"{name}={text}: must be a number above 0", f"{name}={default:g} is the default"
+            )
         found.append(value)
     longest_gb, longest_hours = found
     return longest_gb * 1e9, longest_hours * 3600.0
@@ -220,7 +263,9 @@ def _too_long(longest_bytes: float) -> str:
     return f"logs of more than {longest_bytes / 1e9:g} GB are not fetched"
 
 
-def _within(longest_s: float, work: Callable[[], T], is_stopped: Callable[[], bool] = lambda: False) -> T:
+def _within(
+    longest_s: float, work: Callable[[], T], is_stopped: Callable[[], bool] = lambda: False
+) -> T:
     """Do work that waits for a server, in a thread that is left alone if it takes too long or is no longer wanted."""
     outcome = Future[T]()
 
@@ -292,7 +337,11 @@ def _state(system: Any, path: str) -> dict[str, str | int]:
     """Return what a server says of a log now, by one request."""
     system.invalidate_cache()
     found = system.info(path)
-    return {key: found[key] if key == "size" else str(found[key]) for key in _STATE if found.get(key) is not None}
+    return {
+        key: found[key] if key == "size" else str(found[key])
+        for key in _STATE
+        if found.get(key) is not None
+    }
 
 
 @contextmanager
@@ -307,7 +356,9 @@ def _refused(url: str) -> Iterator[None]:
         reason = " ".join(without_access(str(cause), url).split())[:200] or type(cause).__name__
         if isinstance(error, OSError) and error.errno in _OF_THIS_DISK and error.filename:
             text = f"cannot be kept in {cache_folder()}: {error.strerror}"
-            raise LogError(text, "make room there, or set XDG_CACHE_HOME", shown_url(url)) from error
+            raise LogError(
+                text, "make room there, or set XDG_CACHE_HOME", shown_url(url)
+            ) from error
         kind = StalledError if isinstance(cause, TimeoutError) else LogError
         hint = _LONGER if "are not fetched" in reason else _CHECK
         raise kind(f"cannot be fetched: {reason}", hint, shown_url(url)) from error
@@ -342,7 +393,9 @@ def read_summary(url: str) -> LogSummary:
     tail_start, footer = size - len(tail), len(tail) - len(MAGIC) - _FOOTER.size
     if footer < HEADER_SIZE or not tail.endswith(MAGIC):
         raise LogError(
-            "does not end as an MCAP file; only the summary of these is read from a server", _FETCH, shown_url(url)
+            "does not end as an MCAP file; only the summary of these is read from a server",
+            _FETCH,
+            shown_url(url),
         )
     start, offsets_start, crc = _FOOTER.unpack_from(tail, footer)
     end = tail_start + footer - HEADER_SIZE
@@ -354,11 +407,17 @@ def read_summary(url: str) -> LogSummary:
         summary = _part(url, start, tail_start, size) + tail
     else:
         offsets = _records(url, tail[max(offsets_start - tail_start, 0) : footer - HEADER_SIZE])
-        groups = [group for group in offsets[Opcode.SUMMARY_OFFSET] if group.group_opcode in _ESSENTIAL]
+        groups = [
+            group for group in offsets[Opcode.SUMMARY_OFFSET] if group.group_opcode in _ESSENTIAL
+        ]
         start = min((group.group_start for group in groups), default=0)
         end = max((group.group_start + group.group_length for group in groups), default=size)
         if end - start > _LONGEST_TAIL - len(tail):
-            raise LogError(f"its summary has {size - start} bytes, more than {_LONGEST_TAIL}", _FETCH, shown_url(url))
+            raise LogError(
+                f"its summary has {size - start} bytes, more than {_LONGEST_TAIL}",
+                _FETCH,
+                shown_url(url),
+            )
         summary, crc = _part(url, start, end, size), 0
     if crc and zlib_ng.crc32(summary[: -len(MAGIC) - 4]) != crc:
         raise LogError("the checksum of the summary is wrong", _FETCH, shown_url(url))
@@ -366,7 +425,9 @@ def read_summary(url: str) -> LogSummary:
     schemas = {schema.id: schema for schema in found[Opcode.SCHEMA]}
     channels = {channel.id: channel for channel in found[Opcode.CHANNEL]}
     if not (found[Opcode.STATISTICS] and channels):
-        raise LogError("its summary does not name the channels and their messages", _FETCH, shown_url(url))
+        raise LogError(
+            "its summary does not name the channels and their messages", _FETCH, shown_url(url)
+        )
     (statistics, *_) = found[Opcode.STATISTICS]
     return LogSummary(
         size,
@@ -390,7 +451,9 @@ def _records(url: str, content: bytes) -> "defaultdict[int, list[Any]]":
     except (McapError, struct.error, UnicodeDecodeError, EOFError) as error:
         raise LogError(f"its summary cannot be read: {error}", _FETCH, shown_url(url)) from error
     if is_broken:
-        raise LogError("its summary cannot be read: there are bytes that are no record", _FETCH, shown_url(url))
+        raise LogError(
+            "its summary cannot be read: there are bytes that are no record", _FETCH, shown_url(url)
+        )
     return found
 
 
@@ -406,7 +469,9 @@ def _tail(url: str, count: int, end: int | None = None) -> tuple[bytes, int]:
     """Ask for so many bytes before a place or before the end of a remote file; return them and the file's size."""
     is_web = urlsplit(url).scheme in ("http", "https")
     with _refused(url):
-        return _within(ANSWERED_S, lambda: (_tail_of_web if is_web else _tail_of_store)(url, count, end))
+        return _within(
+            ANSWERED_S, lambda: (_tail_of_web if is_web else _tail_of_store)(url, count, end)
+        )
 
 
 def _tail_of_store(url: str, count: int, end: int | None) -> tuple[bytes, int]:
@@ -441,7 +506,9 @@ def _tail_of_web(url: str, count: int, end: int | None) -> tuple[bytes, int]:
     asked = quote(urlunsplit(parts._replace(netloc=host, fragment="")), safe=_AS_THEY_ARE)
     request = Request(asked, headers=headers)
     if login:
-        request.add_unredirected_header("Authorization", f"Basic {b64encode(unquote(login).encode()).decode()}")
+        request.add_unredirected_header(
+            "Authorization", f"Basic {b64encode(unquote(login).encode()).decode()}"
+        )
     try:
         opened = opener.open(request, timeout=STALLED_S)
     except HTTPError as error:
@@ -450,11 +517,15 @@ def _tail_of_web(url: str, count: int, end: int | None) -> tuple[bytes, int]:
     with opened as answer:
         if answer.status != 206:  # a part of the content; a server without ranges sends all
             raise LogError("its server does not send parts of files", _FETCH, shown_url(url))
-        numbers = [int(digits) for digits in re.findall(r"\d+", answer.headers["Content-Range"] or "")]
+        numbers = [
+            int(digits) for digits in re.findall(r"\d+", answer.headers["Content-Range"] or "")
+        ]
         if len(numbers) != 3:  # first, last, and all
             raise LogError("its server does not say which part it sent", _FETCH, shown_url(url))
         first, last, size = numbers
         content = answer.read(count + 1)
         if not len(content) == last - first + 1 <= count or last + 1 != (end or size):
-            raise LogError("its server sent other bytes than those asked for", _CHECK, shown_url(url))
+            raise LogError(
+                "its server sent other bytes than those asked for", _CHECK, shown_url(url)
+            )
         return content, size

@@ -37,8 +37,12 @@ _SHORTEST_HEADER: Final = 8  # bytes of the field that says the kind
 _MOST_OTHERS: Final = 1 << 16  # records of a chunk that are no messages: connections
 _MOST_CHANNELS: Final = 1 << 16
 _WORD: Final = np.dtype("<u4")
-_ENTRY: Final = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("place", "<u4")])  # of the index of a chunk
-_COUNT: Final = np.dtype([("connection", "<u4"), ("count", "<u4")])  # of what the end of the bag says of a chunk
+_ENTRY: Final = np.dtype(
+    [("sec", "<u4"), ("nanosec", "<u4"), ("place", "<u4")]
+)  # of the index of a chunk
+_COUNT: Final = np.dtype(
+    [("connection", "<u4"), ("count", "<u4")]
+)  # of what the end of the bag says of a chunk
 Read = Callable[[int, int], memoryview]  # the bytes from a place to another
 
 
@@ -56,7 +60,9 @@ class _Record(NamedTuple):
         """Return a field that is a whole number of some bytes."""
         value = self.fields.get(name, b"")
         if len(value) != size:
-            raise DamageError(self.offset, f"a record has no field '{name.decode()}' of {size} bytes")
+            raise DamageError(
+                self.offset, f"a record has no field '{name.decode()}' of {size} bytes"
+            )
         return int.from_bytes(value, "little")
 
     def text(self, name: bytes) -> str:
@@ -82,7 +88,9 @@ class BagFile(ChunkedFile):
         self.chunk_count = len(self._chunks)
         self.compression = tuple(sorted({chunk.compression or "none" for chunk in self._chunks}))
         counts = self._counts()
-        self.channels = tuple(replace(channel, messages=counts[channel.id]) for channel in self._connections.values())
+        self.channels = tuple(
+            replace(channel, messages=counts[channel.id]) for channel in self._connections.values()
+        )
 
     @property
     def notes(self) -> tuple[Note, ...]:
@@ -90,7 +98,9 @@ class BagFile(ChunkedFile):
         if self.damages:
             return (damage_note(self.path.name, self.damages, self._losses()),)
         if not self.has_summary:
-            text = f"{self.path.name} was not closed by its recorder: the last messages may be missing"
+            text = (
+                f"{self.path.name} was not closed by its recorder: the last messages may be missing"
+            )
             return (Note("log_summary", text, 1, Severity.WARNING, COPY_AGAIN),)
         return ()
 
@@ -104,7 +114,9 @@ class BagFile(ChunkedFile):
                 if record.kind == _INDEX and latest >= 0:
                     self._indexes[latest].append(record)
                 elif record.kind not in found:
-                    raise DamageError(place, f"a record of kind {record.kind} is in the wrong place")
+                    raise DamageError(
+                        place, f"a record of kind {record.kind} is in the wrong place"
+                    )
                 else:
                     found[record.kind].append(record)
                     latest = place if record.kind == _CHUNK else -1
@@ -113,18 +125,27 @@ class BagFile(ChunkedFile):
         if place < len(self.file):
             self._passed.append((place, len(self.file)))
         if any(header.text(b"encryptor") for header in found[_BAG]):
-            raise LogError("is encrypted", "decrypt it with its key: `rosbag decompress`", self.path)
+            raise LogError(
+                "is encrypted", "decrypt it with its key: `rosbag decompress`", self.path
+            )
         if len(found[_BAG]) != 1:
             self.damage(len(_MAGIC), f"the bag has {len(found[_BAG])} headers")
-        self.has_summary = any(header.fields.get(b"index_pos", b"").strip(b"\0") for header in found[_BAG])
+        self.has_summary = any(
+            header.fields.get(b"index_pos", b"").strip(b"\0") for header in found[_BAG]
+        )
         for record in found[_CONNECTION]:
             with self.collected():
                 self._take_connection(record, self.file.read(record.start, record.end))
         for record in found[_CHUNK]:
             with self.collected():
-                compression, size = record.text(b"compression").removeprefix("none"), record.number(b"size", 4)
+                compression, size = (
+                    record.text(b"compression").removeprefix("none"),
+                    record.number(b"size", 4),
+                )
                 length = record.end - record.start
-                self._chunks.append(Chunk(record.offset, record.end, False, compression, record.start, length, size))
+                self._chunks.append(
+                    Chunk(record.offset, record.end, False, compression, record.start, length, size)
+                )
         self._limit_size()
         for _ in self._contents(self._chunks):
             pass
@@ -135,19 +156,28 @@ class BagFile(ChunkedFile):
                 announced = Counter(dict(zip(self._ids(numbers), counts, strict=True)))
                 self._announced = (self._announced or Counter()) + announced
                 place = info.number(b"chunk_pos", 8)
-                if not any(chunk.start == place and chunk.counts == announced for chunk in self._chunks):
-                    raise DamageError(info.offset, "the end of the bag does not agree with one of its chunks")
+                if not any(
+                    chunk.start == place and chunk.counts == announced for chunk in self._chunks
+                ):
+                    raise DamageError(
+                        info.offset, "the end of the bag does not agree with one of its chunks"
+                    )
 
     def _ids(self, connections: list[int]) -> list[int]:
         """Return the channels of connections; -1 where one is nowhere described."""
-        return [self._connections[number].id if number in self._connections else -1 for number in connections]
+        return [
+            self._connections[number].id if number in self._connections else -1
+            for number in connections
+        ]
 
     def _take_connection(self, record: _Record, data: memoryview) -> None:
         """Make a channel of a connection; the same is in its chunk and at the end of the bag."""
         described = _Record(_fields(data, record.offset), record.offset, 0, 0)
         number = record.number(b"conn", 4)
         channel = LogChannel(
-            id=self._connections[number].id if number in self._connections else len(self._connections),
+            id=self._connections[number].id
+            if number in self._connections
+            else len(self._connections),
             topic=record.text(b"topic"),
             type_name=described.text(b"type"),
             encoding="ros1",
@@ -157,7 +187,11 @@ class BagFile(ChunkedFile):
             metadata={name: described.text(name.encode()) for name in ("md5sum", "callerid")},
         )
         if channel.id >= _MOST_CHANNELS:
-            raise LogError("has more than 65536 connections", "check the file: no vehicle records so many", self.path)
+            raise LogError(
+                "has more than 65536 connections",
+                "check the file: no vehicle records so many",
+                self.path,
+            )
         if self._connections.setdefault(number, channel) != channel:
             raise DamageError(record.offset, f"connection {number} is not the same in two places")
 
@@ -180,10 +214,14 @@ class BagFile(ChunkedFile):
                 entries = np.sort(self._entries(index, _ENTRY), order="place", kind="stable")
                 is_own = connection == index.number(b"conn", 4)
                 stamps_ns = _time_ns(entries["sec"], entries["nanosec"])
-                if np.array_equal(entries["place"], places[is_own]) and np.array_equal(stamps_ns, time_ns[is_own]):
+                if np.array_equal(entries["place"], places[is_own]) and np.array_equal(
+                    stamps_ns, time_ns[is_own]
+                ):
                     named += len(entries)
             if (indexes or self.has_summary) and named != connection.size:
-                raise DamageError(chunk.start, "the indexes of a chunk do not agree with its messages")
+                raise DamageError(
+                    chunk.start, "the indexes of a chunk do not agree with its messages"
+                )
         numbers, rows, counts = np.unique(connection, return_inverse=True, return_counts=True)
         ids = np.array(self._ids(numbers.tolist()), np.int64)
         for number in numbers[ids < 0].tolist():
@@ -262,7 +300,10 @@ def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
         if record.kind != _MESSAGE:
             others.append(record)
             if len(others) > _MOST_OTHERS:
-                raise DamageError(int(places[row]), f"more than {_MOST_OTHERS} records of a chunk are not messages")
+                raise DamageError(
+                    int(places[row]),
+                    f"more than {_MOST_OTHERS} records of a chunk are not messages",
+                )
             continue
         nanosec, sec = divmod(record.number(b"time", 8), 1 << 32)
         connections[row], time_ns[row] = record.number(b"conn", 4), sec * NS_PER_S + nanosec
@@ -271,14 +312,21 @@ def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
             size = int(starts[row] - places[row]) - 8
             rows = np.flatnonzero(starts - places == size + 8)
             headers = gather(buffer, places[rows] + 4, np.dtype((np.bytes_, size)))
-            by_byte, first = headers.view(np.uint8).reshape(-1, size), int(np.searchsorted(rows, row))
-            connection, time = (bytes(by_byte[first]).index(name) + len(name) for name in (b"conn=", b"time="))
+            by_byte, first = (
+                headers.view(np.uint8).reshape(-1, size),
+                int(np.searchsorted(rows, row)),
+            )
+            connection, time = (
+                bytes(by_byte[first]).index(name) + len(name) for name in (b"conn=", b"time=")
+            )
             for varies in (slice(connection, connection + 4), slice(time, time + 8)):
                 by_byte[:, varies] = 0
             rows = rows[headers == headers[first]]
             at = places[rows] + 4
             connections[rows] = gather(buffer, at + connection, _WORD)
-            time_ns[rows] = _time_ns(gather(buffer, at + time, _WORD), gather(buffer, at + time + 4, _WORD))
+            time_ns[rows] = _time_ns(
+                gather(buffer, at + time, _WORD), gather(buffer, at + time + 4, _WORD)
+            )
         is_tried = True
     is_message = connections >= 0
     return np.stack([connections, time_ns, places, starts, ends - starts])[:, is_message], others

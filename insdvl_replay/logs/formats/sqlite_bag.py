@@ -19,7 +19,14 @@ import numpy as np
 from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note, counted_clause
 from insdvl_replay.core.words import Severity
-from insdvl_replay.logs.formats.log_file import COPY_AGAIN, Block, FileBytes, LogChannel, LogFile, UnusableFileError
+from insdvl_replay.logs.formats.log_file import (
+    COPY_AGAIN,
+    Block,
+    FileBytes,
+    LogChannel,
+    LogFile,
+    UnusableFileError,
+)
 
 _MOST_TOPICS: Final = 1 << 16
 _ROWS: Final = 1 << 16  # rows of numbers that are fetched at a time
@@ -72,12 +79,21 @@ class SqliteFile(LogFile):
 
     def log_times(self) -> dict[int, TimeNs]:
         """Return the log times of all messages by channel, (k,) ns."""
-        return {channel.id: self._times[self._channel_ids == channel.id] for channel in self.channels}
+        return {
+            channel.id: self._times[self._channel_ids == channel.id] for channel in self.channels
+        }
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the messages of some channels, some megabytes at a time."""
-        ids = ",".join(map(str, np.unique(self._topic_ids[np.isin(self._channel_ids, list(channel_ids))]).tolist()))
-        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({ids}) ORDER BY id"
+        ids = ",".join(
+            map(
+                str,
+                np.unique(self._topic_ids[np.isin(self._channel_ids, list(channel_ids))]).tolist(),
+            )
+        )
+        query = (
+            f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({ids}) ORDER BY id"
+        )
         found: dict[int, list[tuple[int, bytes]]] = {}
         size = 0
         with self._refused():
@@ -102,7 +118,9 @@ class SqliteFile(LogFile):
                 with companion.open("rb") as stream:
                     start = stream.read(8)
                 if any(start):  # one that is done with is empty or begins with zeros
-                    hint = f"keep a copy of both, then `sqlite3 {self.path} '{statement}'` merges them"
+                    hint = (
+                        f"keep a copy of both, then `sqlite3 {self.path} '{statement}'` merges them"
+                    )
                     raise LogError(f"is not complete: {companion.name} {what}", hint, self.path)
 
     def _damaged(self, found: str) -> UnusableFileError:
@@ -122,7 +140,9 @@ class SqliteFile(LogFile):
     def _opened(self) -> sqlite3.Connection:
         """Open it read-only, without running any code in it."""
         name = quote(os.fsencode(os.path.realpath(self.path)))
-        base = sqlite3.connect(f"file:{name}?mode=ro&immutable=1", uri=True, check_same_thread=False)
+        base = sqlite3.connect(
+            f"file:{name}?mode=ro&immutable=1", uri=True, check_same_thread=False
+        )
         weakref.finalize(self, base.close)
         base.text_factory = lambda text: text.decode("utf-8", "replace")
         # No row is larger than the file, whatever its table computes.
@@ -137,14 +157,20 @@ class SqliteFile(LogFile):
         if self._base.execute(query, (table,)).fetchone() != (1,):
             return False
         # Of each column: number, name, type, whether null is refused, default, place in the key, and what it hides.
-        plain = {name for _, name, *_, hidden in self._base.execute(f"PRAGMA table_xinfo({table})") if not hidden}
+        plain = {
+            name
+            for _, name, *_, hidden in self._base.execute(f"PRAGMA table_xinfo({table})")
+            if not hidden
+        }
         return plain.issuperset(columns or _COLUMNS[table])
 
     def _read(self) -> None:
         """Read the topics, their definitions, and number, topic and time of each message."""
         query = f"SELECT id, name, type, serialization_format FROM topics LIMIT {_MOST_TOPICS + 1}"
         topics = self._base.execute(query)
-        listed = {id_: (str(name), str(kind), str(encoding)) for id_, name, kind, encoding in topics}
+        listed = {
+            id_: (str(name), str(kind), str(encoding)) for id_, name, kind, encoding in topics
+        }
         if len(listed) > _MOST_TOPICS:
             raise self._damaged(f"it lists more than {_MOST_TOPICS} topics")
         definitions: dict[str, tuple[str, str]] = {}
@@ -153,9 +179,15 @@ class SqliteFile(LogFile):
                 "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
             )
             # Those that the recorder did not find are empty.
-            definitions = {str(kind): (str(word), str(text)) for kind, word, text in rows if str(text or "").strip()}
+            definitions = {
+                str(kind): (str(word), str(text))
+                for kind, word, text in rows
+                if str(text or "").strip()
+            }
         whole = "typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
-        wrong = self._base.execute(f"SELECT count(*) FROM messages WHERE NOT ({whole})").fetchone()[0]
+        wrong = self._base.execute(f"SELECT count(*) FROM messages WHERE NOT ({whole})").fetchone()[
+            0
+        ]
         if wrong:
             raise self._damaged(counted_clause(wrong, "rows of the table 'messages' are damaged"))
         cursor = self._base.execute("SELECT id, topic_id, timestamp FROM messages ORDER BY id")
@@ -164,11 +196,17 @@ class SqliteFile(LogFile):
             parts.append(np.array(batch, np.int64).T)
         self._ids, self._topic_ids, self._times = np.concatenate(parts, axis=1)
         self._numbers = {topic_id: number for number, topic_id in enumerate(listed)}
-        topic_ids, places, counts = np.unique(self._topic_ids, return_inverse=True, return_counts=True)
+        topic_ids, places, counts = np.unique(
+            self._topic_ids, return_inverse=True, return_counts=True
+        )
         for id_, count in zip(topic_ids.tolist(), counts.tolist(), strict=True):
             if id_ not in self._numbers:
-                raise self._damaged(counted_clause(count, f"messages are of topic {id_}, which is not defined"))
-        self._channel_ids = np.array([self._numbers[id_] for id_ in topic_ids.tolist()], np.int64)[places]
+                raise self._damaged(
+                    counted_clause(count, f"messages are of topic {id_}, which is not defined")
+                )
+        self._channel_ids = np.array([self._numbers[id_] for id_ in topic_ids.tolist()], np.int64)[
+            places
+        ]
         found = np.bincount(self._channel_ids, minlength=len(listed)).tolist()
         self.channels = tuple(
             LogChannel(
@@ -190,4 +228,11 @@ def _blocks(found: dict[int, list[tuple[int, bytes]]]) -> Iterator[Block]:
         times, payloads = zip(*messages, strict=True)
         time_ns = np.array(times, np.int64)
         sizes = np.fromiter(map(len, payloads), np.int64, len(payloads))
-        yield Block(number, memoryview(b"".join(payloads)), np.cumsum(sizes) - sizes, sizes, time_ns, time_ns)
+        yield Block(
+            number,
+            memoryview(b"".join(payloads)),
+            np.cumsum(sizes) - sizes,
+            sizes,
+            time_ns,
+            time_ns,
+        )

@@ -32,9 +32,22 @@ from insdvl_replay.logs.formats.array_files import (
     require_room,
 )
 from insdvl_replay.logs.formats.fields import NUMBER, ROW, TABLE, Columns, Kinds, check_path
-from insdvl_replay.logs.formats.log_file import Block, FileBytes, LogChannel, LogFile, UnusableFileError
+from insdvl_replay.logs.formats.log_file import (
+    Block,
+    FileBytes,
+    LogChannel,
+    LogFile,
+    UnusableFileError,
+)
 from insdvl_replay.logs.formats.table_header import ColumnNames, Header, find_header
-from insdvl_replay.logs.formats.table_text import as_utf8, first_row, is_comment, is_row, separator_of, usual
+from insdvl_replay.logs.formats.table_text import (
+    as_utf8,
+    first_row,
+    is_comment,
+    is_row,
+    separator_of,
+    usual,
+)
 from insdvl_replay.logs.formats.table_times import (
     DATE_NAME,
     DAY_NS,
@@ -58,8 +71,12 @@ _YMD: Final = re.compile(r"(\d{4})(\d\d)(\d\d)")
 _DECIMAL_COMMA: Final = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
 # What cells say of a flag; A and V are those of NMEA.
 _FLAG_WORDS: Final = {
-    **dict.fromkeys(("true", "yes", "y", "t", "valid", "ok", "good", "lock", "locked", "on", "a"), 1.0),
-    **dict.fromkeys(("false", "no", "n", "f", "invalid", "bad", "lost", "unlocked", "off", "v"), 0.0),
+    **dict.fromkeys(
+        ("true", "yes", "y", "t", "valid", "ok", "good", "lock", "locked", "on", "a"), 1.0
+    ),
+    **dict.fromkeys(
+        ("false", "no", "n", "f", "invalid", "bad", "lost", "unlocked", "off", "v"), 0.0
+    ),
 }
 _FEW: Final = 0.05  # share of the rows or cells that may be wrong; more of them are another format
 _LATEST_NS: Final = 4e18  # differences of times must be whole numbers of 64 bits, too
@@ -78,8 +95,12 @@ class _Table:
     topic: str
     columns: dict[str, NDArray[Any]]  # by name, (k,), or (k, n) for a quantity of several numbers
     units: dict[str, str]  # by column, as far as the file has them
-    periods_ns: dict[str, int] = field(default_factory=dict)  # of times of day, by column: an hour or a day
-    unread: dict[str, str] = field(default_factory=dict)  # of columns named as times that are not read: the first cell
+    periods_ns: dict[str, int] = field(
+        default_factory=dict
+    )  # of times of day, by column: an hour or a day
+    unread: dict[str, str] = field(
+        default_factory=dict
+    )  # of columns named as times that are not read: the first cell
 
 
 @dataclass(frozen=True)
@@ -109,9 +130,13 @@ class TableFile(LogFile):
         self._notes: list[Note] = []
         self._is_text = True
         self._commas = 0  # numbers with a decimal comma in the table that is read
-        self._rows: list[NDArray[np.float64]] = []  # of each channel, (k, 1 + n): number of the row, then the columns
+        self._rows: list[
+            NDArray[np.float64]
+        ] = []  # of each channel, (k, 1 + n): number of the row, then the columns
         self._time_ns: list[TimeNs] = []
-        self.periods_ns: dict[int, int] = {}  # of channels whose times are those of an unknown day or hour
+        self.periods_ns: dict[
+            int, int
+        ] = {}  # of channels whose times are those of an unknown day or hour
         channels = list[LogChannel]()
         with self.watched():
             needed = 0
@@ -120,10 +145,15 @@ class TableFile(LogFile):
                 self._require_room(needed)
                 times = self._times(table)
                 kept = times.known
-                names = [(name, 1 if values.ndim == 1 else values.shape[1]) for name, values in table.columns.items()]
+                names = [
+                    (name, 1 if values.ndim == 1 else values.shape[1])
+                    for name, values in table.columns.items()
+                ]
                 rows = _rows_of(table, kept)
                 if some := _clear_missing(rows):
-                    clause = counted_clause(some, "cells are empty, NaN or too large and count as missing")
+                    clause = counted_clause(
+                        some, "cells are empty, NaN or too large and count as missing"
+                    )
                     self._note("table_missing", table.topic, clause, some, warn=False)
                 self._rows.append(rows)
                 self._time_ns.append(times.time_ns[kept])
@@ -162,7 +192,14 @@ class TableFile(LogFile):
             for start in range(0, len(rows), _ROWS):
                 part = np.ascontiguousarray(rows[start : start + _ROWS])
                 offsets, log_ns = size * np.arange(len(part)), time_ns[start : start + _ROWS]
-                yield Block(channel_id, part.data.cast("B"), offsets, np.full_like(offsets, size), log_ns, log_ns)
+                yield Block(
+                    channel_id,
+                    part.data.cast("B"),
+                    offsets,
+                    np.full_like(offsets, size),
+                    log_ns,
+                    log_ns,
+                )
 
     def log_times(self) -> dict[int, TimeNs]:
         """Return the times of all rows by channel, (k,) ns."""
@@ -174,9 +211,13 @@ class TableFile(LogFile):
         hours = shift_ns / TIME_UNITS_NS["h"]
         text = f"its times of day have no {'hour' if self.periods_ns[channel_id] < DAY_NS else 'date'}: {why}"
         hint = "write times with date and hour, such as 2021-06-08T10:41:07.25"
-        self._note("table_time_of_day", self.channels[channel_id].topic, f"{text} {hours:+g} h", 1, hint)
+        self._note(
+            "table_time_of_day", self.channels[channel_id].topic, f"{text} {hours:+g} h", 1, hint
+        )
 
-    def _note(self, code: str, topic: str, text: str, count: int = 1, hint: str = "", *, warn: bool = True) -> None:
+    def _note(
+        self, code: str, topic: str, text: str, count: int = 1, hint: str = "", *, warn: bool = True
+    ) -> None:
         severity = Severity.WARNING if warn else Severity.INFO
         self._notes.append(Note(code, f"{topic}: {text}", count, severity, hint))
 
@@ -184,7 +225,9 @@ class TableFile(LogFile):
         """Return the error for a file that is damaged, or asks for too much memory."""
         reason = " ".join(str(error).split())[:200]
         kind = self.path.suffix.lower() or "a table"
-        return UnusableFileError(f"cannot be read as {kind}: {reason}", f"copy it again, or {_SAVE_AGAIN}", self.path)
+        return UnusableFileError(
+            f"cannot be read as {kind}: {reason}", f"copy it again, or {_SAVE_AGAIN}", self.path
+        )
 
     def _tables(self) -> Iterator[_Table]:
         """Read the tables of the file by its first bytes, else as text."""
@@ -206,14 +249,18 @@ class TableFile(LogFile):
             raise UnusableFileError("is a spreadsheet", hint, self.path) from error
         except ImportError as error:
             hint = install_hint("tables")
-            raise LogError(f"needs the package {error.name or 'pyarrow'} to be read", hint, self.path) from error
+            raise LogError(
+                f"needs the package {error.name or 'pyarrow'} to be read", hint, self.path
+            ) from error
         except Exception as error:  # whatever a library makes of a damaged file
             raise self._unreadable(error) from error
         del content
         self._is_text = False
         if found.ignored:
             kinds = listed(f"'{name}' is {kind}" for name, kind in found.ignored.items())
-            clause = counted_clause(len(found.ignored), f"columns are ignored because they are no numbers: {kinds}")
+            clause = counted_clause(
+                len(found.ignored), f"columns are ignored because they are no numbers: {kinds}"
+            )
             hint = "write each number as a column of its own"
             self._note("table_columns", self.path.name, clause, len(found.ignored), hint)
         if is_parquet:
@@ -234,10 +281,15 @@ class TableFile(LogFile):
         if lines and not content.endswith(b"\n"):
             lines.pop()
             self._note(
-                "table_cut", name, "the last line does not end, so it may be cut; left out", hint="copy it again"
+                "table_cut",
+                name,
+                "the last line does not end, so it may be cut; left out",
+                hint="copy it again",
             )
         separator = separator_of(lines)
-        cells = [len(line.split()) if separator is None else line.count(separator) + 1 for line in lines]
+        cells = [
+            len(line.split()) if separator is None else line.count(separator) + 1 for line in lines
+        ]
         names = find_header(lines, separator, usual(cells))
         head = names.rows_at if names else first_row(lines, separator)
         cells = cells[head:]
@@ -245,25 +297,38 @@ class TableFile(LogFile):
         self._require_few(width)
         if width < 2:
             what = f"is no table: {counted(len(cells), 'line')} with numbers, {counted(width, 'column')}"
-            raise UnusableFileError(what, "give a table of numbers whose first line names the columns", self.path)
+            raise UnusableFileError(
+                what, "give a table of numbers whose first line names the columns", self.path
+            )
         titles = self._titles(names, lines[:head], above, separator, width)
         self._note_header(name, names, head, titles)
         self._note_commented_rows(name, comments, separator, width)
         fits = np.array(cells) == width
         self._require_rows(name, fits, width)
         empty = (separator or b" ") * (width - 1)
-        joined = b"\n".join(line if is_whole else empty for line, is_whole in zip(lines[head:], fits, strict=True))
+        joined = b"\n".join(
+            line if is_whole else empty for line, is_whole in zip(lines[head:], fits, strict=True)
+        )
         del lines, written, content  # of a long dive they are large
         frame = pd.read_csv(
             BytesIO(joined), sep=separator.decode() if separator else r"\s+", header=None, names=range(width),
             index_col=False, skip_blank_lines=False, skipinitialspace=True, quoting=csv.QUOTE_NONE, low_memory=False,
             encoding_errors="replace",
         )  # fmt: skip
-        titles = [title.strip().strip("\"'") for title in titles] or [f"column_{i + 1}" for i in range(width)]
-        return self._named(name, [(title, frame[i].to_numpy()) for i, title in zip(frame, titles, strict=True)])
+        titles = [title.strip().strip("\"'") for title in titles] or [
+            f"column_{i + 1}" for i in range(width)
+        ]
+        return self._named(
+            name, [(title, frame[i].to_numpy()) for i, title in zip(frame, titles, strict=True)]
+        )
 
     def _titles(
-        self, names: Header | None, head: Sequence[bytes], above: Sequence[bytes], separator: bytes | None, width: int
+        self,
+        names: Header | None,
+        head: Sequence[bytes],
+        above: Sequence[bytes],
+        separator: bytes | None,
+        width: int,
     ) -> list[str]:
         """Return the names of the columns as they are written; none where no line names them.
 
@@ -286,19 +351,33 @@ class TableFile(LogFile):
         what = f"has {counted(len(titles), 'name')} in its first line, but {counted(width, 'cell')} in its rows"
         raise LogError(what, "one separator for names and rows, and a decimal point", self.path)
 
-    def _note_header(self, name: str, names: Header | None, head: int, titles: Sequence[str]) -> None:
+    def _note_header(
+        self, name: str, names: Header | None, head: int, titles: Sequence[str]
+    ) -> None:
         """Report lines above the names, and columns without names."""
         if names and names.names_at:
-            clause = counted_clause(names.names_at, "lines are above the names of the columns and are left out")
+            clause = counted_clause(
+                names.names_at, "lines are above the names of the columns and are left out"
+            )
             self._note("table_header", name, clause, names.names_at, warn=False)
         elif head > 1 and not names:
             self._note(
-                "table_header", name, f"the first {head} lines have no numbers; the first names the columns", head
+                "table_header",
+                name,
+                f"the first {head} lines have no numbers; the first names the columns",
+                head,
             )
         if not titles:
-            self._note("table_header", name, "no line names the columns; they are column_1, column_2 ...", warn=False)
+            self._note(
+                "table_header",
+                name,
+                "no line names the columns; they are column_1, column_2 ...",
+                warn=False,
+            )
 
-    def _note_commented_rows(self, name: str, comments: Sequence[bytes], separator: bytes | None, width: int) -> None:
+    def _note_commented_rows(
+        self, name: str, comments: Sequence[bytes], separator: bytes | None, width: int
+    ) -> None:
         """Report rows of numbers that are left out since they begin as comments do."""
         rows = [line for line in comments if is_row(line.lstrip().lstrip(b"#% "), separator, width)]
         if rows:
@@ -309,11 +388,21 @@ class TableFile(LogFile):
         """Refuse a table with many rows of another width, and report a few."""
         wrong = int(np.count_nonzero(~fits))
         if wrong > max(1.0, _FEW * len(fits)):
-            raise LogError(f"{wrong} of {len(fits)} rows have other than {width} cells", "one row a line", self.path)
+            raise LogError(
+                f"{wrong} of {len(fits)} rows have other than {width} cells",
+                "one row a line",
+                self.path,
+            )
         if wrong:
             clause = counted_clause(wrong, f"rows have other than {width} cells")
             where = int(np.argmin(fits)) + 1
-            self._note("table_rows", name, f"{clause}; left out, the first is row {where}", wrong, "copy it again")
+            self._note(
+                "table_rows",
+                name,
+                f"{clause}; left out, the first is row {where}",
+                wrong,
+                "copy it again",
+            )
 
     def _named(self, topic: str, columns: Iterable[tuple[str, NDArray[Any]]]) -> _Table:
         """Make a table of columns by their titles; what is not a number in a column of numbers is missing."""
@@ -353,13 +442,17 @@ class TableFile(LogFile):
         """Refuse a file with more columns than a log of sensors can have."""
         if count > MOST_COLUMNS:
             what = f"has {count} columns; {MOST_COLUMNS} are read"
-            raise LogError(what, "write the columns of the IMU, the DVL and the reference to tables", self.path)
+            raise LogError(
+                what, "write the columns of the IMU, the DVL and the reference to tables", self.path
+            )
 
     def _read_text(self, table: _Table, name: str, title: str, cells: NDArray[Any]) -> NDArray[Any]:
         """Read cells that are not all numbers: dates and times, else numbers; text alone has none."""
         if not (TIME_NAME.search(name) or DATE_NAME.search(name)):
             return self._numbers(table.topic, title, cells)
-        series = pd.Series(cells).map(lambda cell: cell.strip(" \"'") if isinstance(cell, str) else cell)
+        series = pd.Series(cells).map(
+            lambda cell: cell.strip(" \"'") if isinstance(cell, str) else cell
+        )
         series = series.where(series != "")
         texts = series.dropna().astype(str)
         times = _read_times(table, name, series, texts)
@@ -392,12 +485,20 @@ class TableFile(LogFile):
             return np.full(len(cells), np.nan)
         if count > max(1.0, _FEW * known):
             text = f"column '{title}' has text in {count} of {known} cells"
-            raise LogError(text, "numbers with a decimal point; leave the cell empty where there is none", self.path)
+            raise LogError(
+                text,
+                "numbers with a decimal point; leave the cell empty where there is none",
+                self.path,
+            )
         if count:
             clause = counted_clause(count, "cells are text and count as missing")
             where = int(np.argmax(is_text)) + 1
             self._note(
-                "table_cells", topic, f"column '{title}': {clause}, the first in row {where}", count, "copy it again"
+                "table_cells",
+                topic,
+                f"column '{title}': {clause}, the first in row {where}",
+                count,
+                "copy it again",
             )
         return numbers.to_numpy()
 
@@ -411,8 +512,14 @@ class TableFile(LogFile):
             values = array.squeeze()
             if values.ndim == 2 and values.shape[0] < min(values.shape[1], _WIDEST):
                 values = values.T  # MATLAB has often one column a sample
-            if values.ndim in (1, 2) and len(values) > 1 and (values.ndim == 1 or values.shape[1] <= _WIDEST):
-                groups.setdefault((name.rpartition(".")[0], len(values)), {})[name.rpartition(".")[2]] = values
+            if (
+                values.ndim in (1, 2)
+                and len(values) > 1
+                and (values.ndim == 1 or values.shape[1] <= _WIDEST)
+            ):
+                groups.setdefault((name.rpartition(".")[0], len(values)), {})[
+                    name.rpartition(".")[2]
+                ] = values
         tables: dict[tuple[str, int], dict[str, NDArray[Any]]] = {}
         for (above, count), columns in groups.items():
             times = [name for name in columns if TIME_NAME.search(clean_name(name))]
@@ -437,8 +544,16 @@ class TableFile(LogFile):
         """Return the times of a table's rows, by the first column that is named as a time and is read."""
         count = len(next(iter(table.columns.values())))
         named = [name for name in table.columns if TIME_NAME.search(name)]
-        named += [name for name in table.columns if DATE_NAME.search(name) and table.units.get(name) == "ns"]
-        usable = (name for name in named if table.columns[name].ndim == 1 and np.isfinite(table.columns[name]).any())
+        named += [
+            name
+            for name in table.columns
+            if DATE_NAME.search(name) and table.units.get(name) == "ns"
+        ]
+        usable = (
+            name
+            for name in named
+            if table.columns[name].ndim == 1 and np.isfinite(table.columns[name]).any()
+        )
         name = next(usable, "")
         counted_rows = np.arange(count) * NS_PER_S
         if not name and table.unread:
@@ -478,7 +593,11 @@ class TableFile(LogFile):
         stated = table.units.get(name, "")
         if stated and stated not in TIME_UNITS_NS:
             hint = f"its unit may be {', '.join(TIME_UNITS_NS)}"
-            raise LogError(f"the times '{name}' are in {stated}, which is no unit that is known", hint, self.path)
+            raise LogError(
+                f"the times '{name}' are in {stated}, which is no unit that is known",
+                hint,
+                self.path,
+            )
         ending = _ENDS_WITH_UNIT.search(name)
         unit = stated or (spelled(ending[1]) if ending else "")
         is_found = not unit
@@ -487,23 +606,43 @@ class TableFile(LogFile):
         if calendar is not None:
             text = f"the times '{name}' were read as {calendar.name}, exact to {exact_to_s(values):.2g} s"
             is_rounded = is_coarse(values)
-            steps = f", where the rows are {usual_step(values) * 86_400.0:.2g} s apart" if is_rounded else ""
+            steps = (
+                f", where the rows are {usual_step(values) * 86_400.0:.2g} s apart"
+                if is_rounded
+                else ""
+            )
             hint = "write seconds, or more digits"
-            self._note("table_days", table.topic, text + steps, len(values) if is_rounded else 1, hint)
+            self._note(
+                "table_days", table.topic, text + steps, len(values) if is_rounded else 1, hint
+            )
         elif unit and is_found:
-            self._note("table_time_unit", table.topic, f"the times '{name}' were read as {unit}", warn=False)
+            self._note(
+                "table_time_unit",
+                table.topic,
+                f"the times '{name}' were read as {unit}",
+                warn=False,
+            )
         return unit
 
 
 def _days_of(table: _Table, name: str) -> TimeNs | None:
     """Return the dates beside times of day, ns since 1970, (k,), of a column named as a date; None without one."""
     for other, values in table.columns.items():
-        if other == name or values.ndim > 1 or not DATE_NAME.search(other) or not np.isfinite(values).all():
+        if (
+            other == name
+            or values.ndim > 1
+            or not DATE_NAME.search(other)
+            or not np.isfinite(values).all()
+        ):
             continue
         if table.units.get(other) == "ns":
             return np.asarray(values.astype(np.int64) // DAY_NS * DAY_NS)
         if np.all((values >= 19_700_101) & (values < 21_000_101)):
-            return dates_ns(pd.Series(values.astype(np.int64).astype(str)).str.replace(_YMD, r"\1-\2-\3", regex=True))
+            return dates_ns(
+                pd.Series(values.astype(np.int64).astype(str)).str.replace(
+                    _YMD, r"\1-\2-\3", regex=True
+                )
+            )
     return None
 
 
@@ -518,7 +657,9 @@ def _memory_of(table: _Table) -> int:
     """Return the bytes that a table needs while its times and rows are made."""
     columns = table.columns.values()
     count = len(next(iter(columns)))
-    return np.dtype(np.float64).itemsize * (sum(values.size for values in columns) + _WORK_NUMBERS * count)
+    return np.dtype(np.float64).itemsize * (
+        sum(values.size for values in columns) + _WORK_NUMBERS * count
+    )
 
 
 def _rows_of(table: _Table, kept: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -529,7 +670,9 @@ def _rows_of(table: _Table, kept: NDArray[np.bool_]) -> NDArray[np.float64]:
     place = 1
     for _, values in _popped(table.columns):
         columns = values.reshape(len(kept), -1)
-        rows[:, place : place + columns.shape[1]] = columns if len(rows) == len(kept) else columns[kept]
+        rows[:, place : place + columns.shape[1]] = (
+            columns if len(rows) == len(kept) else columns[kept]
+        )
         place += columns.shape[1]
     return rows
 
@@ -567,19 +710,32 @@ class RowReader:
         self._places: dict[str, list[int]] = {}
         self.names: dict[str, str] = {}  # of the columns, by path
         for path in paths:
-            name = list(widths)[int(path) - 1] if path.isdecimal() and 0 < int(path) <= len(widths) else path
+            name = (
+                list(widths)[int(path) - 1]
+                if path.isdecimal() and 0 < int(path) <= len(widths)
+                else path
+            )
             if name not in places:  # it may be the title of a column, with its unit
                 element = re.search(r"\[(\d+|\*)\]$", name)
-                name = clean_name(name.removesuffix(element[0])) + element[0] if element else clean_name(name)
+                name = (
+                    clean_name(name.removesuffix(element[0])) + element[0]
+                    if element
+                    else clean_name(name)
+                )
             if name not in places:
                 check_path(name, known, channel.topic)
-                raise LogError(f"{channel.topic} has no '{path}'", f"'{name}' is behind the last number of its list")
+                raise LogError(
+                    f"{channel.topic} has no '{path}'",
+                    f"'{name}' is behind the last number of its list",
+                )
             self._places[path] = places[name]
             self.names[path] = name.partition("[")[0]
 
     def columns(self, block: Block) -> Columns:
         """Return the columns of all rows of a block, (k, n)."""
-        rows = np.frombuffer(block.buffer, np.float64).reshape(-1, self._size)[block.offsets // (8 * self._size)]
+        rows = np.frombuffer(block.buffer, np.float64).reshape(-1, self._size)[
+            block.offsets // (8 * self._size)
+        ]
         return {path: rows[:, places] for path, places in self._places.items()}
 
 

@@ -4,7 +4,12 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
-_SEPARATORS: Final = (b"\t", b";", b"|", b",")  # in text with several of them the first one separates
+_SEPARATORS: Final = (
+    b"\t",
+    b";",
+    b"|",
+    b",",
+)  # in text with several of them the first one separates
 _COMMENTS: Final = (b"#", b"%")
 
 

@@ -54,7 +54,9 @@ CALENDARS: Final = (
 class TextTimes:
     """Times that were text."""
 
-    time_ns: TimeNs  # (k,) of day, or since 1970 where the cells have a date; 0 where a cell has none
+    time_ns: (
+        TimeNs  # (k,) of day, or since 1970 where the cells have a date; 0 where a cell has none
+    )
     known: NDArray[np.bool_]  # (k,)
     period_ns: int  # after which they repeat: an hour, a day, or 0 with a date
 
@@ -95,7 +97,11 @@ def likely_unit(values: NDArray[Any]) -> str:
     if step == 0.0:
         return "s"
     seconds = {unit: factor / NS_PER_S for unit, factor in TIME_UNITS_NS.items()}
-    small = [unit for unit in ("s", "ms", "us", "ns") if _RATES_HZ[0] < 1.0 / (step * seconds[unit]) < _RATES_HZ[1]]
+    small = [
+        unit
+        for unit in ("s", "ms", "us", "ns")
+        if _RATES_HZ[0] < 1.0 / (step * seconds[unit]) < _RATES_HZ[1]
+    ]
     by_size = [unit for unit in small if _SINCE_1970_S[0] < size * seconds[unit] < _SINCE_1970_S[1]]
     if small:
         return (by_size or small)[0]
@@ -121,7 +127,9 @@ def exact_to_s(days: NDArray[np.float64]) -> float:
     stored = float(np.spacing(np.abs(some).max()))
     for digits in range(_MOST_DIGITS):
         unit = 10.0**-digits
-        if unit <= stored or np.all(np.abs(some / unit - np.rint(some / unit)) < 2.0 * stored / unit):
+        if unit <= stored or np.all(
+            np.abs(some / unit - np.rint(some / unit)) < 2.0 * stored / unit
+        ):
             return max(unit, stored) * 86_400.0
     return stored * 86_400.0
 
@@ -140,7 +148,10 @@ def text_times(cells: "pd.Series[Any]") -> TextTimes | None:
     if not len(texts) or not _CELL.fullmatch(str(texts.iloc[0])):
         return None
     parts = texts.str.extract(f"^{_CELL.pattern}$")
-    minute, second = pd.to_numeric(parts[2]), pd.to_numeric(parts[3].str.replace(r"[,:]", ".", regex=True))
+    minute, second = (
+        pd.to_numeric(parts[2]),
+        pd.to_numeric(parts[3].str.replace(r"[,:]", ".", regex=True)),
+    )
     hour, has_hour = pd.to_numeric(parts[1]), parts[1].notna()
     good = (minute < 60) & (second < 60) & ~(hour > 24)
     if good.mean() <= 1.0 - _FEW:
@@ -183,7 +194,10 @@ def dates_ns(texts: "pd.Series[Any]") -> TimeNs | None:
         else:
             year, month, day = third, second, first
         try:
-            since = date(year + 2000 if year < 100 else year, month, day).toordinal() - date(1970, 1, 1).toordinal()
+            since = (
+                date(year + 2000 if year < 100 else year, month, day).toordinal()
+                - date(1970, 1, 1).toordinal()
+            )
         except ValueError:
             return None
         known[str(text)] = since * DAY_NS
@@ -215,7 +229,9 @@ def shift_ns(times: Bounds, period_ns: int, others: Bounds) -> int | None:
         return min(last, times[1] + shift) - max(first, times[0] + shift)
 
     nearest = period_ns * round((first + last - times[0] - times[1]) / 2 / period_ns)
-    shifts = sorted((nearest + step * period_ns for step in (-1, 0, 1)), key=overlap_ns, reverse=True)
+    shifts = sorted(
+        (nearest + step * period_ns for step in (-1, 0, 1)), key=overlap_ns, reverse=True
+    )
     best, second = (overlap_ns(shift) for shift in shifts[:2])
     return None if second > 0 and second > 0.98 * best else shifts[0]
 
