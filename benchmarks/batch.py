@@ -58,9 +58,11 @@ def make_dives(folder: Path, dives: int, duration_s: float) -> None:
 def check(folder: Path, *arguments: str) -> Took:
     """Time one check in a process of its own."""
     command = [sys.executable, "-m", "insdvl_replay", "check", "gates.toml", *arguments]
-    before, start_s = os.times(), time.perf_counter()
+    before = os.times()
+    start_s = time.perf_counter()
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
-    wall_s, after = time.perf_counter() - start_s, os.times()
+    wall_s = time.perf_counter() - start_s
+    after = os.times()
     used_s = (
         after.children_user + after.children_system - before.children_user - before.children_system
     )

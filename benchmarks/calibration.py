@@ -217,7 +217,8 @@ def _true_noise(grade: str) -> dict[str, float]:
 
 def with_imu_errors(exact: Dive, seed: int) -> ReadDive:
     """Give a dive an IMU that has other scales than it says, and axes that are not at right angles."""
-    rng, imu = np.random.default_rng((seed, 77)), exact.imu
+    rng = np.random.default_rng((seed, 77))
+    imu = exact.imu
     turns = [
         np.eye(3) + np.where(np.eye(3) > 0.0, np.diag(1.5e-3 * along), 1e-3 * across)
         for across, along in (
@@ -251,7 +252,8 @@ def wild_pings() -> Iterator[Line]:
         dvl = replace(
             read.dive.dvl, beam_velocity_mps=np.where(wild[:, None], 10.0 * beams_mps, beams_mps)
         )
-        before, after = found_of(read), found_of(replace(read, dive=replace(read.dive, dvl=dvl)))
+        before = found_of(read)
+        after = found_of(replace(read, dive=replace(read.dive, dvl=dvl)))
         moved.append(np.max(np.abs((after.fit.change(0) - before.fit.change(0)) / _said(before))))
     yield (
         "5 % of the pings 10 times too large",
@@ -262,7 +264,8 @@ def wild_pings() -> Iterator[Line]:
 
 def right_angles() -> Iterator[Line]:
     """A mounting that is off by 90 deg."""
-    predicted, found_again = 0, 0
+    predicted = 0
+    found_again = 0
     for seed in range(6000, 6005):
         turned = built_in_otherwise("figure-eight", seed, DvlErrors(), yaw_deg=90.0)
         astray = found_of(turned)

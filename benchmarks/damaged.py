@@ -73,7 +73,9 @@ def late(imu_s: float = 0.0, dvl_s: float = 0.0) -> Damage:
     return damage
 
 
-G, MILLI_G, DEG_PER_S = 1.0 / STANDARD_GRAVITY_MPS2, 1000.0 / STANDARD_GRAVITY_MPS2, 1.0 / DEG
+G = 1.0 / STANDARD_GRAVITY_MPS2
+MILLI_G = 1000.0 / STANDARD_GRAVITY_MPS2
+DEG_PER_S = 1.0 / DEG
 DAMAGES: dict[str, Damage] = {
     **{
         f"axes {axes}": imu(axes, axes)
@@ -191,7 +193,8 @@ def variants(dive: Dive, folder: Path, only: tuple[str, ...] = ()) -> Iterator[t
     for name in (*DAMAGES, SECOND):
         if only and name not in only:
             continue
-        log, started_s = folder / "damaged.mcap", time.process_time()
+        log = folder / "damaged.mcap"
+        started_s = time.process_time()
         if name == SECOND:
             write_second_imu(log, dive, folder)
         else:
@@ -238,7 +241,8 @@ def main() -> None:
             ):
                 sys.stdout.write(f"  {name:24} {outcome}\n")
                 outcomes.append(outcome.split()[0])
-    right, silent = outcomes.count("right"), outcomes.count("silent")
+    right = outcomes.count("right")
+    silent = outcomes.count("silent")
     sys.stdout.write(f"{right} of {len(outcomes)} right, {silent} silently wrong\n")
 
 

@@ -124,15 +124,18 @@ def filter_rows() -> list[str]:
         One has other results than ours: then it does something else, and its time says nothing.
     """
     epochs, measured = contenders()
-    took_s, sd = defaultdict(list), {}
+    took_s = defaultdict(list)
+    sd = {}
     for _ in range(ROUNDS):
         for name, contender in measured.items():
             seconds, sd[name] = contender()
             took_s[name].append(seconds)
-    ours_s, ours_sd = median(took_s["insdvl-replay"]), sd["insdvl-replay"]
+    ours_s = median(took_s["insdvl-replay"])
+    ours_sd = sd["insdvl-replay"]
     rows = []
     for name, each_s in took_s.items():
-        seconds, off = median(each_s), "" if sd[name] is None else _off(name, sd[name], ours_sd)
+        seconds = median(each_s)
+        off = "" if sd[name] is None else _off(name, sd[name], ours_sd)
         rows.append(f"| {name} | {1e6 * seconds / epochs:.2f} | {seconds / ours_s:.0f} x | {off} |")
     return rows
 
@@ -148,7 +151,8 @@ def state_rows() -> list[str]:
     """Measure the compiled filter with more states, in turn."""
     case = Case()
     inputs = baseline_inputs(case.dive(), case.config())
-    epochs, least_s = epochs_of(inputs), dict.fromkeys(STATES, float("inf"))
+    epochs = epochs_of(inputs)
+    least_s = dict.fromkeys(STATES, float("inf"))
     for _ in range(AGAIN):
         for name, (more, sd) in STATES.items():
             start = with_more_states(inputs.start, np.array(sd), max(0, len(sd) - 3))

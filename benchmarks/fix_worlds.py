@@ -30,7 +30,9 @@ from insdvl_replay.studies.montecarlo import matched_errors
 
 DIVES: Final = 8
 SEED: Final = 32
-FIX_SD_M, BAD_SD_M, BAD_SHARE = 2.0, 23.0, 0.2
+FIX_SD_M = 2.0
+BAD_SD_M = 23.0
+BAD_SHARE = 0.2
 WAY: Final = {"duration_s": 7200.0, "imu_rate_hz": 25.0, "reference_rate_hz": 1.0}
 
 
@@ -65,7 +67,8 @@ FIX_WORLDS: Final = (
 def lines(world: World, dives: int, starts: int) -> Iterator[str]:
     """Replay dives of a world, a line each, and judge all of them together."""
     evidence: list[list[EvidenceRow]] = []
-    config, exact = world.config, exact_dive("figure-eight", **world.way)
+    config = world.config
+    exact = exact_dive("figure-eight", **world.way)
     for dive in range(dives):
         errors_rng, harm_rng = np.random.SeedSequence(SEED, spawn_key=(dive,)).spawn(2)
         made = add_errors(

@@ -32,7 +32,9 @@ from insdvl_replay.preparation.solutions import interpolated, interpolated_attit
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
-GROUPS, LENGTH_S, STARTS = 12, 300.0, 2
+GROUPS = 12
+LENGTH_S = 300.0
+STARTS = 2
 PRESET = "tactical"
 DVL_SD_MPS = (
     0.006  # as a simulated DVL errs; the preset's is too large for the baseline to be judged by

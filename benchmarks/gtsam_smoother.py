@@ -39,7 +39,8 @@ class Smoothed:
 
 def smooth(inputs: Inputs) -> Smoothed:
     """Integrate the readings, one call of Python for each, and estimate all that happened."""
-    at, start = instants(inputs.timeline), inputs.start
+    at = instants(inputs.timeline)
+    start = inputs.start
     begin_s = time.thread_time()
     between = _integrated(at, _params(start, inputs.noise_density))
     integration_s = time.thread_time() - begin_s
@@ -50,7 +51,8 @@ def smooth(inputs: Inputs) -> Smoothed:
 
 
 def _params(start: Start, noise_density: Floats) -> gtsam.PreintegrationCombinedParams:
-    latitude, height_m = start.position[0], start.position[2]
+    latitude = start.position[0]
+    height_m = start.position[2]
     params = gtsam.PreintegrationCombinedParams.MakeSharedD(
         float(normal_gravity(latitude, height_m))
     )
@@ -70,7 +72,8 @@ def _integrated(
     force_b, rate_b = (
         (one[1:] + one[:-1]) / 2.0 for one in (at.specific_force_b, at.angular_rate_b)
     )
-    step_s, is_end = np.diff(at.time_s), at.ping[1:] >= 0
+    step_s = np.diff(at.time_s)
+    is_end = at.ping[1:] >= 0
     is_end[-1] = True
     between = []
     current = gtsam.PreintegratedCombinedMeasurements(params)
@@ -86,7 +89,8 @@ def _graph(
     inputs: Inputs, at: Instants, between: list[gtsam.PreintegratedCombinedMeasurements]
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     """Say what is known at the start, between pings and at them; and guess what happened by integrating alone."""
-    graph, guess = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph = gtsam.NonlinearFactorGraph()
+    guess = gtsam.Values()
     state, bias = _begin(graph, inputs.start)
     _insert(guess, 0, state, bias)
     pings = at.ping[at.ping >= 0]
@@ -108,7 +112,8 @@ def _graph(
 def _begin(
     graph: gtsam.NonlinearFactorGraph, start: Start
 ) -> tuple[gtsam.NavState, gtsam.imuBias.ConstantBias]:
-    pose, bias = gtsam.Pose3(gtsam.Rot3(start.mat_nb), np.zeros(3)), gtsam.imuBias.ConstantBias()
+    pose = gtsam.Pose3(gtsam.Rot3(start.mat_nb), np.zeros(3))
+    bias = gtsam.imuBias.ConstantBias()
     pose_cov = np.diag(np.full(6, POSITION_SD_M**2))
     pose_cov[:3, :3] = start.mat_nb.T @ np.diag(start.sd[PHI] ** 2) @ start.mat_nb
     biases = gtsam.noiseModel.Diagonal.Sigmas(start.sd[BA.start :])

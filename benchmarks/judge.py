@@ -293,7 +293,8 @@ ALLOWED_ERRORS: Final = 3.0
 
 def rates(candidates: Sequence[Judged]) -> tuple[list[str], bool]:
     """Give the rows of the table of rates, and whether all are as asked, but for the chance of so few dives."""
-    rows, all_met = list[str](), True
+    rows = list[str]()
+    all_met = True
     for question in QUESTIONS:
         chosen = [judged for judged in candidates if question.of(judged)]
         cells = list[str]()
@@ -382,7 +383,8 @@ def tasks_of(number: int, dives: int, truth_dives: int, sea_seed: int) -> list[T
     if world.dead:
         return [Task(number, dive, sea_seed, True) for dive in range(min(dives, DEAD_DIVES))]
     share = LONG_SHARE if world.sea and world.sea.duration_s > LONG_S else 1
-    replayed, alone = dives // share, truth_dives // share
+    replayed = dives // share
+    alone = truth_dives // share
     return [Task(number, dive, sea_seed, dive < replayed) for dive in range(replayed + alone)]
 
 

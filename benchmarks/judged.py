@@ -180,7 +180,8 @@ def verdicts_over(
     levels = levels_of(alone, named)
     found = {}
     for answer in alone:
-        name, level = answer.filter, levels[answer.filter]
+        name = answer.filter
+        level = levels[answer.filter]
         is_shared = level != LEVEL
         found[name] = (
             _answer(baseline, name, records[name], primary, level) if is_shared else answer

@@ -33,7 +33,9 @@ from insdvl_replay.preparation.run import prepared_timeline, run_one
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.studies.montecarlo import MonteCarloSetup, drawn_start, matched_errors, run_seed
 
-DIVES, SEED, DURATION_S = 200, 1, 300.0
+DIVES = 200
+SEED = 1
+DURATION_S = 300.0
 SCENARIO: Final = "figure-eight"
 PRESETS: Final = ("fog", "tactical", "mems")
 COLUMNS: Final = (
@@ -87,7 +89,8 @@ def _standardised(errors: StateErrors, quantity: str) -> Floats:
     if quantity in CREDIBILITY_GROUPS:
         states = CREDIBILITY_GROUPS[quantity]
         return whitened(errors.error[:, states], errors.cov[:, states, states])
-    state, turned = CREDIBILITY_QUANTITIES.index(quantity), about_vehicle(errors)
+    state = CREDIBILITY_QUANTITIES.index(quantity)
+    turned = about_vehicle(errors)
     return turned.error[:, [state]] / turned.sd[:, [state]]
 
 

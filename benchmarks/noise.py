@@ -26,7 +26,11 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.tables import finite
 from insdvl_replay.replay import replay_dive
 
-DIVES, LENGTH_S, STARTS, GROUPS, SEED = 8, 400.0, 2, 60, 5
+DIVES = 8
+LENGTH_S = 400.0
+STARTS = 2
+GROUPS = 60
+SEED = 5
 OFF_BY_MPS = (0.05, 0.2, 1.0)
 TIMES = 3.0
 WITH_POSITION = ("position",)

@@ -26,7 +26,11 @@ from insdvl_replay.preparation.run import prepared_timeline, run_one
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
-DIVES, LENGTH_S, STARTS, GROUPS, SEED = 16, 400.0, 2, 60, 5
+DIVES = 16
+LENGTH_S = 400.0
+STARTS = 2
+GROUPS = 60
+SEED = 5
 # Smaller than the simulated DVL's: preset mems is cautious about its IMU, and a baseline needs NIS / dof above 0.1.
 DVL_SD_MPS = 0.004
 PRESETS = ("mems", "tactical")
@@ -41,10 +45,8 @@ def flown_dive(preset: str, config: Config, seed: int, factor: float) -> Dive:
     prepared = prepare_dive(dive, config)
     _, start = drawn_starts(prepared.alignment.start, 2, (seed, 77))
     begun = replace(prepared, alignment=replace(prepared.alignment, start=start))
-    onboard, reference = (
-        run_one(prepared.filters[0], begun, prepared_timeline(dive, prepared)).motion(),
-        dive.reference,
-    )
+    onboard = run_one(prepared.filters[0], begun, prepared_timeline(dive, prepared)).motion()
+    reference = dive.reference
     assert reference is not None
     onboard = onboard.rows(np.isin(onboard.time_ns, reference.time_ns))
     true = reference.rows(np.isin(reference.time_ns, onboard.time_ns))

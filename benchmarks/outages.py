@@ -20,9 +20,11 @@ from insdvl_replay.evaluation.ensemble import RunErrors
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.studies.montecarlo import make_setup, run_seed, simulated_run
 
-RUNS, SEED = 40, 1
+RUNS = 40
+SEED = 1
 SCENARIO = "lawnmower"
-BEFORE_S, AFTER_S = 300.0, 300.0
+BEFORE_S = 300.0
+AFTER_S = 300.0
 IMU_RATE_HZ = 50.0
 LENGTHS_S = {
     "mems": (0.0, 120.0, 180.0, 300.0, 1200.0, 2400.0),
@@ -77,7 +79,8 @@ def main() -> None:
     rows = []
     for preset, lengths_s in LENGTHS_S.items():
         for length_s in lengths_s:
-            runs, end_s = runs_through(preset, length_s), BEFORE_S + length_s
+            runs = runs_through(preset, length_s)
+            end_s = BEFORE_S + length_s
             means = nees_at(runs, [BEFORE_S, end_s, end_s + 1.5, end_s + 60.0, end_s + AFTER_S])
             broken = sum(not np.isfinite(run.nees).all() for run in runs)
             cells = [

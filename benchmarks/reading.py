@@ -31,7 +31,8 @@ from insdvl_replay.logs.formats.recording import open_recording
 PER_IMU = 1.01
 """Messages for each one of the IMU."""
 IMAGE = bytes(1_500_000)
-READ, DECODED = 500_000, 100_000
+READ = 500_000
+DECODED = 100_000
 """Messages after which the slow readers are stopped; their speed is the same from the first to the last."""
 ROUNDS = 5
 
@@ -80,7 +81,8 @@ def rewrite(source: Path, target: Path, images: int = 0, **options: Any) -> None
             "sensor_msgs/msg/CompressedImage", "ros2msg", b"uint8[] data\n"
         )
         camera = writer.register_channel("/camera", "cdr", schema)
-        every, count = sum(channel.messages for channel in log.channels) // max(images, 1), 0
+        every = sum(channel.messages for channel in log.channels) // max(images, 1)
+        count = 0
         for block in log.blocks(set(ids)):
             rows = zip(
                 block.offsets.tolist(), block.sizes.tolist(), block.log_time.tolist(), strict=True
@@ -133,7 +135,8 @@ def with_insdvl_replay(path: Path) -> dict[str, float]:
     prepare_process()
     warm = path.with_name("warm.mcap")
     read_dive(warm, Config())
-    before_mb, start_s = peak_mb(), time.perf_counter()
+    before_mb = peak_mb()
+    start_s = time.perf_counter()
     imu = read_dive(path, Config()).imu
     elapsed_s = time.perf_counter() - start_s
     kept_mb = (imu.time_ns.nbytes + imu.specific_force_b.nbytes + imu.angular_rate_b.nbytes) / 2**20
@@ -146,7 +149,8 @@ def with_insdvl_replay(path: Path) -> dict[str, float]:
 
 def counted(items: Iterator[Any], most: int) -> dict[str, float]:
     """Go through messages and time it."""
-    start_s, count = time.perf_counter(), 0
+    start_s = time.perf_counter()
+    count = 0
     for _ in islice(items, most):
         count += 1
     return {"messages": count, "s": time.perf_counter() - start_s}

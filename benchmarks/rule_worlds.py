@@ -181,7 +181,9 @@ def pairs_row(shape: str, scatter: float, dives: int, repeats: int) -> Row:
     equal, near = (pairs(shape, scatter, dives, ratio, repeats) for ratio in (1.0, 1.03))
     changed = {ratio: pairs(shape, scatter, dives, ratio, repeats) for ratio in (*CHANGES, 1.25)}
     opposite = max((changed[ratio] for ratio in OPPOSITE_RATIOS), key=lambda found: found.opposite)
-    wanted_pct, most_wrong_pct, is_met = 0.0, MOST_WRONG_PCT.get(shape), True
+    wanted_pct = 0.0
+    most_wrong_pct = MOST_WRONG_PCT.get(shape)
+    is_met = True
     if most_wrong_pct is not None:
         is_met &= at_most(equal, equal.wrong, most_wrong_pct)
         is_met &= at_most(opposite, opposite.opposite, MOST_OPPOSITE_PCT)
@@ -283,7 +285,8 @@ def looks(
     log_truth = math.log(ratio)
     logs = log_truth + scatter * SHAPES[shape](rng, (archives, dives))
     at = sorted({*BY_DIVES, dives})
-    first_false, first_found = list[int](), list[int]()
+    first_false = list[int]()
+    first_found = list[int]()
     for archive in logs.tolist():
         false_at = found_at = dives + 1
         for count in range(3, dives + 1):

@@ -26,7 +26,8 @@ from insdvl_replay.preparation.solutions import interpolated, interpolated_attit
 
 CASE: Final = "SCATTER_CASE"
 """The environment variable that names the folder of what was drawn for a dive."""
-CASE_FILE, EXACT_FILE = "case.json", "exact.npz"
+CASE_FILE = "case.json"
+EXACT_FILE = "exact.npz"
 EVERY_SAMPLE: Final = 5
 """A solution has a row for every so many samples of the IMU: those of the reference are among them."""
 PLAIN_STATES: Final = 12

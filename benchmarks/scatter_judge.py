@@ -384,7 +384,10 @@ EQUAL: Final = (
     "late: two compasses",
 )
 CHANGED: Final = ("errors times", "a mounting", "baseline's R")
-FIVE_PCT, ONE_PCT, NONE, ALL = (5.0,) * 3, (1.0,) * 3, (0.0,) * 3, (100.0,) * 3
+FIVE_PCT = (5.0,) * 3
+ONE_PCT = (1.0,) * 3
+NONE = (0.0,) * 3
+ALL = (100.0,) * 3
 
 
 def _equal(scatter: str) -> Question:
@@ -481,9 +484,11 @@ def is_met(question: Question, pct: float, asked: float, independent: float) -> 
 
 def rate_rows(pairs: Sequence[JudgedPair], dives: int) -> tuple[list[str], bool]:
     """Give the rows of the table of rates, and whether all are as asked."""
-    rows, all_met = list[str](), True
+    rows = list[str]()
+    all_met = True
     for question in QUESTIONS:
-        chosen, cells = of_question(question, pairs), list[str]()
+        chosen = of_question(question, pairs)
+        cells = list[str]()
         worlds = len({pair.world.name for pair in chosen})
         for size, asked in zip(SIZES, question.asked or (None,) * len(SIZES), strict=True):
             said, total = counted(question, chosen, size) if chosen else (0, 0)

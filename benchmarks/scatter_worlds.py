@@ -220,7 +220,8 @@ def calibrated_mounting(name: str, *, of_baseline_deg: float, of_other_deg: floa
 
     def draw(reported: Dive, exact: Dive, rng: np.random.Generator) -> Drawn:
         side = rng.choice((-1.0, 1.0))
-        before, after = side * of_baseline_deg, side * of_other_deg
+        before = side * of_baseline_deg
+        after = side * of_other_deg
         reported = replace(reported, dvl=turned_dvl(reported.dvl, (0.0, 0.0, float(before))))
         return Drawn(
             reported, exact, {name: Told(mounting_rpy_deg=(0.0, 0.0, float(after - before)))}
@@ -314,7 +315,8 @@ def late(draw: Draw, *, reference_s: tuple[float, float] = (0.1, 0.3), dvl_s: fl
 
     def drawn(reported: Dive, exact: Dive, rng: np.random.Generator) -> Drawn:
         found = draw(reported, exact, rng)
-        reference, dvl = reference_of(found.reported), found.reported.dvl
+        reference = reference_of(found.reported)
+        dvl = found.reported.dvl
         late_ns = nanoseconds(rng.uniform(*reference_s))
         reference = replace(reference, time_ns=reference.time_ns + late_ns)
         dvl = replace(dvl, time_ns=dvl.time_ns + nanoseconds(dvl_s))
@@ -507,7 +509,8 @@ def _too_large(times: float) -> Config:
 
     Both have nearly the same gains, but at the start.
     """
-    config, factor = _settings(sd_mps=DVL_SD_MPS * math.sqrt(times)), math.sqrt(times)
+    config = _settings(sd_mps=DVL_SD_MPS * math.sqrt(times))
+    factor = math.sqrt(times)
     inertial = {key: factor * getattr(config.noise, key) for key in InertialNoise.__struct_fields__}
     baseline = msgspec.structs.replace(config.filters["baseline"], **inertial)
     filters = {"baseline": baseline, "right": _by_velocity(DVL_SD_MPS)}

@@ -101,7 +101,8 @@ class DrawnMotion(Scenario):
 
 def drawn_motion(voyage: Voyage, duration_s: float, rng: np.random.Generator) -> DrawnMotion:
     """Draw one motion."""
-    waves, end_s = 10, duration_s + MARGIN_S
+    waves = 10
+    end_s = duration_s + MARGIN_S
     legs_s = rng.uniform(0.4, 1.6, int(end_s / (0.4 * voyage.leg_s)) + 4) * voyage.leg_s
     knots_s = np.cumsum(np.append(-voyage.leg_s, legs_s))
     knots_s = knots_s[: np.searchsorted(knots_s, end_s) + 3]
@@ -263,7 +264,8 @@ def _dvl_at_sea(exact: DvlColumns, errors: SeaDvl, rng: np.random.Generator) -> 
     )
     time_s = (exact.time_ns - exact.time_ns[0]) / NS_PER_S
     for _ in range(errors.lost_spans):
-        begun_s, lost_s = rng.uniform(30.0, time_s[-1]), rng.uniform(*errors.lost_s)
+        begun_s = rng.uniform(30.0, time_s[-1])
+        lost_s = rng.uniform(*errors.lost_s)
         lost = (time_s >= begun_s) & (time_s < begun_s + lost_s)
         of_beams = slice(None) if rng.random() < 0.5 else int(rng.integers(beams))
         velocity_mps[lost, of_beams] = np.nan

@@ -75,7 +75,8 @@ def ratio_of_logs(logs: Floats) -> TrueRatio:
     logs : ndarray, shape (dives,)
         Logarithms of candidate over baseline.
     """
-    mean, scatter = float(logs.mean()), float(logs.std(ddof=1))
+    mean = float(logs.mean())
+    scatter = float(logs.std(ddof=1))
     width = 1.96 * scatter / math.sqrt(len(logs))
     return TrueRatio(math.exp(mean), math.exp(mean - width), math.exp(mean + width), scatter)
 

@@ -287,14 +287,10 @@ def _heading_off_deg(log: Path, config: Config, dive: Dive) -> tuple[float, floa
     history = run_one(prepared.filters[0], prepared, prepared_timeline(read, prepared))
     reference = dive.reference
     assert reference is not None
-    true_s, true_rad = (
-        (reference.time_ns - reference.time_ns[0]) * 1e-9,
-        rpy_from_mat(reference.mat_nb)[:, 2],
-    )
-    our_s, our_rad = (
-        (history.time_ns - reference.time_ns[0]) * 1e-9,
-        rpy_from_mat(history.mat_nb)[:, 2],
-    )
+    true_s = (reference.time_ns - reference.time_ns[0]) * 1e-9
+    true_rad = rpy_from_mat(reference.mat_nb)[:, 2]
+    our_s = (history.time_ns - reference.time_ns[0]) * 1e-9
+    our_rad = rpy_from_mat(history.mat_nb)[:, 2]
     late = our_s > 0.5 * float(true_s[-1])
     off = np.exp(1j * (our_rad[late] - np.interp(our_s[late], true_s, np.unwrap(true_rad))))
     return abs(float(np.angle(np.mean(off)))) / DEG, float(history.sd[-1, 5]) / DEG

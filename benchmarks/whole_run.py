@@ -198,7 +198,9 @@ def staged(log: Path) -> list[str]:
 
 def run_by_stages(arguments: list[str]) -> None:
     """Run the program here, and print what each stage took of processor time, and the whole of time and memory."""
-    begin_s, spent, current = time.perf_counter(), dict[str, float](), ["start", 0.0]
+    begin_s = time.perf_counter()
+    spent = dict[str, float]()
+    current = ["start", 0.0]
 
     def end_stage(following: str, _done: int, total: int) -> None:
         if total:

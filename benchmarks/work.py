@@ -32,10 +32,12 @@ from insdvl_replay.replay import replay_dive
 from insdvl_replay.results.result_files import save_replay
 from insdvl_replay.sim.dive import simulate_dive
 
-SHORT_S, LONG_S = 100.0, 400.0
+SHORT_S = 100.0
+LONG_S = 400.0
 IMU_HZ = 100.0
 PING_HZ = 1.0
-SLOW_HZ, FAST_HZ = 50.0, 200.0
+SLOW_HZ = 50.0
+FAST_HZ = 200.0
 FILTER_S = 60.0
 STILL = (0.0, 0.0, 0.0)
 LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -61,7 +63,8 @@ def calls(work: Work) -> int:
 
 def calls_a_sample(work: Callable[[Dive], Work]) -> float:
     """Return the calls that each further sample costs; what is done once for every dive does not count."""
-    short, long = work(dive_of(SHORT_S)), work(dive_of(LONG_S))
+    short = work(dive_of(SHORT_S))
+    long = work(dive_of(LONG_S))
     short()  # imports, and what is cached
     return (calls(long) - calls(short)) / ((LONG_S - SHORT_S) * IMU_HZ)
 
@@ -124,7 +127,8 @@ def references_counted() -> int:
             before = now
         return state
 
-    inputs, state = inputs_at(SLOW_HZ), NavState(STILL, STILL, LEVEL, STILL, STILL)
+    inputs = inputs_at(SLOW_HZ)
+    state = NavState(STILL, STILL, LEVEL, STILL, STILL)
     code = machine_code(
         go,
         inputs.timeline,

@@ -132,7 +132,8 @@ def _paper() -> World:
 
 def _over_confident() -> World:
     """Tell the filters how noisy the sensors are, but one of them another DVL; they start as unsure as the paper's."""
-    errors, dvl_errors = GRADES["fog"], DvlErrors(beam_bias_sd_mps=0.0, beam_scale_sd=0.0)
+    errors = GRADES["fog"]
+    dvl_errors = DvlErrors(beam_bias_sd_mps=0.0, beam_scale_sd=0.0)
     told = {key: getattr(errors, key) for key in InertialNoise.__struct_fields__}
     filters = {
         "baseline": _by_velocity(velocity_sd_mps=0.001, **told),

@@ -197,7 +197,8 @@ def replay_log(
     from insdvl_replay.replay import replay_log as replayed
     from insdvl_replay.results.result_files import report_of
 
-    paths, settings = _logs(log), _settings(config)
+    paths = _logs(log)
+    settings = _settings(config)
     run = partial(replayed, paths, allow_damaged=allow_damaged, name=name)
     fitted = fit_noise_of_logs(
         [paths], settings, allow_damaged=allow_damaged, must_be_described=auto

@@ -135,7 +135,8 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
 
     # Compare them with the reference and with each other.
     report_stage("judging the filters")
-    span, settings = (prepared.alignment.start_ns, prepared.end_ns), config.reference
+    span = (prepared.alignment.start_ns, prepared.end_ns)
+    settings = config.reference
     noise = ReferenceNoise(
         settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg
     )

@@ -90,7 +90,9 @@ HEADER = (
 )
 BEST_FIRST = [*Verdict]
 TOO_FEW = (Undecided.ONE_DIVE, Undecided.FEW_DIVES)
-WIDTH, ABOVE = 860, 30  # of the picture and above each plot, in pixels
+# of the picture and above each plot, in pixels
+WIDTH = 860
+ABOVE = 30
 JOBS = 2
 
 
@@ -193,10 +195,8 @@ class Cell:
     @property
     def command(self) -> str:
         """What repeats it, in the public folder."""
-        tag, allowed = (
-            "" if self.data_set == ALL else f"#{self.data_set}",
-            " --allow-code" if self.code else "",
-        )
+        tag = "" if self.data_set == ALL else f"#{self.data_set}"
+        allowed = " --allow-code" if self.code else ""
         return f"{self.variables}insdvl-replay run dives.toml{tag} -c {self.file}{allowed}"
 
     @property
@@ -226,7 +226,8 @@ def prepare(place: Place) -> None:
     """Set what the code of candidates needs, and compile the program in C++ where there is a compiler."""
     sys.path.insert(0, str(EXAMPLES))  # of the processes that replay
     os.environ.setdefault("BEAMSNET_WEIGHTS", str(place.data / "beamsnet" / "BeamsNetV2.pkl"))
-    source, program = EXAMPLES / "error_state_filter.cpp", place.build / "error_state_filter"
+    source = EXAMPLES / "error_state_filter.cpp"
+    program = place.build / "error_state_filter"
     is_new = program.is_file() and program.stat().st_mtime >= source.stat().st_mtime
     if not is_new and (compiler := shutil.which("c++")) is not None:
         place.build.mkdir(parents=True, exist_ok=True)
@@ -266,9 +267,11 @@ def replayed(data_set: str, dives: Sequence[Mapping[str, Any]], place: Place) ->
     }
     arm_m = load_config(file=place.public / dives[0]["settings"]).dvl.lever_arm_m
     os.environ["BEAMSNET_ARM_M"] = ",".join(f"{length:.3f}" for length in arm_m)
-    jobs, owners = list[ReplayJob](), list[tuple[Cell, str]]()
+    jobs = list[ReplayJob]()
+    owners = list[tuple[Cell, str]]()
     for dive in dives:
-        name, settings = dive["tags"][1], place.public / dive["settings"]
+        name = dive["tags"][1]
+        settings = place.public / dive["settings"]
         for candidate, cell in cells.items():
             try:
                 if isinstance(log := place.logs[name], UserError):
@@ -382,9 +385,11 @@ def checks(cells: Mapping[str, Sequence[Cell]]) -> str:
     """Say how the planted candidates came out: first is only what is better, last only what is worse."""
     parts = []
     for name, ranked in cells.items():
-        known, rows = [cell.candidate for cell in ranked if cell.rows], list[tuple[str, ...]]()
+        known = [cell.candidate for cell in ranked if cell.rows]
+        rows = list[tuple[str, ...]]()
         for cell in (cell for cell in ranked if cell.candidate in WORDS["planted"]):
-            is_first, is_last = cell.candidate in known[:1], cell.candidate in known[-1:]
+            is_first = cell.candidate in known[:1]
+            is_last = cell.candidate in known[-1:]
             place = (
                 ", first"
                 if is_first and cell.verdict in GOOD
@@ -456,13 +461,14 @@ def quote(cells: Mapping[str, Sequence[Cell]]) -> str:
 
 def picture(cells: Mapping[str, Sequence[Cell]]) -> bytes:
     """Draw a forest plot over all dives, and one for each data set with evidence."""
-    drawn, top = list[str](), 0
+    drawn = list[str]()
+    top = 0
     for name, ranked in cells.items():
         rows = []
         for cell in (cell for cell in ranked if cell.rows):
-            row, text = (
-                cell.rows[0],
-                f"{ratio_text(cell.rows[0].ratio)} {cell.verdict}, {label(cell.rows[0].quantity)}",
+            row = cell.rows[0]
+            text = (
+                f"{ratio_text(cell.rows[0].ratio)} {cell.verdict}, {label(cell.rows[0].quantity)}"
             )
             rows.append(
                 ForestRow(cell.candidate, row.ratio, interval_ends(row), cell.verdict, text)
@@ -480,7 +486,8 @@ def picture(cells: Mapping[str, Sequence[Cell]]) -> bytes:
 
 def main(candidates: str = "*") -> None:
     """Write the page, its picture and the quotes; of one candidate, or where dives are missing, print the rows."""
-    place, page = Place(candidates=candidates), PAGE.read_text("utf-8")
+    place = Place(candidates=candidates)
+    page = PAGE.read_text("utf-8")
     prepare(place)
     try:
         cells = build(place)

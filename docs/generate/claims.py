@@ -47,7 +47,8 @@ def straight_claims(replay: Replay) -> Iterator[Claim]:
     place = "straight line"
     improvement = by_state(frame(replay.tables.improvement), "aided")["improvement_pct"]
     reached = by_state(frame(replay.tables.convergence), "aided")
-    baseline, aided = named(replay.histories, "baseline"), named(replay.histories, "aided")
+    baseline = named(replay.histories, "baseline")
+    aided = named(replay.histories, "aided")
 
     velocity = improvement[["dv_n", "dv_e", "dv_d"]]
     yield judged(
@@ -133,8 +134,10 @@ def straight_claims(replay: Replay) -> Iterator[Claim]:
 def eight_claims(eight: Replay, straight: Replay) -> Iterator[Claim]:
     """Check what is said of the figure-eight."""
     place = "figure-eight"
-    aided, of_straight = named(eight.histories, "aided"), named(straight.histories, "aided")
-    before, after = sd_at(aided, "ba_x", 99.0), sd_at(aided, "ba_x", 130.0)
+    aided = named(eight.histories, "aided")
+    of_straight = named(straight.histories, "aided")
+    before = sd_at(aided, "ba_x", 99.0)
+    after = sd_at(aided, "ba_x", 130.0)
     yield judged(
         place,
         "the turn after 100 s makes the horizontal accelerometer biases known",
@@ -183,8 +186,10 @@ def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: Result) -> Iterator
         f"within a fifth of their sigma at 300 s after {settled_s:.1f} s",
         settled_s <= 10.0,
     )
-    level, heading = ensemble_sd(aided, "phi_n", 295.0), ensemble_sd(aided, "phi_d", 295.0)
-    level_0, heading_0 = ensemble_sd(aided, "phi_n", 0.0), ensemble_sd(aided, "phi_d", 0.0)
+    level = ensemble_sd(aided, "phi_n", 295.0)
+    heading = ensemble_sd(aided, "phi_d", 295.0)
+    level_0 = ensemble_sd(aided, "phi_n", 0.0)
+    heading_0 = ensemble_sd(aided, "phi_d", 0.0)
     yield judged(
         place,
         "on the first leg levelling gets slightly better, heading worse",
@@ -198,7 +203,8 @@ def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: Result) -> Iterator
         f"phi_n {turned:.2f} mrad at 360 s",
         turned < 0.5 * level,
     )
-    turned, end = ensemble_sd(aided, "phi_d", 360.0), ensemble_sd(aided, "phi_d", np.inf)
+    turned = ensemble_sd(aided, "phi_d", 360.0)
+    end = ensemble_sd(aided, "phi_d", np.inf)
     yield judged(
         place,
         "after it the heading error is gradually reduced",
@@ -244,7 +250,8 @@ def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: Result) -> Iterator
 
 def window_claims(study: Result) -> Iterator[Claim]:
     """Check how many velocities make the best acceleration, on all dives together."""
-    windows, best = study.tables["window"], study.tables["best"]
+    windows = study.tables["window"]
+    best = study.tables["best"]
     rows = windows[(windows["log"] == "*") & (windows["lever_arm"] == "compensated")]
     optimum = best[(best["log"] == "*") & (best["lever_arm"] == "compensated")].set_index("at")
     for at, where in (

@@ -18,7 +18,8 @@ PAGES = {
     "page_of_a_dive": (["sample_logs/figure_eight.mcap"], "figure_eight/report.html"),
     "page_of_dives": (["examples/archive/dives"], "index.html"),
 }
-WIDTH_PX, HEIGHT_PX = 1366, 640
+WIDTH_PX = 1366
+HEIGHT_PX = 640
 
 
 def main() -> None:

@@ -96,13 +96,15 @@ def sigmas(found: Compared) -> str:
     rows = [
         _sigma_row(row, found.improvement.loc[str(state)]) for state, row in course.rows.iterrows()
     ]
-    there, here = course.mean_improvement_pct, found.mean_improvement_pct
+    there = course.mean_improvement_pct
+    here = found.mean_improvement_pct
     rows.append(("**mean**", *[""] * 7, percent(there), percent(here), agrees(there, here)))
     return markdown_table(header, rows)
 
 
 def _sigma_row(published: pd.Series, ours: pd.Series) -> tuple[str, ...]:
-    improvement_there, improvement_here = published["improvement_pct"], ours["improvement_pct"]
+    improvement_there = published["improvement_pct"]
+    improvement_here = ours["improvement_pct"]
     return (
         str(published.name),
         str(published["unit"]),
@@ -130,14 +132,16 @@ def times(found: Compared) -> str:
     rows = [
         _time_row(row, found.convergence.loc[str(state)]) for state, row in course.rows.iterrows()
     ]
-    there, here = course.mean_convergence_pct, found.mean_nearest_pct
+    there = course.mean_convergence_pct
+    here = found.mean_nearest_pct
     means = percent(there), percent(here), "", percent(found.mean_crossing_pct)
     rows.append(("**mean**", "", "", agrees(there, here), *means))
     return markdown_table(header, rows)
 
 
 def _time_row(published: pd.Series, ours: pd.Series) -> tuple[str, ...]:
-    there_s, nearest_s = published["reached_s"], ours["nearest_approach_s"]
+    there_s = published["reached_s"]
+    nearest_s = ours["nearest_approach_s"]
     is_reached = ours["status"] == "reached"
     return (
         str(published.name),
@@ -238,7 +242,8 @@ def contradictions(straight: Compared, eight: Compared) -> str:
 
 def _contradictions(straight: Compared, eight: Compared) -> Iterator[tuple[str, str, str]]:
     text = read_facts()["text"]
-    eights, lines = eight.course.rows, straight.course.rows
+    eights = eight.course.rows
+    lines = straight.course.rows
     accel = ("ba_x", "ba_y", "ba_z")
     low, high = text["accel_bias_pct"]
     yield (

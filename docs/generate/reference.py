@@ -83,10 +83,12 @@ def configuration() -> str:
 
 
 def _section(name: str, section: Mapping[str, Any], known: Mapping[str, Any]) -> Iterator[str]:
-    rows, below = [], []
+    rows = []
+    below = []
     for key, found in section["properties"].items():
         path = f"{name}.{key}".strip(".")
-        inner, named = _reference(found), _reference(found.get("additionalProperties", {}))
+        inner = _reference(found)
+        named = _reference(found.get("additionalProperties", {}))
         if "properties" in known.get(inner or named, {}):
             below.append((path if inner else f"{path}.{NAME}", known[inner or named]))
         else:

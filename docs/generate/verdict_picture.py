@@ -7,9 +7,16 @@ from html import escape
 from insdvl_replay.evaluation.interval import BAND, log_ratio_interval, word_of_interval
 from insdvl_replay.evaluation.sentences import ratio_text
 
-WIDTH, HEIGHT, ROW, TOP = 720, 236, 34, 40
-LEFT, RIGHT, TEXT = 190, 520, 540  # of the axis, and where texts begin
-LOWEST, HIGHEST = 0.6, 1.6
+WIDTH = 720
+HEIGHT = 236
+ROW = 34
+TOP = 40
+# of the axis, and where texts begin
+LEFT = 190
+RIGHT = 520
+TEXT = 540
+LOWEST = 0.6
+HIGHEST = 1.6
 DIVES = {
     "smaller on all dives": (0.78, 0.82, 0.75, 0.80, 0.84),
     "larger on all dives": (1.22, 1.31, 1.18, 1.26, 1.20),
@@ -54,7 +61,8 @@ def _row(middle: float, name: str, ratios: Sequence[float]) -> list[str]:
     interval = log_ratio_interval([math.log(ratio) for ratio in ratios])
     word = word_of_interval(interval.low, interval.high)
     colour = COLOURS[word]
-    low, high = max(interval.low, LOWEST), min(interval.high, HIGHEST)
+    low = max(interval.low, LOWEST)
+    high = min(interval.high, HIGHEST)
     said = f"{word.upper()}  {ratio_text(interval.ratio)} ({ratio_text(interval.low)} .. {ratio_text(interval.high)})"
     dots = [
         f'<circle cx="{across(ratio):.1f}" cy="{middle + 8}" r="2" fill="#9ca3af"/>'

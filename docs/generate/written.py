@@ -23,7 +23,8 @@ def renewed(page: str, parts: Mapping[str, Callable[[], str]], command: str) -> 
     str
     """
     for name, part in parts.items():
-        begin, end = f"<!-- {name}: written by {command} -->\n", f"<!-- end of {name} -->"
+        begin = f"<!-- {name}: written by {command} -->\n"
+        end = f"<!-- end of {name} -->"
         head, rest = page.split(begin)
         _, tail = rest.split(end)
         page = f"{head}{begin}{part()}\n{end}{tail}"

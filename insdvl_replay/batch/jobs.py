@@ -123,17 +123,18 @@ def plan_jobs(
 ) -> list[ReplayJob]:
     """Name each dive's result folder, below the output; two dives that would share a name are a ConfigError."""
     logs = [tuple(dive.path for dive in dives)] if one_dive else [(dive.path,) for dive in dives]
-    firsts, givers = [first for first, *_ in logs], [dive.name_giver for dive in dives]
-    files, errors = [dive.settings for dive in dives], [dive.error for dive in dives]
+    firsts = [first for first, *_ in logs]
+    givers = [dive.name_giver for dive in dives]
+    files = [dive.settings for dive in dives]
+    errors = [dive.error for dive in dives]
     vehicles = [dive.vehicle for dive in dives]
     if one_dive and len(dives) > 1:
         from insdvl_replay.logs import name_giver  # heavy
 
-        firsts, givers = [name_giver(logs[0])], [name_giver(givers)]
-        files, errors = (
-            [shared_settings(dives, "--one-dive")],
-            [next((error for error in errors if error), None)],
-        )
+        firsts = [name_giver(logs[0])]
+        givers = [name_giver(givers)]
+        files = [shared_settings(dives, "--one-dive")]
+        errors = [next((error for error in errors if error), None)]
         vehicles = [next(filter(None, vehicles), "")]
     own: dict[Path | None, ReplayOptions] = {
         file: replace(options, config=config, require_fit=False, blocked_by="")
@@ -160,7 +161,8 @@ def plan_both_sides(
     one_dive: bool = False,
 ) -> tuple[tuple[Path, list[ReplayJob]], tuple[Path, list[ReplayJob]]]:
     """Plan the replays before and after a change of settings, each side in its folder below the output."""
-    old, new = output / "before", output / "after"
+    old = output / "before"
+    new = output / "after"
     return (
         (old, plan_jobs(dives, old, options[0], configs[0], one_dive=one_dive)),
         (new, plan_jobs(dives, new, options[1], configs[1], one_dive=one_dive)),
@@ -222,10 +224,8 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
             if options.history_format
             else set()
         )
-        config, codes = (
-            _settings_before_the_fit(report.config, report.notes),
-            {note.code for note in report.notes},
-        )
+        config = _settings_before_the_fit(report.config, report.notes)
+        codes = {note.code for note in report.notes}
         same = (
             (report.tool.version, report.tool.sources) == (options.version, options.sources)
             and report.versions == package_versions()
@@ -418,7 +418,8 @@ def replay_into(job: ReplayJob) -> bytes:
     A worker may die after it wrote the folder and before its answer arrives. The same result there is the answer.
     """
     options = job.options
-    wanted, here = f"{options.version} ({options.sources})", f"{__version__} ({sources_digest()})"
+    wanted = f"{options.version} ({options.sources})"
+    here = f"{__version__} ({sources_digest()})"
     if wanted != here:
         raise ConfigError(
             f"{job.name}: asked for by insdvl-replay {wanted}, but the worker has {here}",
@@ -442,7 +443,8 @@ def replay_into(job: ReplayJob) -> bytes:
         from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
 
         run = replay_with_tuned_baseline
-    started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
+    started_at = datetime.now(UTC).isoformat(timespec="seconds")
+    start_s = time.perf_counter()
     replay = run(job.logs, job.config, allow_damaged=options.allow_damaged, name=job.target.name)
     if options.assay:
         replay = _with_assay(job, replay)

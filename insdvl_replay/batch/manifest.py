@@ -74,7 +74,8 @@ def manifest_dives(file: Path, tag: str = "") -> list[FoundDive]:
 
 
 def _found(dive: ManifestDive, file: Path) -> FoundDive:
-    sha256, settings = dive.sha256.lower(), file.parent / dive.settings if dive.settings else None
+    sha256 = dive.sha256.lower()
+    settings = file.parent / dive.settings if dive.settings else None
     if dive.url:
         with error_context(file):
             return replace(dive_of_url(dive.url, sha256, settings), vehicle=dive.vehicle)
@@ -88,7 +89,8 @@ def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[Fo
 
     A server that stalled is not asked for other dives.
     """
-    stopped, stalled = Event(), set[str]()
+    stopped = Event()
+    stalled = set[str]()
 
     def had(dive: FoundDive) -> FoundDive:
         host = urlsplit(dive.url).netloc

@@ -39,7 +39,8 @@ GEOMETRY_FIRST: Final = (
 FIT_S = 1800.0
 """The fit reads this much of a dive from its first ping on, which on the way down of a deep one may be long in coming;
 noise does not change so much that more would say more."""
-LOWEST, HIGHEST = 1e-3, 1e3
+LOWEST = 1e-3
+HIGHEST = 1e3
 """Factors of the baseline's noise between which the fit looks."""
 STARTS: Final = tuple(product((1.0, 0.1, 0.01), (1.0, 10.0, 100.0), (1.0, 0.3)))
 """Factors of which the likeliest is the start: innovations can have several likely causes, a quiet DVL on a restless

@@ -62,12 +62,17 @@ def do_each(
         for place, item in enumerate(items):
             yield place, _outcome(partial(work, item))
         return
-    waiting, suspects, alone = deque(range(len(items))), list[int](), False
+    waiting = deque(range(len(items)))
+    suspects = list[int]()
+    alone = False
     while waiting or suspects:
         if not waiting:
-            waiting, suspects, alone = deque(suspects), [], True
+            waiting = deque(suspects)
+            suspects = []
+            alone = True
         with pool(alone) as (submit, in_flight, is_idle):  # fresh workers after every loss
-            running, broken = dict[Future[Result], int](), False
+            running = dict[Future[Result], int]()
+            broken = False
             while running or (waiting and not broken):
                 while waiting and not broken and len(running) < in_flight:
                     place = waiting.popleft()
@@ -88,7 +93,8 @@ def do_each(
                     for future in running:
                         future.cancel()
                 for future in [future for future in running if future.cancelled()] or first().done:
-                    place, outcome = running.pop(future), _outcome(future.result)
+                    place = running.pop(future)
+                    outcome = _outcome(future.result)
                     lost = isinstance(outcome, WorkerLostError)
                     broken = broken or lost
                     if lost and not alone:
@@ -128,7 +134,8 @@ def local_pool(jobs: int, *, runs_code: bool = False) -> Pool | None:
 @contextmanager
 def _processes(jobs: int, alone: bool) -> Iterator[tuple[Submit, int, Callable[[], bool]]]:
     """Start processes; an exception, an interruption included, ends them with what they do."""
-    context, safe_path = multiprocessing.get_context("spawn"), os.environ.get(_SAFE_PATH)
+    context = multiprocessing.get_context("spawn")
+    safe_path = os.environ.get(_SAFE_PATH)
     with _safe_start():  # a pool starts a process that keeps track of its semaphores
         executor = ProcessPoolExecutor(1 if alone else jobs, context, _begin, (safe_path,))
     before = set(multiprocessing.active_children())

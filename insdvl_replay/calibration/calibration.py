@@ -350,7 +350,8 @@ def held_out_row(
     windows_s: Sequence[str] = OUTAGES_S,
 ) -> HeldOutRow:
     """Return the row of a held-out dive: NIS and drift before and after a change, (8,), and NIS with a new noise."""
-    asked, alone = read.innovations(), read.alone
+    asked = read.innovations()
+    alone = read.alone
     prepared = prepare_with_heading(read.dive, alone)
     nis: list[float] = []
     outages = []

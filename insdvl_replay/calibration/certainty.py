@@ -66,7 +66,8 @@ def certainty_of(
 
     Without these two, the sensors are taken as perfect.
     """
-    mean_of, inner = _means(fit), with_imu_errors or fit
+    mean_of = _means(fit)
+    inner = with_imu_errors or fit
     formal = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, inner.cov, mean_of))
     # The prior is one separate measurement, without correlation.
     moved = mean_of @ inner.moved_by_scores
@@ -209,10 +210,13 @@ def noise_share(found: Fit, dives: Sequence[DiveInnovations]) -> Floats:
     """
     shares = np.zeros((len(dives), OWN))
     for i, (dive, near) in enumerate(zip(dives, found.dives, strict=True)):
-        imu, noise, rng = dive.dive.imu, dive.filter.inertial_noise, np.random.default_rng(SEED)
+        imu = dive.dive.imu
+        noise = dive.filter.inertial_noise
+        rng = np.random.default_rng(SEED)
         # The noise is common to all dives; the scatter of the innovations shows a noisier one.
         times = max(1.0, float(np.sqrt(np.mean(near.scatter**2))))
-        root_s, shape = np.sqrt(imu.usual_step_s), imu.specific_force_b.shape
+        root_s = np.sqrt(imu.usual_step_s)
+        shape = imu.specific_force_b.shape
         shown = HIDDEN * readings_scatter(imu.angular_rate_b, imu.usual_step_s)
         accel_mps2 = times * noise.accel_white_mps_rts / root_s
         gyro_radps = min(times * noise.gyro_white_rad_rts, shown) / root_s
@@ -234,7 +238,8 @@ def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations], noise_shares
     """Move the fit from the smallest innovations to those that are not correlated with the vehicle's motion."""
     near_by_motion = []
     for i, (dive, near) in enumerate(zip(dives, smallest.dives, strict=True)):
-        imu, noisy = dive.dive.imu, noise_shares[i] > LITTLE
+        imu = dive.dive.imu
+        noisy = noise_shares[i] > LITTLE
         slow = (
             averaged(readings, imu.usual_step_s)
             for readings in (imu.specific_force_b, imu.angular_rate_b)
@@ -304,11 +309,9 @@ def effects_of_errors(fit: Fit, dives: Sequence[DiveInnovations]) -> list[Floats
 
 def _with_errors(dive: DiveInnovations) -> Iterator[DiveInnovations]:
     """Return the dive with one error after the other, each of `STEP` standard deviations."""
-    mat_bd, beams, velocities = (
-        dive.prepared.mounting.mat_bd,
-        beam_vectors(),
-        dive.prepared.velocities,
-    )
+    mat_bd = dive.prepared.mounting.mat_bd
+    beams = beam_vectors()
+    velocities = dive.prepared.velocities
     seen_mps = velocities.velocity_b @ mat_bd @ beams.T
     per_beam_b = mat_bd @ np.linalg.pinv(beams)
     for errors_mps in (np.full_like(seen_mps, OFFSET_SD_MPS), STRETCH_SD * seen_mps):

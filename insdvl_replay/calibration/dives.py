@@ -71,7 +71,8 @@ def calibrate_dives(
 ) -> CalibratedDives:
     """Calibrate dives, and test the result on those that are held out."""
     kept, held = _divided(dives, hold_out)
-    known, mountings = Geometry.of(config.dvl), len(possible_axes(kept[0].dive.dvl))
+    known = Geometry.of(config.dvl)
+    mountings = len(possible_axes(kept[0].dive.dvl))
     if mounting_unknown:
         config = with_mounting(config, likeliest_mounting(kept))
         kept, held = ([dive.with_config(config) for dive in some] for some in (kept, held))

@@ -50,7 +50,8 @@ SD_OF_DEVIATION: Final = (
 DELAY_STEP_S: Final = 0.05
 MOST_ROUNDS: Final = 12
 SETTLED: Final = 0.05  # a step below this number of standard deviations is the last
-STEEPER, FLATTER = 10.0, 0.1
+STEEPER = 10.0
+FLATTER = 0.1
 LARGEST_DAMPING: Final = 1e6
 OWN: Final = len(NAMES)
 SHARED_ROWS: Final = np.array([i for i in range(OWN) if i != DELAY])
@@ -104,7 +105,8 @@ class Fit:
 
     def alone(self, dive: int) -> "Fit":
         """Return the fit of one dive alone."""
-        rows, own = self.rows[dive], np.arange(len(self.rows[dive]))
+        rows = self.rows[dive]
+        own = np.arange(len(self.rows[dive]))
         return Fit(
             (own,), self.prior_sd[rows], self.is_free[rows], self.values[rows], (self.dives[dive],)
         )
@@ -198,7 +200,9 @@ def fit(
         for i in range(len(dives))
     )
     parameters = np.append(SHARED_ROWS, np.full(1 if one_delay else len(dives), DELAY))
-    prior_sd, is_free, delays = PRIOR_SD[parameters], free[parameters], slice(OWN - 1, None)
+    prior_sd = PRIOR_SD[parameters]
+    is_free = free[parameters]
+    delays = slice(OWN - 1, None)
     # Begin at the best delay of a coarse grid, to avoid a local minimum.
     values = np.zeros(len(parameters)) if start is None else np.where(is_free, start, 0.0)
     if start is None and free[DELAY]:
@@ -233,9 +237,11 @@ def fit(
     def cost(values: Floats, scaled: Iterable[Floats]) -> float:
         return float(sum(map(robust_cost, scaled)) + np.sum((values / prior_sd) ** 2))
 
-    damping, found = 1e-3, linearised(values, residuals_at(values))
+    damping = 1e-3
+    found = linearised(values, residuals_at(values))
     for _ in track_progress("fitting the innovations", range(MOST_ROUNDS)):
-        information, gradient = found.information, found.gradient
+        information = found.information
+        gradient = found.gradient
         before = cost(found.values, (near.scaled for near in found.dives))
         while damping < LARGEST_DAMPING:
             step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
@@ -253,7 +259,8 @@ def fit(
         else:
             return found
         damping *= FLATTER
-        step, sds = values - found.values, np.sqrt(np.diag(np.linalg.inv(information)))
+        step = values - found.values
+        sds = np.sqrt(np.diag(np.linalg.inv(information)))
         if np.max(np.abs(step) / sds) < settled:
             # So close, the derivatives are the same.
             scatters = [scatter_of(left) for left in residuals]

@@ -29,7 +29,9 @@ MOST_DIVES: Final = 5  # dives from which noise, and all settings of unknown log
 LONGEST_S: Final = 2400.0  # of a dive, from which geometry and noise are fitted
 FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
 MOST_ROUNDS: Final = 4  # in which the noise is scaled
-WELL_ABOVE, WELL_BELOW = 0.6, 1.7  # mean NIS/dof outside which the noise of the DVL is changed
+# mean NIS/dof outside which the noise of the DVL is changed
+WELL_ABOVE = 0.6
+WELL_BELOW = 1.7
 FITTED_NOTE: Final = "found_noise"
 TO_SET: Final = "to set it: [noise] with dvl.velocity_sd_mps, or --preset"
 
@@ -158,7 +160,8 @@ def with_biases_of_class(config: Config, given: Given, preset: str) -> tuple[Con
 
 
 def _span_s(dive: ReadDive) -> tuple[float, float]:
-    span, time_ns = dive.config.span, dive.dive.imu.time_ns
+    span = dive.config.span
+    time_ns = dive.dive.imu.time_ns
     length_s = float(time_ns[-1] - time_ns[0]) / NS_PER_S
     return span.start_s or 0.0, min(span.end_s or np.inf, length_s)
 
@@ -210,7 +213,8 @@ def levelled_to_dives(
                     tried = with_values(tried, section, **{name: value})
             if WELL_ABOVE < size < WELL_BELOW or tried == config:
                 break
-            config, size = tried, size_with(tried)
+            config = tried
+            size = size_with(tried)
         return config, size
 
     config, size = scaled(config, size_with(config), ("dvl", key))

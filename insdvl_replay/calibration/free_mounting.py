@@ -111,7 +111,8 @@ class Quadratic:
 
     def descended(self, mat: Floats) -> Floats:
         """Return the rotation of least cost near one to start from, (3, 3)."""
-        cost, damping = self.cost(mat), 1e-3
+        cost = self.cost(mat)
+        damping = 1e-3
         for _ in range(MOST_STEPS):
             elements = self.scale(mat) * mat
             moved = np.einsum("aij,jk->ika", _GENERATORS, elements).reshape(9, 3)
@@ -128,7 +129,9 @@ class Quadratic:
             if tried_cost > cost:
                 damping *= 10.0
                 continue
-            mat, cost, damping = tried, tried_cost, max(0.1 * damping, 1e-9)
+            mat = tried
+            cost = tried_cost
+            damping = max(0.1 * damping, 1e-9)
             if np.linalg.norm(step) < SETTLED_RAD:
                 break
         return mat
@@ -188,7 +191,8 @@ class FreeMounting:
 
         The fit begins near a rotation. Arm, biases and scale are those of the other windows, too.
         """
-        by_fit, by_other = 0.0, 0.0
+        by_fit = 0.0
+        by_other = 0.0
         count = len(self.windows.squares)
         for window in range(count):
             total = self.windows.total(np.arange(count) != window)
@@ -244,7 +248,8 @@ class _Integrals:
         rows = np.arange(count)[:, None] * length + np.arange(length + 1)
         times_s = imu_s[rows]
         steps_s = np.diff(times_s, axis=1)[:, :, None]
-        force, rate = imu.specific_force_b[rows], imu.angular_rate_b[rows]
+        force = imu.specific_force_b[rows]
+        rate = imu.angular_rate_b[rows]
         turns = mat_from_vector(0.5 * (rate[:, 1:] + rate[:, :-1]) * steps_s)
         attitude = np.empty((*rows.shape, 3, 3))
         attitude[:, 0] = np.eye(3)
@@ -277,7 +282,9 @@ class _Integrals:
 
     def _equations(self, window: int, at_s: Floats, velocity_d: Floats) -> Floats:
         """Return the equations of one window, (3 pings, 19), without its own unknowns."""
-        times_s, attitude, summed = self.times_s[window], self.attitude[window], self.summed[window]
+        times_s = self.times_s[window]
+        attitude = self.attitude[window]
+        summed = self.summed[window]
         after = np.clip(np.searchsorted(times_s, at_s), 1, len(times_s) - 1)
         before = after - 1
         share = ((at_s - times_s[before]) / (times_s[after] - times_s[before]))[:, None]
@@ -312,7 +319,8 @@ def free_mounting(
     The IMU is thinned; the starts are rotations that are tried first, such as the quarter turns.
     """
     good = np.isfinite(velocity_d).all(axis=1)
-    ping_ns, velocity_d = ping_ns[good], velocity_d[good]
+    ping_ns = ping_ns[good]
+    velocity_d = velocity_d[good]
     integrals = _Integrals.of(imu)
     if integrals is None:
         return None

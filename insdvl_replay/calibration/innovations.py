@@ -94,17 +94,21 @@ NOISE: Final = "noise"
 ALL_GROUPS: Final = ("arm", "mounting", "delay", "scale", NOISE)
 REFERENCE_GROUPS: Final = (*ALL_GROUPS, "reference_arm", "reference_mounting", "reference_clock")
 DELAY, SCALE, HEADING = (NAMES.index(name) for name in ("delay", "scale", "mounting_z"))
-MOUNTING, ARM = slice(1, 4), slice(4, 7)
+MOUNTING = slice(1, 4)
+ARM = slice(4, 7)
 CLOCK: Final = len(PARAMETERS)
-REFERENCE_MOUNTING, REFERENCE_ARM = slice(CLOCK + 1, CLOCK + 4), slice(CLOCK + 4, CLOCK + 7)
+REFERENCE_MOUNTING = slice(CLOCK + 1, CLOCK + 4)
+REFERENCE_ARM = slice(CLOCK + 4, CLOCK + 7)
 SHARED_SD: Final = np.array([parameter.prior_sd for parameter in SHARED])
 SHARED_STEPS: Final = np.array([parameter.step for parameter in SHARED])
-PRIOR_SD, STEPS = SHARED_SD[:CLOCK], SHARED_STEPS[:CLOCK]
+PRIOR_SD = SHARED_SD[:CLOCK]
+STEPS = SHARED_STEPS[:CLOCK]
 
 
 def moved_pings(velocities: DvlVelocities, change: Floats) -> DvlVelocities:
     """Return the pings for a changed geometry of the DVL."""
-    turn_b, scale = mat_from_vector(change[MOUNTING]), np.exp(change[SCALE])
+    turn_b = mat_from_vector(change[MOUNTING])
+    scale = np.exp(change[SCALE])
     return replace(
         velocities,
         time_ns=velocities.time_ns - nanoseconds(float(change[DELAY])),
@@ -269,7 +273,8 @@ class DiveInnovations:
     def gated(self) -> ResolvedFilter:
         """The filter with the configured gate."""
         configured = self.prepared.filters[0]
-        probability, reopen_after = configured.gate_probability, configured.gate_reopen_after
+        probability = configured.gate_probability
+        reopen_after = configured.gate_reopen_after
         return replace(self.filter, gate_probability=probability, gate_reopen_after=reopen_after)
 
     def moved(self, change: Floats) -> tuple[Prepared, Timeline]:
@@ -284,11 +289,9 @@ class DiveInnovations:
         moved = replace(
             self.prepared, velocities=pings, mounting=moved_mounting(self.prepared.mounting, change)
         )
-        start_ns, end_ns, gaps = (
-            self.prepared.alignment.start_ns,
-            self.prepared.end_ns,
-            self.prepared.gaps,
-        )
+        start_ns = self.prepared.alignment.start_ns
+        end_ns = self.prepared.end_ns
+        gaps = self.prepared.gaps
         return moved, build_timeline(
             self.dive.imu, pings.time_ns, np.empty(0, np.int64), start_ns, end_ns, gaps
         )
@@ -320,7 +323,8 @@ def central_differences(
     shape: tuple[int, ...],
 ) -> Floats:
     """Differentiate a function by its n arguments, (*shape, n); 0 for held ones."""
-    chosen, columns = np.flatnonzero(free), np.zeros((*shape, len(at)))
+    chosen = np.flatnonzero(free)
+    columns = np.zeros((*shape, len(at)))
     tried = [at + sign * steps[i] * np.eye(len(at))[i] for i in chosen for sign in (1.0, -1.0)]
     found = list(parallel_map(function, tried))
     for i, after, before in zip(chosen, found[::2], found[1::2], strict=True):

@@ -119,7 +119,8 @@ def noise_row(
     fitted: FittedNoise, key: str, status: Estimated, why: str = "", sd: float | None = None
 ) -> NoiseRow:
     """Return the row of one noise; the sd is None if the innovations do not bound it."""
-    before, after = fitted.before[key], fitted.after[key]
+    before = fitted.before[key]
+    after = fitted.after[key]
     return NoiseRow(
         key,
         UNITS[key],
@@ -247,7 +248,8 @@ def relative_sds(
     search = _Search.of(fitted.after, dives, changes)
     steps = [sign * SCORE_STEP * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
     stepped = [search.innovations(search.noise(step)) for step in steps]
-    information, scatter = RIDGE * np.eye(3), np.zeros((3, 3))
+    information = RIDGE * np.eye(3)
+    scatter = np.zeros((3, 3))
     for i in range(len(dives)):
         costs = np.array([_costs(innovations[i]) for innovations in stepped])
         scores = (costs[1::2] - costs[::2]).T / (4.0 * SCORE_STEP)

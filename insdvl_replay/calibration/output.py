@@ -74,7 +74,8 @@ def calibration_result(
     verbose: bool = False,
 ) -> Result:
     """Return the answer, estimates, tables and warnings."""
-    answer, reference = answer_of(found), found.reference
+    answer = answer_of(found)
+    reference = found.reference
     names = [LABELS[row.parameter] for row in found.estimated] + ["noise"] * found.proposes_noise
     estimated = f"Estimated: {', '.join(names)}." if names else NOT_ESTIMATED
     reasons = [*_reasons(found), *map(Remark, found.warnings)]
@@ -207,16 +208,15 @@ def _parameter_table(title: str, rows: Sequence[ParameterRow]) -> DisplayTable:
 def _change(row: ParameterRow) -> str:
     if row.status == Estimated.HELD or row.change is None:
         return Estimated.HELD
-    sign, mark = (
-        "-" if row.change < 0.0 else "+",
-        "?" if row.status == Estimated.IMPLAUSIBLE else "",
-    )
+    sign = "-" if row.change < 0.0 else "+"
+    mark = "?" if row.status == Estimated.IMPLAUSIBLE else ""
     return f"{sign}{number(abs(row.change))}{mark}"
 
 
 def _correlation_table(found: Calibration) -> DisplayTable:
     """Return the correlations of the fitted parameters, each pair once."""
-    free, matrix = np.flatnonzero(found.fit.free), correlation_matrix(found.fit)
+    free = np.flatnonzero(found.fit.free)
+    matrix = correlation_matrix(found.fit)
     names = [PARAMETERS[row].label for row in free]
     rows = [
         (names[i], *(f"{matrix[row, column]:+.2f}" if column < row else "" for column in free[:-1]))
@@ -296,7 +296,8 @@ def _geometry_lines(
 ) -> Iterator[str]:
     for key in Geometry.__struct_fields__:
         own = [row for row in rows if _KEYS[row.parameter] == key]
-        old, new = getattr(before, key), getattr(after, key)
+        old = getattr(before, key)
+        new = getattr(after, key)
         if old == new and all(row.status == Estimated.NOT_ASKED for row in own):
             continue
         yield from (f"# {_comment(row)}" for row in own)
@@ -335,7 +336,8 @@ def _noise_lines(row: NoiseRow) -> Iterator[str]:
 # --- The pictures.
 
 DRAWN: Final = 6  # number of dives that are drawn; the tables list all of them
-BEFORE, AFTER = filter_style(1), filter_style(0)
+BEFORE = filter_style(1)
+AFTER = filter_style(0)
 _LEGEND: Final = ((BEFORE, "before"), (AFTER, "after"))
 _PROFILE_S: Final = np.linspace(-LATEST_S, LATEST_S, 17)
 _SHARE: Final = 0.995  # share of the innovations inside a panel, without outliers
@@ -348,7 +350,8 @@ _PLACES: Final = "dive, in the order of the table"
 
 def calibration_figures(found: Calibration, dives: Sequence[DiveInnovations]) -> tuple[Figure, ...]:
     """Draw innovations before and after, the cost of a delay, the scatter between dives, and drift in outages."""
-    figures, profiles = [], []
+    figures = []
+    profiles = []
     for i, dive in enumerate(found.noise.applied(dive) for dive in dives[:DRAWN]):
         change = found.change_of_dive(i)
         clock = Clock(dive.prepared.alignment.start_ns, dive.prepared.end_ns)
@@ -386,19 +389,19 @@ def calibration_figures(found: Calibration, dives: Sequence[DiveInnovations]) ->
 def _between_dives(found: Calibration) -> Iterator[Figure]:
     """Draw the estimate of each dive alone; nothing for one dive."""
     own, own_sd = one_by_one(found.fit)
-    common, drawn = mean_change(found.fit), found.fit.free
+    common = mean_change(found.fit)
+    drawn = found.fit.free
     if len(own) < 2 or not drawn.any():
         return
     place = np.arange(1.0, len(own) + 1.0)
     panels = []
     for row in np.flatnonzero(drawn):
         parameter = PARAMETERS[row]
-        value, sd = parameter.shown_as * own[:, row], parameter.shown_as * own_sd[:, row]
+        value = parameter.shown_as * own[:, row]
+        sd = parameter.shown_as * own_sd[:, row]
         bars = Curve(np.repeat(place, 3), _interrupted(value - sd, value + sd), BEFORE, name="")
-        title, level = (
-            f"{parameter.label} [{parameter.unit}]",
-            parameter.shown_as * float(common[row]),
-        )
+        title = f"{parameter.label} [{parameter.unit}]"
+        level = parameter.shown_as * float(common[row])
         curves = (bars, Curve(place, value, BEFORE, points=True))
         panels.append(Panel(title, _PLACES, curves, levels=(level,), x_whole=True))
     caption = "From innovations only: the change estimated from one dive, with its formal standard deviation."

@@ -84,7 +84,10 @@ APART_S: Final = 0.5  # least time between reference rows; closer rows add nothi
 WAY_S: Final = 10.0  # between two positions: the displacement is larger than the error of a fix
 LATEST_CLOCK_S: Final = 1.0
 LOST_HEADING_SD: Final = 10.0 * DEG
-ATTITUDE, LEVEL, MOTION = 0, 1, 2  # families of rows
+# families of rows
+ATTITUDE = 0
+LEVEL = 1
+MOTION = 2
 ROUNDS: Final = 5
 # The attitude is interpolated between IMU samples, which shifts the clock by about this on all dives.
 FINEST_CLOCK_S: Final = 2e-4
@@ -132,12 +135,11 @@ class ReferenceDive:
 
     def history(self, shared: Floats) -> History:
         """Run the baseline with another DVL geometry, with rows at the delayed times of the reference."""
-        prepared, imu, change = (
-            self.asked.prepared,
-            self.asked.dive.imu,
-            self.change + shared[:CLOCK],
-        )
-        alignment, pings = prepared.alignment, moved_pings(prepared.velocities, change)
+        prepared = self.asked.prepared
+        imu = self.asked.dive.imu
+        change = self.change + shared[:CLOCK]
+        alignment = prepared.alignment
+        pings = moved_pings(prepared.velocities, change)
         timeline = build_timeline(
             imu,
             pings.time_ns,
@@ -166,7 +168,8 @@ class ReferenceDive:
         _, ours, rows = np.intersect1d(history.time_ns, theirs.time_ns, return_indices=True)
         theirs = theirs.rows(np.isin(np.arange(len(theirs.time_ns)), rows))
         time_s = seconds(theirs.time_ns, self.asked.prepared.alignment.start_ns)
-        mat_nb, parts = history.mat_nb[ours], []
+        mat_nb = history.mat_nb[ours]
+        parts = []
         if theirs.has_attitude:
             apart = vector_from_mat(np.swapaxes(theirs.mat_nb, 1, 2) @ mat_nb)
             level = np.array([[*apart[:, :2].mean(axis=0), np.nan]])
@@ -176,7 +179,8 @@ class ReferenceDive:
             ours_b = np.einsum("kji,kj->ki", mat_nb, history.velocity_n[ours])
             by_heading = np.column_stack([-ours_b[:, 1], ours_b[:, 0], np.zeros(len(ours_b))])
             their_mat_nb = theirs.mat_nb if theirs.has_attitude else mat_nb
-            at_s, apart = time_s, ours_b - np.einsum("kji,kj->ki", their_mat_nb, theirs.velocity_n)
+            at_s = time_s
+            apart = ours_b - np.einsum("kji,kj->ki", their_mat_nb, theirs.velocity_n)
         else:
             # Displacements between positions, north and east.
             known = np.flatnonzero(theirs.known["positions"])
@@ -186,7 +190,8 @@ class ReferenceDive:
                 np.column_stack(north_east_m(position[ends], origin, origin))
                 for position in (history.position[ours], theirs.position)
             )
-            moved_m, at_s = np.diff(ours_m, axis=0), (time_s[ends[1:]] + time_s[ends[:-1]]) / 2.0
+            moved_m = np.diff(ours_m, axis=0)
+            at_s = (time_s[ends[1:]] + time_s[ends[:-1]]) / 2.0
             by_heading = np.column_stack([-moved_m[:, 1], moved_m[:, 0], np.zeros(len(moved_m))])
             apart = np.column_stack(
                 [moved_m - np.diff(theirs_m, axis=0), np.full(len(moved_m), np.nan)]
@@ -233,7 +238,8 @@ class ReferenceDive:
     def information_of_pings(self) -> Floats:
         """Upper limit of the pings' information on `SHARED`; zero except for heading and scale."""
         innovations = self.asked.runner(self.change)(self.asked.filter)
-        scatter, velocity_b = scatter_of(innovations.innovation), innovations.measured
+        scatter = scatter_of(innovations.innovation)
+        velocity_b = innovations.measured
         information = np.zeros(COUNT)
         information[HEADING] = np.sum((velocity_b[:, [1, 0]] / scatter[:2]) ** 2)
         information[SCALE] = np.sum((velocity_b / scatter) ** 2)
@@ -241,10 +247,12 @@ class ReferenceDive:
 
     def linearised(self, values: Floats, free: Mask) -> tuple[Floats, Linearised]:
         """Return times, (k,), and the linearised comparison at 17 values; each axis of a family over its scatter."""
-        shared, own = values[:COUNT], values[COUNT:]
+        shared = values[:COUNT]
+        own = values[COUNT:]
         compared = self.compared(shared)
         off = compared.values - compared.own @ own
-        known, scatter = np.isfinite(off), np.ones_like(off)
+        known = np.isfinite(off)
+        scatter = np.ones_like(off)
         for family in np.unique(compared.family):
             rows = compared.family == family
             scatter[rows] = (
@@ -260,7 +268,8 @@ class ReferenceDive:
 
     def apart(self, shared: Floats) -> tuple[float, TrackFit]:
         """Return the rms difference of velocities or displacements, and the track fit."""
-        history, reference = self.history(shared), self.moved_reference(shared)
+        history = self.history(shared)
+        reference = self.moved_reference(shared)
         compared = self.compared(shared, history)
         track = filter_track_fit(reference_errors(history, reference), reference)
         return float(np.sqrt(np.nanmean(compared.values[compared.family == MOTION] ** 2))), track
@@ -352,7 +361,8 @@ def solved(fit: Fit, information: Floats) -> tuple[Floats, Floats]:
     """
     considered = np.flatnonzero(CONSIDERED)
     estimated = np.setdiff1d(np.arange(len(information)), considered)
-    cov, added = np.zeros_like(information), np.zeros(len(information))
+    cov = np.zeros_like(information)
+    added = np.zeros(len(information))
     own = np.linalg.inv(information[np.ix_(estimated, estimated)])
     cov[np.ix_(estimated, estimated)] = own
     moved = own @ information[np.ix_(estimated, considered)]
@@ -407,7 +417,8 @@ def with_reference(
     for i, (read, asked) in enumerate(zip(reads, dives, strict=True)):
         if read.as_read is not None:
             gives_start = read.config.initial.source == "reference"
-            noisy, change = found.noise.applied(asked), found.change_of_dive(i)
+            noisy = found.noise.applied(asked)
+            change = found.change_of_dive(i)
             dive = reference_dive(noisy, read.as_read, before, change, gives_start=gives_start)
             compared += [dive] if dive is not None else []
     if not compared:
@@ -427,7 +438,8 @@ def with_reference(
     by_innovations = np.concatenate([found.change, np.zeros(COUNT - CLOCK)])
     # First with all parameters, then without those that are not observable.
     first = fit_reference(compared, free, sds)
-    certainty, total = first.certainty, first.values[:COUNT] + by_innovations
+    certainty = first.certainty
+    total = first.values[:COUNT] + by_innovations
     refused = dict(_refused(certainty, total, free))
     kept = free & ~np.isin(np.arange(COUNT), list(refused))
     fit = first if (kept == free).all() else fit_reference(compared, kept, sds)
@@ -437,7 +449,8 @@ def with_reference(
     rows = tuple(parameter_rows(SHARED, certainty, proposed, total, wanted, refused))
     dive_rows = tuple(_dive_row(dive, fit) for dive in compared)
     # The reference replaces those parameters of the DVL that it determines.
-    dvl_rows, change = list(found.rows), found.change.copy()
+    dvl_rows = list(found.rows)
+    change = found.change.copy()
     for row in OF_DVL:
         if rows[row].status == Estimated.ESTIMATED:
             dvl_rows[row] = msgspec.structs.replace(rows[row], why=WAY)
@@ -521,6 +534,7 @@ def _warnings(
                 "the expected scatter"
             )
     for dive in dives:
-        left, sd = dive.track_scale_after_pct, dive.track_scale_sd_pct
+        left = dive.track_scale_after_pct
+        sd = dive.track_scale_sd_pct
         if kept[SCALE] and left is not None and sd is not None and abs(left) > PLAUSIBLE_SDS * sd:
             yield f"{dive.dive}: the track fit still has a scale error of {left:+.2f} % (sd {sd:.2f} %)"

@@ -222,7 +222,8 @@ def _paired_evidence(name: str, old: StoredResult, new: StoredResult) -> Iterato
     for cell in cells:
         pair = cell.pair
         named = column or ("rms" if pair.layout.name == "drift" else "drift_rms_m")
-        was, now = pair.old.get(named), pair.new.get(named)
+        was = pair.old.get(named)
+        now = pair.new.get(named)
         if is_number(was) and is_number(now) and cell.quantity not in done:
             done.add(cell.quantity)
             ratio = 1.0 if was == now else now / was if was > 0.0 else None
@@ -242,7 +243,8 @@ def _paired_evidence(name: str, old: StoredResult, new: StoredResult) -> Iterato
 
 def _noise_share(pair: RowPair, was: float) -> float:
     """Return the share of the reference's noise in a squared old error, of a row that has that of the baseline."""
-    share, baseline = pair.old.get("reference_noise"), pair.old.get("baseline")
+    share = pair.old.get("reference_noise")
+    baseline = pair.old.get("baseline")
     if not is_number(share) or not is_number(baseline) or was == 0.0:
         return math.nan
     return min(share * (baseline / was) ** 2, 1.0)
@@ -272,13 +274,17 @@ def _cells_alone(pairs: Sequence[RowPair], *, is_independent: bool) -> Iterator[
     for pair in pairs:
         windows = pair.new.get("windows")
         count = int(windows) if is_number(windows) else 0
-        name, kind = "", ""
+        name = ""
+        kind = ""
         if pair.layout.name == "drift" and pair.row == "position_h":
-            name, kind = "position", "track"
+            name = "position"
+            kind = "track"
         elif pair.layout.name == "drift" and pair.row in DRIFT_QUANTITIES:
-            name, kind = pair.row, "accuracy"
+            name = pair.row
+            kind = "accuracy"
         elif pair.layout.name == "outage":
-            name, kind = f"outage_{pair.row}s", "outage"
+            name = f"outage_{pair.row}s"
+            kind = "outage"
         if name:
             yield _Cell(name, kind, role_alone(name, count, independent=is_independent), pair)
 

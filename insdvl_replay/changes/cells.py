@@ -142,18 +142,20 @@ def judge_cell(
     """Return the change of a cell."""
     if not (column in pair.old and column in pair.new):
         return Moved(None, None, ChangeVerdict.NEW if column in pair.new else ChangeVerdict.GONE)
-    old, new, better = pair.old[column], pair.new[column], pair.layout.better.get(column)
-    before_dof, after_dof = pair.old.get("dof"), pair.new.get("dof")
+    old = pair.old[column]
+    new = pair.new[column]
+    better = pair.layout.better.get(column)
+    before_dof = pair.old.get("dof")
+    after_dof = pair.new.get("dof")
     if (
         pair.layout.name == "evidence"
         and pair.new.get("evidence") == CONSISTENCY
         and column in ("baseline", "value")
     ):
-        better, before_dof, after_dof = (
-            "nearer dof",
-            1.0,
-            1.0,
-        )  # NIS and NEES over their degrees of freedom
+        # NIS and NEES over their degrees of freedom
+        better = "nearer dof"
+        before_dof = 1.0
+        after_dof = 1.0
     dofs = tuple(float(dof) if is_number(dof) else math.nan for dof in (before_dof, after_dof))
     if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
         better = None
@@ -190,12 +192,14 @@ def judge_number(
         word = ChangeVerdict.WORSE if new is None else ChangeVerdict.BETTER
         return Moved(None, None, ChangeVerdict.SAME if old is new else word, better)
     before, after = (_size(value, better, dof) for value, dof in zip((old, new), dofs, strict=True))
-    digits, digits_pct = _rounding(before, after, column), 100.0 * ROUNDING
+    digits = _rounding(before, after, column)
+    digits_pct = 100.0 * ROUNDING
     change_pct: float | None = None  # from zero, and from or to an infinite size
     if before == after:
         change_pct = 0.0
     elif column.endswith(PERCENTAGE):
-        change_pct, digits_pct = after - before, digits
+        change_pct = after - before
+        digits_pct = digits
     elif before != 0.0 and math.isfinite(before) and math.isfinite(after):
         change_pct = 100.0 * (after - before) / abs(before)
     is_same = before == after
@@ -286,7 +290,8 @@ _MOST_LETTERS: Final = 30  # of a setting in a sentence
 def cell_name(table: str, filter_: str, row: str, column: str, baseline: str = "") -> str:
     """Name a cell in the field's words, such as ``aided position rms``; columns of the baseline are its own."""
     if baseline and (column == "baseline" or column.startswith("baseline_")):
-        filter_, column = baseline, column.removeprefix("baseline").removeprefix("_")
+        filter_ = baseline
+        column = column.removeprefix("baseline").removeprefix("_")
     words = column.removesuffix(
         next((ending for ending in UNITS if column.endswith(ending)), "")
     ).replace("_", " ")

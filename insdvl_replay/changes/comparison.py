@@ -123,7 +123,8 @@ def compare_results(
     for name in dives:
         require_known("dive", name, [is_.name for _, is_, _ in both])
     if dives:
-        matching, both = [], [match for match in both if match[1].name in dives]
+        matching = []
+        both = [match for match in both if match[1].name in dives]
     pairs = [(was, is_) for was, is_, _ in both]
     frames = [[*paired_rows(was.report, is_.report, layouts)] for was, is_ in pairs]
     notes = [*notes_before, *notes_after, *_notes_on_names(pairs, frames)]
@@ -138,7 +139,8 @@ def compare_results(
     for name in columns:
         require_known("column", name, [*known])
 
-    changes, compared = list[Change](), list[DiveComparison]()
+    changes = list[Change]()
+    compared = list[DiveComparison]()
     for (was, is_, how), frame in zip(both, frames, strict=True):
         found = [*changes_of(frame, is_.name, columns, tolerance_pct)]
         compared.append(
@@ -193,7 +195,8 @@ def match_dives(
     Two single results are always matched.
     """
     found = dict[Path, tuple[StoredResult, MatchedBy]]()  # by the folder of the new result
-    before, after = list(old), list(new)
+    before = list(old)
+    after = list(new)
     for how, key in _MATCHES:
         sides = []
         for results in (before, after):
@@ -301,7 +304,8 @@ def _notes_on_names(
         )
     tables = [({row.layout.name for row in rows if row.old}, {row.layout.name for row in rows if row.new})
               for rows in map(list, frames)]  # fmt: skip
-    gone, added = set(theirs) - set(ours), set(ours) - set(theirs)
+    gone = set(theirs) - set(ours)
+    added = set(ours) - set(theirs)
     hints = {
         "filter": "its verdict against the baseline is in the results that have it",
         "table": "",
@@ -328,9 +332,11 @@ def _differences(pairs: Iterable[tuple[StoredResult, StoredResult]]) -> tuple[Di
     """Return all differences outside the tables, each once with its dives."""
     logs: dict[tuple[str, str, str | None, str | None], list[str]] = {}
     for old, new in pairs:
-        before, after = _facts(old.report), _facts(new.report)
+        before = _facts(old.report)
+        after = _facts(new.report)
         for block, key in dict.fromkeys((*before, *after)):
-            was, is_ = before.get((block, key)), after.get((block, key))
+            was = before.get((block, key))
+            is_ = after.get((block, key))
             if was != is_:
                 logs.setdefault((block, key, was, is_), []).append(new.name)
     found = [Difference(*what, tuple(names)) for what, names in logs.items()]
@@ -403,7 +409,8 @@ def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
             cells.setdefault(key, []).append(change)
     found = []
     for key, together in cells.items():
-        counts, worst = Counter(change.verdict for change in together), max(together, key=_loss_pct)
+        counts = Counter(change.verdict for change in together)
+        worst = max(together, key=_loss_pct)
         percentages = [change.change_pct for change in together if change.change_pct is not None]
         aggregate = Aggregate(
             *key,
@@ -488,7 +495,8 @@ def find_violation(comparison: Comparison, limit: float | str | None) -> str:
 
 def described(change: Change) -> str:
     """Return the place and the change of a cell in one line."""
-    old, new = FORMS["cell"](change.old), FORMS["cell"](change.new)
+    old = FORMS["cell"](change.old)
+    new = FORMS["cell"](change.new)
     return f"{change.log}, {cell_place(change)} from {old} to {new} ({change.growth})"
 
 

@@ -101,10 +101,8 @@ def comparison_document(
     command: str = "",  # the one that shows all values, if it is not the one that was typed
 ) -> list[Part]:
     """Return the screen: answers, changed verdicts, differences outside the tables, evidence or values, and counts."""
-    several, most = (
-        len(comparison.matched) > 1,
-        len(comparison.differences) if values else _MOST_DIFFERENCES,
-    )
+    several = len(comparison.matched) > 1
+    most = len(comparison.differences) if values else _MOST_DIFFERENCES
     unmoved = (ChangeVerdict.SAME, ChangeVerdict.NEW, ChangeVerdict.GONE)
     moved = [change for change in comparison.changes if change.verdict not in unmoved]
     if values:
@@ -256,7 +254,8 @@ def _answer_screen(answers: Sequence[Answer]) -> list[Part]:
 
 def _title(comparison: Comparison) -> str:
     """Name the setting that differs, count further ones, then name the dives and both sides."""
-    matched, settings = comparison.matched, _changed_settings(comparison)
+    matched = comparison.matched
+    settings = _changed_settings(comparison)
     what = matched[0].log if len(matched) == 1 else f"{len(matched)} dives"
     more = f" and {counted(len(settings) - 1, 'more setting')}" if len(settings) > 1 else ""
     changed = f"{settings[0]}{more}" if settings else "same settings"
@@ -323,7 +322,8 @@ def _changed_verdicts(comparison: Comparison) -> list[str]:
         if is_word and change.old and change.new and change.old != change.new:
             key = change.column, change.filter, str(change.new), str(change.old)
             dives.setdefault(key, []).append(change.log)
-    matched, lines = len(comparison.matched), []
+    matched = len(comparison.matched)
+    lines = []
     for (column, *names), logs in sorted(
         dives.items(), key=lambda found: list(_CHANGED_WORDS).index(found[0][0])
     ):

@@ -190,10 +190,8 @@ def junit_xml(found: CheckResult) -> str:
         "testsuites", {"name": clean(found.gates), **counts(found.outcomes, total_s)}
     )
     for dive in dict.fromkeys(item.dive for item in found.outcomes):
-        own, elapsed_s = (
-            [item for item in found.outcomes if item.dive == dive],
-            found.elapsed_s.get(dive, 0.0),
-        )
+        own = [item for item in found.outcomes if item.dive == dive]
+        elapsed_s = found.elapsed_s.get(dive, 0.0)
         skipped = str(sum(WORDS[item.status][2] == "skipped" for item in own))
         attributes = {"name": clean(dive), **counts(own, elapsed_s), "skipped": skipped}
         suite = ElementTree.SubElement(root, "testsuite", attributes)
@@ -205,7 +203,8 @@ def junit_xml(found: CheckResult) -> str:
                 "time": f"{elapsed_s / len(own):.3f}",
             }
             case = ElementTree.SubElement(suite, "testcase", names | place)
-            element, lines = WORDS[item.status][2], [visible(line) for line in item.explained]
+            element = WORDS[item.status][2]
+            lines = [visible(line) for line in item.explained]
             if element:
                 attributes = {"message": clean("; ".join(lines) or item.status)}
                 attributes |= {} if element == "skipped" else {"type": item.status}

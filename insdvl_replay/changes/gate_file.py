@@ -245,7 +245,8 @@ def _check_trajectory_gate(gate: TrajectoryGate) -> None:
 def _check_cell_gate(gate: CellGate) -> None:
     """Raise for keys that do not go together, for unknown names, and for conditions that no value can meet."""
     require_known("table", gate.table, [TRAJECTORY, *LAYOUTS])
-    layout, column = LAYOUTS[gate.table], f"column '{gate.column}' of {gate.table}"
+    layout = LAYOUTS[gate.table]
+    column = f"column '{gate.column}' of {gate.table}"
     known = [name for name in layout.columns if name not in ("log", "filter", layout.key, *PROSE)]
     if gate.column in PROSE:
         text = f"{column} is prose, and another version may word it differently"
@@ -318,10 +319,8 @@ def stored_values(gate: Gate, path: Path) -> "StoredReport | Trajectory | None":
 
 def expected_of(gates: Gates, gate: Gate, log: StoredLog) -> "StoredReport | Trajectory":
     """Return the expected values of a log; the ConfigError names the command that writes them."""
-    path, command = (
-        expected_path(gates, gate, log.name),
-        f"`insdvl-replay check {gates.path} --update`",
-    )
+    path = expected_path(gates, gate, log.name)
+    command = f"`insdvl-replay check {gates.path} --update`"
     with looked_for(path):
         if not path.is_file():
             raise ConfigError(f"{path}: there are no expected values yet", f"{command} writes them")

@@ -203,7 +203,8 @@ def _rows_on(report: StoredReport, name: str) -> list[EvidenceRow]:
 
 def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
     """Evaluate every gate on the dives it applies to, and gates on the pooled evidence on all together."""
-    outcomes, missed = list[GateOutcome](), (GateStatus.FAILED, GateStatus.WARNING)
+    outcomes = list[GateOutcome]()
+    missed = (GateStatus.FAILED, GateStatus.WARNING)
     for dive in dives:
         own = [gate for gate in gates.gates if gate.table != POOLED and gate.applies_to(dive.name)]
         found = [_outcome(gates, gate, dive) for gate in own]
@@ -315,10 +316,16 @@ def gate_findings(
 
 def _finding(gate: CellGate, pair: RowPair, report: StoredReport) -> Finding:
     """Check one cell."""
-    column, layout = gate.column, pair.layout
-    old, value, unit = pair.old.get(column), pair.new.get(column), layout.unit_of(column, pair.unit)
-    in_unit, percent = f" {unit}" if unit else "", "points" if column.endswith(PERCENTAGE) else "%"
-    moved, limit, statement = None, "", f"is {value_text(value)}{in_unit}"
+    column = gate.column
+    layout = pair.layout
+    old = pair.old.get(column)
+    value = pair.new.get(column)
+    unit = layout.unit_of(column, pair.unit)
+    in_unit = f" {unit}" if unit else ""
+    percent = "points" if column.endswith(PERCENTAGE) else "%"
+    moved = None
+    limit = ""
+    statement = f"is {value_text(value)}{in_unit}"
     if gate.expected is not None and is_number(old) and is_number(value):
         moved = judge_cell(pair, column, gate.max_worse_pct, gate.max_worse_abs)
         # Both values, their change and the allowed loss with its sign: ``1.54 -> 3.27 m (+112 %, limit +5 %)``.
@@ -327,10 +334,9 @@ def _finding(gate: CellGate, pair: RowPair, report: StoredReport) -> Finding:
             *([] if gate.max_worse_pct is None else [f"{sign}{gate.max_worse_pct:g} {percent}"]),
             *([] if gate.max_worse_abs is None else [f"{sign}{gate.max_worse_abs:g}{in_unit}"]),
         ]
-        limit, is_same = (
-            " or ".join(limits),
-            agree(value, old, column),
-        )  # processors differ in the last digits
+        # processors differ in the last digits
+        limit = " or ".join(limits)
+        is_same = agree(value, old, column)
         of_size = {"nearer zero": " in magnitude", "nearer dof": " farther from dof"}.get(
             moved.better or "", ""
         )
@@ -364,7 +370,9 @@ def _finding(gate: CellGate, pair: RowPair, report: StoredReport) -> Finding:
 
 def _why_unusable(pair: RowPair, column: str, verdict: str) -> str:
     """Return why a value of a filter with some verdict can meet no condition; empty if it can."""
-    layout, row, value = pair.layout, pair.new, pair.new.get(column)
+    layout = pair.layout
+    row = pair.new
+    value = pair.new.get(column)
     # A gain or loss fails if the filter is not evaluated; the verdict itself can pass.
     is_relative = not layout.baseline_too or layout.name == "drift"
     is_gain = (layout.name, column) in OF_GAIN or (is_relative and column in layout.better)
@@ -476,7 +484,8 @@ def _against(
     if not differs.any():
         return gate.row, f"{samples} samples are unchanged", True
     first = int(np.argmax(differs.any(axis=1)))
-    place, others = int(np.argmax(differs[first])), int(differs.any(axis=0).sum()) - 1
+    place = int(np.argmax(differs[first]))
+    others = int(differs.any(axis=0).sum()) - 1
     sentence = (
         f"{COLUMNS[place]} first differs at {new.time_s[first]:g} s (by {apart[first, place]:.2g}, allowed: "
         f"{allowed[COLUMNS[place]]:.2g}), in all at {int(differs[:, place].sum())} of {samples} samples"
@@ -492,12 +501,12 @@ def _over_time(gate: TrajectoryGate, trajectory: "Trajectory", name: str) -> tup
     from insdvl_replay.core.dive_columns import find_runs
 
     low, high = gate.within or (-math.inf, math.inf)
-    time_s, values = trajectory.time_s, trajectory.of(name, gate.row)
-    inside, complaints, statement = (
-        (values >= low) & (values <= high),
-        list[str](),
-        "it is",
-    )  # missing is outside
+    time_s = trajectory.time_s
+    values = trajectory.of(name, gate.row)
+    # missing is outside
+    inside = (values >= low) & (values <= high)
+    complaints = list[str]()
+    statement = "it is"
     if gate.at_s is not None:
         sample = int(np.argmin(np.abs(time_s - gate.at_s)))
         if abs(time_s[sample] - gate.at_s) > 1.0:
@@ -505,7 +514,8 @@ def _over_time(gate: TrajectoryGate, trajectory: "Trajectory", name: str) -> tup
         elif not inside[sample]:
             complaints.append(f"it is {values[sample]:.6g} at {time_s[sample]:g} s")
     else:
-        share_pct, longest_s = 100.0 * float(inside.mean()), gate.longest_outside_s
+        share_pct = 100.0 * float(inside.mean())
+        longest_s = gate.longest_outside_s
         wanted_pct = (
             100.0 if gate.share_pct is None and longest_s is None else gate.share_pct or 0.0
         )

@@ -56,7 +56,8 @@ class Fit:
 def fit(measured: Complex, true: Complex) -> Fit:
     """Fit ``measured = scale exp(i turn) true`` by least squares, both of shape (k,)."""
     product = complex(np.vdot(true, measured))
-    power, other_power = float(np.vdot(true, true).real), float(np.vdot(measured, measured).real)
+    power = float(np.vdot(true, true).real)
+    other_power = float(np.vdot(measured, measured).real)
     if not power or not other_power:
         return Fit(0.0, 0.0, 0.0)
     return Fit(
@@ -72,7 +73,8 @@ def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config
 
 
 def _horizontal_fit(measured_b: Floats, true_b: Floats) -> Fit | None:
-    measured, true = horizontal(measured_b), horizontal(true_b)
+    measured = horizontal(measured_b)
+    true = horizontal(true_b)
     moving = np.abs(true) > 0.2  # m/s, above a DVL's noise and a lever arm's swing
     return fit(measured[moving], true[moving]) if np.count_nonzero(moving) >= ENOUGH else None
 
@@ -89,7 +91,8 @@ def velocity_pairs(
     after = np.clip(np.searchsorted(ping_ns, reference.time_ns[rows]), 1, len(ping_ns) - 1)
     rows = rows[seconds(ping_ns[after], ping_ns[after - 1]) <= LONGEST_STEP_S]
     true_b = np.einsum("kji,kj->ki", reference.mat_nb[rows], reference.velocity_n[rows])
-    at_s, ping_s = seconds(reference.time_ns[rows], ping_ns[0]), seconds(ping_ns, ping_ns[0])
+    at_s = seconds(reference.time_ns[rows], ping_ns[0])
+    ping_s = seconds(ping_ns, ping_ns[0])
     return np.stack([np.interp(at_s, ping_s, column) for column in measured_b.T], axis=1), true_b
 
 
@@ -127,7 +130,9 @@ def dvl_remarks(
     place: str, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
 ) -> Iterator[Remark]:
     """Check the pings of a DVL."""
-    speed_mps, values, count = median_speed_mps(dvl), measured_mps(dvl), len(dvl.time_ns)
+    speed_mps = median_speed_mps(dvl)
+    values = measured_mps(dvl)
+    count = len(dvl.time_ns)
     if speed_mps > FASTEST_MPS:
         yield refusal("dvl_too_fast", place, speed_mps=speed_mps)
     zero = np.flatnonzero((values == 0.0).all(axis=1))
@@ -201,7 +206,8 @@ def track_by_positions(
     if len(ping_ns) < ENOUGH or len(fixes) < ENOUGH:
         return None
     fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
-    fix_ns, position = reference.time_ns[fixes], reference.position[fixes]
+    fix_ns = reference.time_ns[fixes]
+    position = reference.position[fixes]
     # Pairs of fixes that are ten seconds apart. None has a part in a long pause of the pings or of the IMU, where
     # nobody saw how the vehicle moved.
     last = np.searchsorted(fix_ns, fix_ns + 10 * NS_PER_S)
@@ -223,12 +229,11 @@ def track_by_positions(
 
     at_s = np.concatenate([[config.span.start_s or 0.0], seconds(ping_ns, imu.time_ns[0])])
     yaw = turned_by(imu, at_s)[:, 2] - config.initial.gyro_bias_degph[2] * DEG_PER_HOUR * at_s
-    start_yaw, turned = yaw[0], yaw[1:]
-    measured, ping_s, fix_s = (
-        horizontal(measured_b),
-        seconds(ping_ns, ping_ns[0]),
-        seconds(fix_ns, ping_ns[0]),
-    )
+    start_yaw = yaw[0]
+    turned = yaw[1:]
+    measured = horizontal(measured_b)
+    ping_s = seconds(ping_ns, ping_ns[0])
+    fix_s = seconds(fix_ns, ping_ns[0])
 
     def fitted(gyro_scale: float) -> Fit:
         velocity = measured * np.exp(1j * turned / gyro_scale)
@@ -237,11 +242,13 @@ def track_by_positions(
         return fit(track[last] - track[first], true)
 
     turns = float(np.ptp(turned)) > np.pi / 2.0
-    gyro_scale, best = 1.0, fitted(1.0)
+    gyro_scale = 1.0
+    best = fitted(1.0)
     if turns:
         other = max(_SCALES.tolist(), key=lambda scale: fitted(scale).coherence)
         # Another scale has to halve what a scale of 1 leaves unexplained.
         if 1.0 - fitted(other).coherence < (1.0 - best.coherence) / 2.0:
-            gyro_scale, best = other, fitted(other)
+            gyro_scale = other
+            best = fitted(other)
     heading = float(wrap_angle(np.asarray(start_yaw / gyro_scale - best.turn)))
     return TrackFit(gyro_scale if turns else None, best.scale, heading, best.coherence)

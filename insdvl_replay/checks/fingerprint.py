@@ -25,7 +25,8 @@ def imu_fingerprint(imu: ImuColumns) -> ImuFingerprint:
 
     The sizes of specific force and angular rate are digested, which no choice of axes changes.
     """
-    first_ns, last_ns = int(imu.time_ns[0]), int(imu.time_ns[-1])
+    first_ns = int(imu.time_ns[0])
+    last_ns = int(imu.time_ns[-1])
     step_s = STEP_S
     while (last_ns - first_ns) // (step_s * NS_PER_S) >= MOST_DIGESTS:
         step_s *= 2

@@ -99,7 +99,8 @@ def imu_remarks(
     place: str, imu: ImuColumns, reference: ReferenceColumns | None, settings: Imu
 ) -> Iterator[Remark]:
     """Check the readings of an IMU."""
-    count, span_s = len(imu.time_ns), since_s(imu.time_ns, -1)
+    count = len(imu.time_ns)
+    span_s = since_s(imu.time_ns, -1)
     some_b = imu.angular_rate_b[:: 1 + count // 100_000]
     turning_radps = float(np.median(np.linalg.norm(some_b, axis=1)))
     if turning_radps > SPIN_RADPS and span_s > _LEAST_S:
@@ -136,10 +137,8 @@ def imu_remarks(
     lengths_s = seconds(imu.time_ns[ends], imu.time_ns[starts])
     long = np.flatnonzero(lengths_s > 1.0)
     if long.size:
-        repeats, first_s = (
-            int(np.sum(ends[long] - starts[long])),
-            since_s(imu.time_ns, starts[long[0]]),
-        )
+        repeats = int(np.sum(ends[long] - starts[long]))
+        first_s = since_s(imu.time_ns, starts[long[0]])
         yield warning("imu_stuck", repeats, first_s=first_s, longest_s=lengths_s.max())
     yield from _gravity_remarks(place, imu, reference, settings)
 
@@ -154,7 +153,8 @@ def _gravity_remarks(
     force_b = imu.specific_force_b[: blocks * length].reshape(blocks, length, 3)[some]
     unrest = force_b.var(axis=1).sum(axis=1)
     quiet = unrest <= np.median(unrest)
-    mean_b, starts = force_b[quiet].mean(axis=1), some[quiet] * length
+    mean_b = force_b[quiet].mean(axis=1)
+    starts = some[quiet] * length
 
     gravity = 1000.0 * MG
     if reference is not None and reference.has_position:
@@ -177,7 +177,8 @@ def _gravity_remarks(
     else:
         cure = f"imu.specific_force_scale = {ratio * settings.specific_force_scale:.4g}"
     found = {"size": size, "gravity": gravity, "cure": cure}
-    along_down, above = float(np.median(mean_b[:, 2])), mean_b[:, 2] > 0.0
+    along_down = float(np.median(mean_b[:, 2]))
+    above = mean_b[:, 2] > 0.0
     if (
         not 1.0 / 1.5 < ratio < 1.5 and since_s(imu.time_ns, -1) > _LEAST_S
     ):  # another unit, or another scale
@@ -215,9 +216,11 @@ def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFi
     )
     if len(rows) < ENOUGH:
         return None
-    time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
+    time_s = seconds(reference.time_ns[rows], imu.time_ns[0])
+    mat_nb = reference.mat_nb[rows]
     turned = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:])
-    step_s, size = np.diff(time_s), np.linalg.norm(turned, axis=1)
+    step_s = np.diff(time_s)
+    size = np.linalg.norm(turned, axis=1)
     summed = np.diff(turned_by(imu, time_s), axis=0)
     # Slower turns than 0.3 deg/s are below the noise of differences of attitudes.
     good = (size > 0.3 * DEG * step_s) & (step_s <= LONGEST_STEP_S) & (size < 1.0)
@@ -252,7 +255,8 @@ def turn_to_reference(
     )
     if len(rows) < ENOUGH:
         return None
-    time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
+    time_s = seconds(reference.time_ns[rows], imu.time_ns[0])
+    mat_nb = reference.mat_nb[rows]
     step_s = np.diff(time_s)
     turned = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:])
     summed = np.diff(turned_by(imu, time_s), axis=0)

@@ -255,7 +255,8 @@ def reference_notes(
     )
     if len(rows) <= 2 * AROUND + 1:
         return
-    time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
+    time_s = seconds(reference.time_ns[rows], imu.time_ns[0])
+    mat_nb = reference.mat_nb[rows]
     shown = np.diff(turned_by(imu, time_s), axis=0)
     unseen = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:]) - shown
     unlike = np.fmin(np.linalg.norm(unseen, axis=1), least_difference(unseen))
@@ -441,20 +442,16 @@ def _scale_notes(reference: ReferenceColumns) -> Iterator[Note]:
         or min(np.abs(by_position_m).sum(), np.abs(by_velocity_m).sum()) < 20.0
     ):
         return
-    power, product = (
-        float(np.vdot(by_velocity_m, by_velocity_m).real),
-        np.vdot(by_velocity_m, by_position_m).real,
-    )
+    power = float(np.vdot(by_velocity_m, by_velocity_m).real)
+    product = np.vdot(by_velocity_m, by_position_m).real
     coherence = float(product / (np.sqrt(power) * np.linalg.norm(by_position_m)))
     if coherence < 0.8:
         count = int(np.count_nonzero(reference.known["positions"] & reference.known["velocities"]))
         yield warning("reference_contradiction", count, coherence=coherence)
         return
     # Noise of the velocity makes the one too small, noise of the positions the other too large: the scale lies between.
-    scale, at_most = (
-        float(product / power),
-        float(np.vdot(by_position_m, by_position_m).real / product),
-    )
+    scale = float(product / power)
+    at_most = float(np.vdot(by_position_m, by_position_m).real / product)
     # Each leg's own residual stands for its noise, whatever its length.
     scale_sd = (
         float(np.linalg.norm((by_velocity_m.conj() * (by_position_m - scale * by_velocity_m)).real))
@@ -462,11 +459,9 @@ def _scale_notes(reference: ReferenceColumns) -> Iterator[Note]:
     )
     # Fewer than ten legs do not tell how they scatter.
     if len(by_position_m) >= 10 and max(scale - 1.0, 1.0 - at_most) >= max(0.003, 3.0 * scale_sd):
-        off_pct, sd_pct, longer = (
-            100.0 * abs(scale - 1.0),
-            100.0 * scale_sd,
-            "longer" if scale > 1.0 else "shorter",
-        )
+        off_pct = 100.0 * abs(scale - 1.0)
+        sd_pct = 100.0 * scale_sd
+        longer = "longer" if scale > 1.0 else "shorter"
         yield warning(
             "reference_scale", len(by_position_m), off_pct=off_pct, sd_pct=sd_pct, longer=longer
         )

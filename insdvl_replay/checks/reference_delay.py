@@ -163,7 +163,8 @@ def with_reference_delay(dive: Dive, config: Config) -> Dive:
 
 def _delay_notes(found: ReferenceDelay, count: int, latency_s: float) -> tuple[Note, ...]:
     """Warn of a late or early reference; the latency is the one that its stamps are without already."""
-    turns, accelerations = found.by_turns, found.by_accelerations
+    turns = found.by_turns
+    accelerations = found.by_accelerations
     if (
         found.status == DelayStatus.CONTRADICTORY
         and turns is not None
@@ -207,7 +208,9 @@ def _together(by_turns: Delay | None, by_accelerations: Delay | None) -> Referen
     apart_s = float(np.ptp(delays_s))
     if apart_s > max(LATE_S, SIGNIFICANT_SDS * float(np.sqrt(np.sum(1.0 / weights)))):
         larger = max(known, key=lambda found: abs(found.delay_s))
-        delay_s, sd_s, status = larger.delay_s, larger.sd_s, DelayStatus.CONTRADICTORY
+        delay_s = larger.delay_s
+        sd_s = larger.sd_s
+        status = DelayStatus.CONTRADICTORY
     found = ReferenceDelay(delay_s, sd_s, status, by_turns, by_accelerations)
     if sd_s <= SURE_S or is_late(found):
         return found
@@ -326,7 +329,8 @@ def _by_accelerations(
     for delay_s in np.arange(-FARTHEST_S, FARTHEST_S, 2.0 * COARSE_S).tolist():
         tried = _misfit(searched.compared(delay_s))
         if tried < misfit:
-            start_s, misfit = delay_s, tried
+            start_s = delay_s
+            misfit = tried
     return _fitted(forces.compared, legs, start_s, _size(changes_b))
 
 
@@ -359,7 +363,8 @@ class _Forces:
         rotations = mat_from_vector(totals[:, :, :3] - at_row)
         pushed = np.diff(totals[:, ::2, 3:], axis=1)
         gained = np.einsum("kpij,kpj->ki", rotations[:, 1::2], pushed)
-        of_start, of_end = rotations[:, 0], rotations[:, -1]
+        of_start = rotations[:, 0]
+        of_end = rotations[:, -1]
         at_start = self.integrals.mean_around(from_s)
         at_end = self.integrals.mean_around(from_s + length_s)
         force_start = np.einsum("kij,kj->ki", of_start, at_start[:, 3:])

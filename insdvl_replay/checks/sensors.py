@@ -66,9 +66,11 @@ def sensor_notes(
     sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None, config: Config
 ) -> tuple[Note, ...]:
     """Note the sensors that are stuck, and those whose readings, with the latencies put back, are the reference's."""
-    stuck, shared = [], []
+    stuck = []
+    shared = []
     for name, columns in sensors.items():
-        values, all_count = columns.values, len(columns.time_ns)
+        values = columns.values
+        all_count = len(columns.time_ns)
         span_s = (int(columns.time_ns[-1]) - int(columns.time_ns[0])) / NS_PER_S
         # No working sensor repeats a reading for so long.
         if (
@@ -81,7 +83,8 @@ def sensor_notes(
             continue
         latency_s = getattr(config, name).latency_s - config.reference.latency_s
         ours, theirs = same_instants(columns.time_ns, reference.time_ns, latency_s)
-        values, position = values[ours], reference.position[theirs]
+        values = values[ours]
+        position = reference.position[theirs]
         with np.errstate(invalid="ignore"):
             if name == "depth":  # the changes, since its zero is its own
                 change_m = np.diff(values[:, 0])
@@ -115,9 +118,11 @@ def solution_notes(
             ("velocities", "velocity_n", 1e-7),
             ("positions", "position", _SAME_RAD),
         ):
-            rows, other = getattr(solution.motion, field)[ours], getattr(reference, field)[theirs]
+            rows = getattr(solution.motion, field)[ours]
+            other = getattr(reference, field)[theirs]
             if field == "position":
-                rows, other = rows[:, :2], other[:, :2]
+                rows = rows[:, :2]
+                other = other[:, :2]
             apart, size = (
                 np.abs(part).max(axis=tuple(range(1, part.ndim)), initial=0.0)
                 for part in (rows - other, rows)
@@ -125,11 +130,9 @@ def solution_notes(
             found[quantity] = int(np.count_nonzero((apart < least) & (size > least)))
         if solution.moved_n is not None:
             # Of positions in metres, whose origin is not known, displacements of ten seconds.
-            time_ns, moved_n, position = (
-                solution.motion.time_ns[ours],
-                solution.moved_n[ours],
-                reference.position[theirs],
-            )
+            time_ns = solution.motion.time_ns[ours]
+            moved_n = solution.moved_n[ours]
+            position = reference.position[theirs]
             later = np.searchsorted(time_ns, time_ns + 10 * NS_PER_S)
             earlier = np.flatnonzero(later < len(time_ns))
             later = later[earlier]
@@ -184,11 +187,9 @@ def _contradictions(
     """Compare readings with the nearest rows of the reference, or, without ``zero``, of the baseline."""
     row = _nearest(columns.time_ns, known.time_ns)
     near = np.abs(known.time_ns[row] - columns.time_ns) <= NS_PER_S // 2
-    values, row, whose = (
-        columns.values[near],
-        row[near],
-        "baseline" if zero is None else "reference",
-    )
+    values = columns.values[near]
+    row = row[near]
+    whose = "baseline" if zero is None else "reference"
     if name == "heading":
         off = wrap_angle(values[:, 0] - rpy_from_mat(known.mat_nb[row])[:, 2])
         off = off[np.isfinite(off)]
@@ -207,13 +208,17 @@ def _contradictions(
     # factor of more than the largest; feet are 3.3 times metres.
     range_m, largest = (2.0, 2.0) if zero is None else (1.0, 1.25)
     both = np.isfinite(known.position[row, 2]) & np.isfinite(values[:, 0])
-    values, row = values[both], row[both]
-    ours_m, theirs_m = values[:, 0], -known.position[row, 2]
+    values = values[both]
+    row = row[both]
+    ours_m = values[:, 0]
+    theirs_m = -known.position[row, 2]
     if len(ours_m) < ENOUGH:
         return
     if np.ptp(np.percentile(theirs_m, [5.0, 95.0])) >= range_m:
-        down_m, theirs_m = ours_m - ours_m.mean(), theirs_m - theirs_m.mean()
-        product, power = float(down_m @ theirs_m), float(theirs_m @ theirs_m)
+        down_m = ours_m - ours_m.mean()
+        theirs_m = theirs_m - theirs_m.mean()
+        product = float(down_m @ theirs_m)
+        power = float(theirs_m @ theirs_m)
         scale = product / power
         follows = abs(product) >= 0.9 * np.sqrt(power * float(down_m @ down_m))
         if follows and not 1.0 / largest < scale < largest:

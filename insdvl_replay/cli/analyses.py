@@ -355,7 +355,8 @@ def _read(
     from insdvl_replay.calibration.innovations import read_dive
     from insdvl_replay.core.runtime import track_progress
 
-    dives, code = [], 0
+    dives = []
+    code = 0
     for files in track_progress("reading", [found] if one_dive else [[dive] for dive in found]):
         try:
             read = read_dive(usable_paths(files), config, allow_damaged=allow_damaged)
@@ -438,7 +439,8 @@ def montecarlo(
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.studies.montecarlo import repeat_run, study_montecarlo
 
-    resolved, outages = load_config(preset, config, settings), opt.outage_spans(outage)
+    resolved = load_config(preset, config, settings)
+    outages = opt.outage_spans(outage)
     asked: dict[str, Any] = {"seed": seed, "duration_s": duration, "imu": imu, "outages": outages}
     if run is not None:
         from insdvl_replay.cli.screen import written

@@ -194,7 +194,8 @@ def _explained_usage(error: Any) -> tuple[str, str]:
         meant = _option_meant(option, context)
         hint = f"did you mean {meant}?" if meant else hint
     elif suggested := re.search(r"\. Did you mean '([^']+)'\?$", text):
-        text, hint = text[: suggested.start()], f"did you mean {suggested[1]}?"
+        text = text[: suggested.start()]
+        hint = f"did you mean {suggested[1]}?"
     elif choices := re.search(r"\.? Choose from: ", text):
         text, hint = text[: choices.start()], f"one of: {text[choices.end() :]}"
     return text[:1].lower() + text[1:].rstrip("."), hint

@@ -231,7 +231,8 @@ def run(
             rerun=rerun,
             while_fitting=_while_fitting,
         )
-        sides, dives = ((old, before), (new, after)), [*before, *after]
+        sides = ((old, before), (new, after))
+        dives = [*before, *after]
         replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
         return answer_against(sides, replays, fail_on, format_, verbose, quiet=quiet)
     dives = plan_jobs(
@@ -262,14 +263,17 @@ def run(
 
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
-    unchanged, explained = 0, False
+    unchanged = 0
+    explained = False
     said = set[tuple[Note, ...]]()  # what was found of the vehicle, or of several
     replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
     with closing(
         replays
     ):  # an interrupt may come here, and the workers must end before this process
         for outcome in replays:
-            name, target, report = outcome.job.target.name, outcome.job.target, outcome.result
+            name = outcome.job.target.name
+            target = outcome.job.target
+            report = outcome.result
             if isinstance(report, Exception):
                 reports.append(Failure(name, str(report)))
                 codes[name] = log_failure(report, verbose)
@@ -629,7 +633,8 @@ def _needs_settings(outcome: "Outcome") -> bool:
     from insdvl_replay.batch.workers import WorkerLostError
     from insdvl_replay.core.errors import UserError
 
-    error, target = outcome.result, str(outcome.job.target)
+    error = outcome.result
+    target = str(outcome.job.target)
     is_lost = isinstance(error, WorkerLostError)
     return isinstance(error, UserError) and not (is_lost or str(error).startswith(target))
 

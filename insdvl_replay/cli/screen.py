@@ -101,13 +101,19 @@ class Meter:
             clock,
             clock(),
         )
-        self._head, self._stage, self._done, self._total, self._share = text, "", 0, 1, 0.0
+        self._head = text
+        self._stage = ""
+        self._done = 0
+        self._total = 1
+        self._share = 0.0
 
     def report(self, stage: str, done: int, total: int) -> None:
         """Take note of a stage, and of its steps if it has some."""
         part = 0.0
         if stage in COUNTED:
-            self._done, self._total, self._stage = done, total, ""
+            self._done = done
+            self._total = total
+            self._stage = ""
             if total > 1:
                 self._head = COUNTED[stage].format(
                     text=self._text, number=min(done + 1, total), total=total
@@ -122,13 +128,12 @@ class Meter:
 
     def line(self, columns: int) -> str:
         """Write the line; after three seconds with percent and time left."""
-        elapsed_s, rest = self._clock() - self._start_s, ""
+        elapsed_s = self._clock() - self._start_s
+        rest = ""
         if elapsed_s >= SHORT_S and 0.0 < self._share < 1.0:
             left_s = round(elapsed_s * (1.0 - self._share) / self._share)
-            hours, minutes = (
-                f"{left_s // 3600}:{left_s // 60 % 60:02d}" if left_s >= 3600 else "",
-                f"{left_s // 60}",
-            )
+            hours = f"{left_s // 3600}:{left_s // 60 % 60:02d}" if left_s >= 3600 else ""
+            minutes = f"{left_s // 60}"
             rest = f"  {100.0 * self._share:.0f} %  {hours or minutes}:{left_s % 60:02d} left"
         return f"{visible(f'{self._head}{self._remark}{self._stage}')[: max(columns - len(rest) - 1, 0)]}{rest}"
 
@@ -138,7 +143,8 @@ def progress(
     text: str, plan: Plan = MappingProxyType({}), remark: str = ""
 ) -> Iterator[Callable[[], AbstractContextManager[None]]]:
     """Show how far the work is, on a terminal only; what is yielded makes room for messages and tables."""
-    console, meter = Console(file=sys.stderr, highlight=False), Meter(text, plan, remark)
+    console = Console(file=sys.stderr, highlight=False)
+    meter = Meter(text, plan, remark)
     if not console.is_terminal:
         yield nullcontext
         return

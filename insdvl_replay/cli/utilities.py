@@ -355,7 +355,9 @@ def compile_(verbose: opt.Verbose = 0) -> None:
         require_memory,
     )
 
-    folder, start_s, was_warm = cache_folder(), time.perf_counter(), is_warm()
+    folder = cache_folder()
+    start_s = time.perf_counter()
+    was_warm = is_warm()
     if not was_warm:
         require_memory(LEAST_TO_COMPILE_BYTES)
     if problem := cache_problem():

@@ -167,7 +167,8 @@ def _explained(
     found = re.fullmatch(r"(.*?)(?: - at `\$\.?([^`]*)`)?", message, re.DOTALL)
     reason, place = (message, "") if found is None else found.groups("")
     keys = tuple(int(part) if part.isdigit() else part for part in re.findall(r"\w+", place))
-    value, wanted = table, kind
+    value = table
+    wanted = kind
     for key in keys:
         value = value[key]
         if isinstance(key, str) and (structure := _structure(wanted)) is not None:
@@ -453,7 +454,8 @@ def _with_place_for(
     report: Callable[[str], None],
 ) -> dict[str, Any]:
     """Empty the filters that a layer defines anew: of the first file all that were there, of later ones their own."""
-    given, filters = layer.content.get("filters"), settings["filters"]
+    given = layer.content.get("filters")
+    filters = settings["filters"]
     if not isinstance(given, Mapping):
         return settings
     defined = [name for name, entry in given.items() if entry is not False]
@@ -482,7 +484,8 @@ def _overridden(settings: Mapping[str, Any], source: TomlSource) -> dict[str, An
 
 def _parse_override(option: str, text: str) -> TomlSource:
     path, equals, value = text.partition("=")
-    keys, example = path.strip().split("."), f"for example {option} dvl.scale=1.01"
+    keys = path.strip().split(".")
+    example = f"for example {option} dvl.scale=1.01"
     if not equals or not all(keys) or len(keys) < 2:
         raise ConfigError(f"{option} {text}: is not of the form section.key=value", example)
     if not is_writable(text):
@@ -524,15 +527,11 @@ def _resolved(settings: Mapping[str, Any], source: TomlSource) -> Config:
     config = converted(settings, Config, source)
     for path, number in _numbers(msgspec.to_builtins(config)):
         if not math.isfinite(number):
-            what, hint = (
-                f"must be a finite number, found {number}",
-                "leave the key out if there is no limit",
-            )
+            what = f"must be a finite number, found {number}"
+            hint = "leave the key out if there is no limit"
         elif abs(number) > LARGEST:
-            what, hint = (
-                f"must be at most {LARGEST:.0e}, found {number}",
-                "`insdvl-replay config` prints its unit",
-            )
+            what = f"must be at most {LARGEST:.0e}, found {number}"
+            hint = "`insdvl-replay config` prints its unit"
         else:
             continue
         raise ConfigError(f"{source.name}: {_dotted(*path)} {what}", hint)
@@ -610,7 +609,8 @@ def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
     yield from impossible_values(config)
     held_out = config.evaluation.held_out
     yield from _wrong_words(held_out, SENSORS, "evaluation", "held_out")
-    primary, candidate = config.evaluation.primary, config.evaluation.candidate
+    primary = config.evaluation.primary
+    candidate = config.evaluation.candidate
     if primary and primary not in DECIDERS:
         yield (
             ("evaluation", "primary"),
@@ -675,16 +675,22 @@ def _candidate_checks(
 ) -> list[tuple[bool, str, str]]:
     """Check that a solution, a program or a class is not the baseline, and has no keys of the tool's own filters."""
     own = next(keys for keys in CANDIDATE_KEYS if getattr(filter_, keys[0]) is not None)
-    kind, default, program = own[0], Filter(), filter_.program
+    kind = own[0]
+    default = Filter()
+    program = filter_.program
     others = [
         name
         for name in Filter.__struct_fields__
         if getattr(filter_, name) != getattr(default, name)
     ]
     names = " and ".join(f"{key}.{name}" for name in others if name not in own)
-    what, not_run, why = "your code", "", "the tool judges it against one of its own filters"
+    what = "your code"
+    not_run = ""
+    why = "the tool judges it against one of its own filters"
     if kind == "solution":
-        what, not_run, why = "read", " and not run", "all filters begin from the baseline's start"
+        what = "read"
+        not_run = " and not run"
+        why = "all filters begin from the baseline's start"
     lacking = [
         place
         for place in ("{dive}", "{solution}")
@@ -737,7 +743,8 @@ def _is_class(word: str | None) -> bool:
 def _filter_checks(
     filter_: Filter, held_out: Sequence[str], key: str
 ) -> list[tuple[bool, str, str]]:
-    aiding, acceleration = set(filter_.aiding), filter_.acceleration
+    aiding = set(filter_.aiding)
+    acceleration = filter_.acceleration
     order, window = (acceleration.order, acceleration.window) if acceleration else (0, 1)
     return [
         (not aiding, f"{key}.aiding is empty", 'aiding = ["velocity"]'),

@@ -87,7 +87,8 @@ def is_same_dive(one: DiveReport, other: DiveReport) -> bool:
     """Return whether two results are of the same log, or of IMUs with equal readings at overlapping times."""
     if one.log.sha256 and one.log.sha256 == other.log.sha256:
         return True
-    ours, theirs = one.imu_fingerprint, other.imu_fingerprint
+    ours = one.imu_fingerprint
+    theirs = other.imu_fingerprint
     if ours is None or theirs is None:
         return False
     known = dict(zip(ours.at_s, ours.digests, strict=True))

@@ -135,10 +135,8 @@ class Columns:
 
     def within(self, start_ns: int, end_ns: int) -> Self:
         """Keep the rows from the start to the end, both included, without copying them."""
-        first, last = (
-            np.searchsorted(self.time_ns, start_ns),
-            np.searchsorted(self.time_ns, end_ns, side="right"),
-        )
+        first = np.searchsorted(self.time_ns, start_ns)
+        last = np.searchsorted(self.time_ns, end_ns, side="right")
         return self.rows(slice(int(first), int(last)))
 
 
@@ -256,7 +254,8 @@ class SolutionColumns:
 
     def where(self, keep: Callable[[TimeNs], NDArray[np.bool_]]) -> "SolutionColumns":
         """Keep the rows of some of the times, shape (k,), of which a mask says which."""
-        rows, of_cov = keep(self.motion.time_ns), keep(self.cov_ns)
+        rows = keep(self.motion.time_ns)
+        of_cov = keep(self.cov_ns)
         moved_n = None if self.moved_n is None else self.moved_n[rows]
         return SolutionColumns(
             self.motion.rows(rows), moved_n, self.cov_ns[of_cov], self.cov[of_cov]

@@ -209,7 +209,8 @@ def _cache_class() -> Any:
 
     class Locator(UserProvidedCacheLocator):
         def __init__(self, function: Any, file: str) -> None:
-            self._py_file, self._lineno = file, function.__code__.co_firstlineno
+            self._py_file = file
+            self._lineno = function.__code__.co_firstlineno
             self._cache_path = str(cache_folder() / self._subfolder(Path(file)))
 
         def _subfolder(self, file: Path) -> str:

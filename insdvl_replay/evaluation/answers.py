@@ -467,7 +467,8 @@ def pooled_candidate(
     verdict, undecided = verdict_of(rows, len(evidence))
     # Two vehicles that cancel each other may look equivalent together.
     if vehicles is not None and _contradict(evidence, primary, level, vehicles):
-        verdict, undecided = Verdict.MIXED, Undecided.NONE
+        verdict = Verdict.MIXED
+        undecided = Undecided.NONE
     if 2 * len(evidence) <= dives:
         is_repeating = 2 * not_repeatable <= dives - len(evidence)
         verdict = Verdict.NOT_EVALUATED if is_repeating else Verdict.NOT_REPEATABLE

@@ -102,7 +102,8 @@ def mean_verdict(squared: Floats, dof: int, samples: float) -> MeanVerdict:
         Consistency.CONSISTENT,
         Consistency.CONSERVATIVE,
     ):
-        word, why = Consistency.INSUFFICIENT, Reason.NONE
+        word = Consistency.INSUFFICIENT
+        why = Reason.NONE
     return MeanVerdict(mean, low, high, word, why)
 
 
@@ -125,7 +126,8 @@ def consistency_table(
     for history, innovations in [
         (met_by, met) for met_by in histories for met in met_by.innovations
     ]:
-        measurement, held_out = innovations.measurement, innovations.is_held_out
+        measurement = innovations.measurement
+        held_out = innovations.is_held_out
         sensor = measurement.removeprefix(HELD_OUT)
         needed = (
             {state.id for block in SENSORS[sensor].states for state in MORE_STATES[block]}
@@ -136,17 +138,16 @@ def consistency_table(
         # Readings whose user-defined prediction is not a number are not used.
         goes_on = not is_reserved(measurement) and np.isfinite(history.velocity_n[-1]).all()
         met = np.isfinite(innovations.nis) | (not goes_on)
-        standardised, used, weight = (
-            innovations.standardised[met],
-            innovations.used[met],
-            innovations.weight[met],
-        )
+        standardised = innovations.standardised[met]
+        used = innovations.used[met]
+        weight = innovations.weight[met]
         axes = {
             axis_of(measurement, axis): slice(i, i + 1) for i, axis in enumerate(innovations.axes)
         }
         for name, components in ({measurement: slice(None)} | axes).items():
             part = standardised[:, components]
-            dof, correlation = part.shape[1], autocorrelation(part, used | held_out)
+            dof = part.shape[1]
+            correlation = autocorrelation(part, used | held_out)
             nis = (innovations.nis[met] if name == measurement else part[:, 0] ** 2) * weight
             # The errors of a held-out sensor last, so fewer innovations are independent.
             mean = (
@@ -216,7 +217,8 @@ def autocorrelation(
     count = int(pairs.sum())
     if count < FEWEST_PAIRS:
         return float("nan"), float("nan")
-    earlier, later = standardised[:-1][pairs], standardised[1:][pairs]
+    earlier = standardised[:-1][pairs]
+    later = standardised[1:][pairs]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         value = np.sum(earlier * later) / np.sqrt(np.sum(earlier**2) * np.sum(later**2))
     return float(value), NORMAL_95 / float(np.sqrt(count))

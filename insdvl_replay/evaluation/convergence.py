@@ -52,7 +52,8 @@ def measured_convergences(
     """
     if min(len(baseline.error), len(candidate.error)) < FEWEST_RUNS:
         return {}
-    before, after = squared_errors(baseline), squared_errors(candidate)
+    before = squared_errors(baseline)
+    after = squared_errors(candidate)
     found = {}
     for quantity in before:
         if quantity in after and quantity != "position_h":
@@ -144,16 +145,15 @@ class ConvergenceCurves(NamedTuple):
 
 def convergence_curves(drawn: Sequence[DrawnErrors]) -> dict[str, ConvergenceCurves]:
     """Return the rms of each filter's true errors over its random starts, without the dive's own, by quantity."""
-    drawn, curves = [errors for errors in drawn if len(errors.error) >= FEWEST_RUNS], {}
+    drawn = [errors for errors in drawn if len(errors.error) >= FEWEST_RUNS]
+    curves = {}
     squares = [squared_errors(errors) for errors in drawn]
     as_predicted = [
         replace(errors, velocity_error_n=errors.sd[None, :, DV], error=errors.sd[None])
         for errors in drawn
     ]
-    predicted, names = (
-        [squared_errors(errors) for errors in as_predicted],
-        [errors.filter for errors in drawn],
-    )
+    predicted = [squared_errors(errors) for errors in as_predicted]
+    names = [errors.filter for errors in drawn]
     for quantity, name in CONVERGED.items():
         if not (drawn and all(name in square for square in squares)):
             continue
@@ -264,13 +264,12 @@ def convergence_table(
     rows = []
     baseline_time_s = seconds(baseline.time_ns, baseline.time_ns[0])
     for candidate in candidates:
-        last, pings = (
-            last_row(baseline, candidate),
-            candidate.updated | (candidate.time_ns == candidate.time_ns[0]),
-        )
+        last = last_row(baseline, candidate)
+        pings = candidate.updated | (candidate.time_ns == candidate.time_ns[0])
         for state in predicted_states(candidate):
             # Final sigma of the baseline, and when it stays there.
-            baseline_s, target = float(baseline_time_s[last]), float(baseline.sd[last, state.index])
+            baseline_s = float(baseline_time_s[last])
+            target = float(baseline.sd[last, state.index])
             seen = np.flatnonzero(
                 baseline.updated[: last + 1] | (baseline_time_s[: last + 1] == 0.0)
             )
@@ -281,10 +280,8 @@ def convergence_table(
             known = (
                 pings & np.isfinite(candidate.sd[:, state.index]) if candidate.is_partial else pings
             )
-            time_s, sd = (
-                seconds(candidate.time_ns[known], candidate.time_ns[0]),
-                candidate.sd[known, state.index],
-            )
+            time_s = seconds(candidate.time_ns[known], candidate.time_ns[0])
+            sd = candidate.sd[known, state.index]
             reached_s, status = time_to_stay_below(time_s, sd, target)
             faster_pct = (
                 improvement_pct(baseline_s, reached_s)

@@ -98,9 +98,11 @@ def state_errors(
 
 def about_vehicle(errors: StateErrors) -> StateErrors:
     """Turn misalignment from north and east to roll and pitch: about the vehicle's axes, made level."""
-    cos, sin = np.cos(errors.heading), np.sin(errors.heading)
+    cos = np.cos(errors.heading)
+    sin = np.sin(errors.heading)
     turn = np.moveaxis(np.array([[cos, sin], [-sin, cos]]), 2, 0)
-    error, cov = errors.error.copy(), errors.cov.copy()
+    error = errors.error.copy()
+    cov = errors.cov.copy()
     error[:, LEVEL] = np.einsum("kij,kj->ki", turn, error[:, LEVEL])
     with np.errstate(invalid="ignore", over="ignore"):
         cov[:, LEVEL] = turn @ cov[:, LEVEL]
@@ -174,8 +176,10 @@ def credibility_table(
             names = (*CREDIBILITY_QUANTITIES[: BA.start], *groups, JOINT)
             rows += [_row(log, name, quantity, 1, 0, nothing) for quantity in names]
             continue
-        in_n, in_vehicle = errors[name], about_vehicle(errors[name])
-        n, has_sd = in_n.error.shape[1], in_n.has_sd
+        in_n = errors[name]
+        in_vehicle = about_vehicle(errors[name])
+        n = in_n.error.shape[1]
+        has_sd = in_n.has_sd
         ever: NDArray[np.bool_] = np.any(np.isfinite(in_n.error), axis=0)
         samples = np.array([_samples_of(in_n, state) for state in range(n)])
         samples_in_vehicle = samples.copy()
@@ -286,7 +290,8 @@ def _compared_row(
         # A filter that starts on the reference has no misalignment, nor errors that depend on it: velocity across the
         # track or, on a straight line, a horizontal accelerometer bias. Errors that are too small are compared with
         # the share of the variance that is left if the attitude is known.
-        shared, attitude = 0.0, np.arange(PHI.start, PHI.stop)
+        shared = 0.0
+        attitude = np.arange(PHI.start, PHI.stop)
         if not np.isin(states, attitude).any():
             between = whitened(cov[:, states[:, None], attitude], cov[:, states[:, None], states])
             both = whitened(np.swapaxes(between, 1, 2), cov[:, PHI, PHI])

@@ -107,7 +107,8 @@ def course_errors(errors: ReferenceErrors, reference: ReferenceColumns) -> Cours
         course = np.where(
             speed_mps[:, None] >= SLOWEST_MPS, velocity_n / speed_mps[:, None], np.nan
         )
-    north_mps, east_mps = errors.velocity_error_n[..., 0], errors.velocity_error_n[..., 1]
+    north_mps = errors.velocity_error_n[..., 0]
+    east_mps = errors.velocity_error_n[..., 1]
     return CourseErrors(
         course[:, 0] * north_mps + course[:, 1] * east_mps,
         course[:, 0] * east_mps - course[:, 1] * north_mps,
@@ -134,10 +135,8 @@ def drift_table(
         time_ns = found.time_ns
         distance_m = reference_distance_m(reference, time_ns) if len(time_ns) else np.empty(0)
         with np.errstate(over="ignore", invalid="ignore"):
-            course, position_m = (
-                course_errors(found, reference),
-                np.hypot(*found.position_error_ned_m[:, :2].T),
-            )
+            course = course_errors(found, reference)
+            position_m = np.hypot(*found.position_error_ned_m[:, :2].T)
             segments_of = {
                 "drift_60s": time_segments(time_ns),
                 "drift_100m": distance_segments(time_ns, distance_m),
@@ -158,7 +157,8 @@ def drift_table(
             continue
         size, from_ns, to_ns = sizes[name][quantity]
         time_ns = errors[name].time_ns
-        known, travelled_m = np.flatnonzero(np.isfinite(size)), errors[name].distance_m
+        known = np.flatnonzero(np.isfinite(size))
+        travelled_m = errors[name].distance_m
         numbers: dict[str, float] = dict.fromkeys(DriftRow.__struct_fields__[5:], np.nan)
         if len(known):
             numbers["p50"], numbers["p95"] = np.quantile(size[known], [0.5, 0.95]).tolist()
@@ -259,24 +259,24 @@ def track_fit(
     if len(time_ns) < 2 or np.hypot(*np.ptp(reference_m, axis=0)) < SHORTEST_M:
         return UNKNOWN
     estimated, reference = (np.asarray(track @ [1.0, 1.0j]) for track in (estimated_m, reference_m))
-    estimated, reference = estimated - estimated.mean(), reference - reference.mean()
+    estimated = estimated - estimated.mean()
+    reference = reference - reference.mean()
     squares = float(np.sum(np.abs(estimated) ** 2))
     similarity = complex(np.vdot(estimated, reference) / squares) if squares else 0.0
     if similarity == 0.0:
         return UNKNOWN
     weights = estimated.conj() / (squares * similarity)
-    changes, scale_sd, turn_sd = (
-        _changes(time_ns, weights, reference - similarity * estimated),
-        math.nan,
-        math.nan,
-    )
+    changes = _changes(time_ns, weights, reference - similarity * estimated)
+    scale_sd = math.nan
+    turn_sd = math.nan
     if len(changes) >= FEWEST_AVERAGES:
         # Variance of a sum of parts that may be correlated with their neighbours.
         scale_sd, turn_sd = (
             float(np.sqrt(np.sum(part**2) * len(part) / samples_in_mean(part)))
             for part in (changes.real, changes.imag)
         )
-    scale_pct, turn_deg = 100.0 * (abs(similarity) - 1.0), float(np.angle(similarity)) / DEG
+    scale_pct = 100.0 * (abs(similarity) - 1.0)
+    turn_deg = float(np.angle(similarity)) / DEG
     return TrackFit(scale_pct, 100.0 * scale_sd, turn_deg, turn_sd / DEG)
 
 
@@ -320,10 +320,8 @@ def heading_fit(
     """
     if len(time_ns) < 2 or np.hypot(*np.ptp(reference_m, axis=0)) < SHORTEST_M:
         return None
-    columns, off_m = (
-        np.stack([per_heading_m, per_bias_m, estimated_m], axis=2),
-        reference_m - estimated_m,
-    )
+    columns = np.stack([per_heading_m, per_bias_m, estimated_m], axis=2)
+    off_m = reference_m - estimated_m
     for rows in (
         [slice(None)] if piece is None else [piece == number for number in np.unique(piece)]
     ):
@@ -363,7 +361,8 @@ def jump_table(
     for history in histories:
         if not (history.filter in motions or history.estimates_position):
             continue
-        start_ns, end_ns = int(history.time_ns[0]), int(history.time_ns[-1])
+        start_ns = int(history.time_ns[0])
+        end_ns = int(history.time_ns[-1])
         recorded = motions.get(history.filter)
         motion = history.motion() if recorded is None else recorded.within(start_ns, end_ns)
         # A repeated position counts once; all velocities are kept.

@@ -40,11 +40,9 @@ def run_errors(history: History, reference: ReferenceColumns, truth: TruthColumn
     errors = state_errors(history, reference, truth)
     if not len(errors.time_ns):
         raise ValueError("NEES needs all of P")
-    time_s, error, cov = (
-        seconds(errors.time_ns, history.time_ns[0]),
-        errors.error[:, :DOF],
-        errors.cov[:, :DOF, :DOF],
-    )
+    time_s = seconds(errors.time_ns, history.time_ns[0])
+    error = errors.error[:, :DOF]
+    cov = errors.cov[:, :DOF, :DOF]
     return RunErrors(
         history.filter, time_s, error, np.diagonal(cov, axis1=1, axis2=2).copy(), nees(error, cov)
     )
@@ -77,7 +75,9 @@ class Tally:
     """
 
     def __init__(self, first: RunErrors) -> None:
-        self.filter, self._time_s, self._runs = first.filter, first.time_s, 0
+        self.filter = first.filter
+        self._time_s = first.time_s
+        self._runs = 0
         self._mean, self._squares, self._var = (np.zeros_like(first.error) for _ in range(3))
         self._nees = np.zeros_like(first.nees)
         self.nees_by_run: list[tuple[float, float]] = []
@@ -161,7 +161,8 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
         low, high = mean_interval(DOF, ensemble.runs)
         word, why = consistency_verdict(float(at_pings.mean()), low, high, DOF)
         if ensemble.runs < FEWEST_UPDATES:
-            word, why = Consistency.INSUFFICIENT, Reason.NONE
+            word = Consistency.INSUFFICIENT
+            why = Reason.NONE
         rows.append(
             {
                 "filter": ensemble.filter,

@@ -107,7 +107,10 @@ def tables_of_filters(
     # Others than the built-in filters are compared from the dive's own start.
     run_here = {history.filter for history in spread}
     others = (baseline, *(history for history in candidates if history.filter not in run_here))
-    errors, in_states, drift, fits = {}, {}, [], []
+    errors = {}
+    in_states = {}
+    drift = []
+    fits = []
     if reference is not None:
         for history in histories:
             errors[history.filter] = reference_errors(history, reference, baseline)
@@ -195,7 +198,8 @@ def accuracy_series(
     baseline = histories[0]
     if reference is None or not len(errors[baseline.filter].time_ns):
         return {history.filter: {} for history in histories}
-    start_ns, end_ns = int(baseline.time_ns[0]), int(baseline.time_ns[-1])
+    start_ns = int(baseline.time_ns[0])
+    end_ns = int(baseline.time_ns[-1])
     found = dict[str, Series]()
     for history in histories:
         own = errors[history.filter]

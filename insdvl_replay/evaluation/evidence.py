@@ -147,7 +147,8 @@ def covered_errors(errors: ReferenceErrors, start_ns: int, end_ns: int) -> Refer
         share = covered_share(errors.time_ns, known, start_ns, end_ns) if known.any() else 0.0
         return columns if share >= WELL_COVERED else np.full_like(columns, np.nan)
 
-    horizontal_m, down_m = kept(errors.drifting_ned_m[:, :2]), kept(errors.drifting_ned_m[:, 2:])
+    horizontal_m = kept(errors.drifting_ned_m[:, :2])
+    down_m = kept(errors.drifting_ned_m[:, 2:])
     return replace(
         errors,
         drifting_ned_m=np.hstack([horizontal_m, down_m]),
@@ -167,7 +168,8 @@ def settling_times(baseline: History, time_ns: TimeNs) -> dict[str, float]:
     variance = baseline.sd[rows] ** 2
     time_s = seconds(time_ns, int(baseline.time_ns[0]))
     horizontal_mps = np.sqrt(variance[:, DV][:, :2].sum(axis=1))
-    level, heading = np.sqrt(variance[:, PHI][:, :2].sum(axis=1)), np.sqrt(variance[:, PHI][:, 2])
+    level = np.sqrt(variance[:, PHI][:, :2].sum(axis=1))
+    heading = np.sqrt(variance[:, PHI][:, 2])
     velocity_s = _settled_s(time_s, horizontal_mps)
     return {
         "velocity_along": velocity_s,
@@ -196,7 +198,8 @@ def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[st
     for innovations in (met for met in history.innovations if met.is_held_out):
         sensor = innovations.measurement.removeprefix(HELD_OUT)
         if sensor == "heading":
-            errors_deg, sd_deg = innovations.innovation / DEG, float(noise_sd[sensor][0]) / DEG
+            errors_deg = innovations.innovation / DEG
+            sd_deg = float(noise_sd[sensor][0]) / DEG
             found[innovations.measurement] = ErrorSeries("deg", errors_deg, sd_deg)
         elif along := ALONG.get(sensor):
             apart_m = innovations.innovation[:, : len(along)]
@@ -232,7 +235,8 @@ def _averaged(innovations: Innovations, values: Floats) -> tuple[Rows, Rows, Flo
 def held_out_track(history: History, noise_sd: Mapping[str, Floats]) -> dict[str, ErrorSeries]:
     """Return the difference of a filter's track from held-out fixes and depths, by quantity of `quantities.TRACK`."""
     found = {}
-    start_ns, end_ns = int(history.time_ns[0]), int(history.time_ns[-1])
+    start_ns = int(history.time_ns[0])
+    end_ns = int(history.time_ns[-1])
     for innovations in (
         met for met in history.innovations if met.is_held_out and len(met.time_ns) > 1
     ):
@@ -263,13 +267,15 @@ class Compared(NamedTuple):
 def compared(before: ErrorSeries, after: ErrorSeries) -> Compared:
     """Compare two filters at the times at which both have an error."""
     known = ~(np.isnan(before.errors).any(axis=1) | np.isnan(after.errors).any(axis=1))
-    errors, new_errors = before.errors[known], after.errors[known]
+    errors = before.errors[known]
+    new_errors = after.errors[known]
     # The errors of a filter that diverged may overflow.
     with np.errstate(over="ignore", invalid="ignore"):
         baseline, value, moves = (
             _rms(columns) for columns in (errors, new_errors, new_errors - errors)
         )
-    square, noise_square = baseline**2, before.noise**2
+    square = baseline**2
+    noise_square = before.noise**2
     share = min(noise_square / square, 1.0) if square > 0.0 else math.nan
     own = math.sqrt(max(square - noise_square, LEAST_OWN_SHARE * square))
     acts = 0.0 if moves == 0.0 else moves / own if own > 0.0 else math.nan
@@ -367,7 +373,8 @@ def _ratio(baseline: float, value: float) -> float:
 def _rows_of_pair(new: Callable[..., EvidenceRow], kind: str, pair: Pair) -> Iterator[EvidenceRow]:
     """Compare two filters in the quantities that both have."""
     for quantity in (name for name in pair[0] if name in pair[1]):
-        before, after = pair[0][quantity], pair[1][quantity]
+        before = pair[0][quantity]
+        after = pair[1][quantity]
         found = compared(before, after)
         if not found.samples:
             continue

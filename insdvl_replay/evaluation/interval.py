@@ -65,7 +65,8 @@ def log_ratio_interval(
     logs = np.asarray(log_ratios, np.float64)
     names = np.asarray([""] * len(logs) if vehicles is None else [*vehicles])
     known = np.isfinite(logs)
-    logs, names = logs[known], names[known]
+    logs = logs[known]
+    names = names[known]
     groups = [logs[names == name] for name in dict.fromkeys(names.tolist())]
     mean, error, freedom, scatter = _mean_and_error(groups)
     n = len(logs)
@@ -183,7 +184,9 @@ def change_found(scatter: float, dives: int, level: float = LEVEL) -> float:
     if error == 0.0:
         return 1.0 / BAND
     quantile = float(stdtrit(freedom, 0.5 + 0.5 * level))
-    least, most = 0.0, 100.0  # of the shift beyond the band, in standard errors
+    # of the shift beyond the band, in standard errors
+    least = 0.0
+    most = 100.0
     for _ in range(60):
         shift = 0.5 * (least + most)
         # The statistic is noncentral t; it must exceed the quantile.
@@ -196,7 +199,8 @@ def dives_needed(scatter: float, ratio: float, level: float = LEVEL) -> int | No
     """Return the fewest dives that find a ratio below 1 in four of five cases; None for more than a thousand."""
     if not change_found(scatter, MOST_DIVES, level) >= ratio:
         return None
-    least, most = FEWEST_DIVES, MOST_DIVES
+    least = FEWEST_DIVES
+    most = MOST_DIVES
     while least < most:
         middle = (least + most) // 2
         if change_found(scatter, middle, level) >= ratio:

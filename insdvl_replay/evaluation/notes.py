@@ -40,11 +40,14 @@ APART: Final = 5.0
 # NIS/dof from which an axis is also compared with down. Beams 30 deg off the vertical have six times less variance
 # along down, and the filter assumes equal variance on all axes.
 TOO_LARGE: Final = 1.5
-TELLING_PCT, TELLING_DEG = 0.5, 0.5
+TELLING_PCT = 0.5
+TELLING_DEG = 0.5
 FAR_OFF: Final = {"scale": 20.0, "turn": 10.0}  # %, deg: no result of such a replay is worth much
 # Standard errors by which a track has to be off; those of a turn include the sigma of the heading.
 CERTAIN_SDS: Final = 5.0
-LEAST, MOST = 0.2, 5.0  # Mean NIS/dof outside which the noise settings are far off.
+# Mean NIS/dof outside which the noise settings are far off.
+LEAST = 0.2
+MOST = 5.0
 NOISE_FAR_OFF: Final = "noise_far_off"
 _CALIBRATE: Final = (
     "`insdvl-replay calibrate` with the same settings estimates arm, "
@@ -73,13 +76,16 @@ def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
 
 def _update_warnings(history: History) -> Iterator[tuple[str, str, int, str]]:
     """Yield code, text, count and hint of each."""
-    name, settings = history.filter, f"filters.{history.filter}"
+    name = history.filter
+    settings = f"filters.{history.filter}"
     gate_hint = (
         f"check lever arm and mounting, raise [noise], or --set {settings}.gate_probability=1.0"
     )
     for met in history.innovations:
-        kind, total = met.measurement, len(met.used)
-        lost, many = ~np.isfinite(met.nis), int(rejected(met).sum())
+        kind = met.measurement
+        total = len(met.used)
+        lost = ~np.isfinite(met.nis)
+        many = int(rejected(met).sum())
         if total == 0:
             hint = (
                 f"{settings}.acceleration.max_window_gap_s or window"
@@ -152,7 +158,8 @@ def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     """Note the filters' final estimates of sensor constants and of adaptive noise."""
     notes = []
     for history in histories:
-        found, count = [], history.constants.shape[1]
+        found = []
+        count = history.constants.shape[1]
         for column, state in enumerate(history.states[len(history.states) - count :]):
             value, start = (history.constants[row, column] / state.factor for row in (-1, 0))
             sd, start_sd = (history.sd[row, state.index] / state.factor for row in (-1, 0))
@@ -181,7 +188,8 @@ def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
 
 def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
     """Return hints on DVL geometry and noise, by the baseline's innovations and track."""
-    name, notes = baseline.filter, []
+    name = baseline.filter
+    notes = []
     nis = {
         row.measurement: finite(row.mean_nis) / row.dof
         for row in tables.consistency
@@ -203,7 +211,8 @@ def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
         notes.append(Note("innovations_apart", text, 1, hint=_CALIBRATE))
 
     heading_sd_deg = float(np.max(baseline.sd[[0, -1], PHI.stop - 1])) / DEG
-    telling, off = {"scale": (TELLING_PCT, 0.0), "turn": (TELLING_DEG, heading_sd_deg)}, []
+    telling = {"scale": (TELLING_PCT, 0.0), "turn": (TELLING_DEG, heading_sd_deg)}
+    off = []
     is_far = False
     for row in tables.track_fit:
         size, (least, known_sd) = abs(finite(row.fitted)), telling[row.quantity]
@@ -311,8 +320,10 @@ def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
 
     ``scatter`` is from `readings_scatter`; 0 if the readings do not show the noise, as with a DVL.
     """
-    sensors, reasons = CLASSES[key], []
-    best, worst = min(sensors.worst.values()), max(sensors.worst.values())
+    sensors = CLASSES[key]
+    reasons = []
+    best = min(sensors.worst.values())
+    worst = max(sensors.worst.values())
     if scatter and noise > best and noise > FILTERED * scatter:
         reasons.append(f"{noise / scatter:.0f} times the scatter of the readings ({scatter:.2g})")
     if noise > worst and noise > RESTLESS * scatter:
@@ -335,7 +346,8 @@ def reference_notes(
     independent: bool,
 ) -> tuple[Note, ...]:
     """Note the limits of the reference: errors that it shares, and parts of the dive that it does not cover."""
-    reference, truth = dive.reference, dive.truth
+    reference = dive.reference
+    truth = dive.truth
     if reference is None:
         return ()
     notes = []
@@ -394,7 +406,8 @@ def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, 
     )  # of a rotation: 1 + 2 cos(angle)
     turn = np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
     change_mps = np.linalg.norm(history.velocity_n[rows] - history.velocity_n[last], axis=1)
-    since, turning = history.time_ns[last], turn > SMALL_TURN
+    since = history.time_ns[last]
+    turning = turn > SMALL_TURN
     if not turning.any():
         return ()
     worst = int(np.argmax(turn))
@@ -409,8 +422,6 @@ def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, 
         "between cannot be seen"
     )
     hint = f"a reference of {turn[worst] / SMALL_TURN / apart_s:.2g} Hz would be fast enough"
-    count, severity = (
-        len(np.unique(since[turning])),
-        Severity.WARNING if turn[worst] > LARGE_TURN else Severity.INFO,
-    )
+    count = len(np.unique(since[turning]))
+    severity = Severity.WARNING if turn[worst] > LARGE_TURN else Severity.INFO
     return (Note("reference_slow", text, count, severity, hint),)

@@ -67,10 +67,8 @@ class OutagePlan:
     def runs(self) -> tuple[Rows, Rows]:
         """First and last ping of each run, shape (r,): from each first ping the longest window that begins there."""
         every = (*self.by_length, self.shown)
-        first, last = (
-            np.concatenate([w.first for w in every]),
-            np.concatenate([w.last for w in every]),
-        )
+        first = np.concatenate([w.first for w in every])
+        last = np.concatenate([w.last for w in every])
         order = np.lexsort((-last, first))
         longest = order[is_new(first[order])]
         return first[longest], last[longest]
@@ -95,7 +93,8 @@ def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> 
 
     def windows(window_s: int, every_s: int) -> Windows:
         # None if the dive is too short, or the pings are too rare.
-        window_ns, last_ns = window_s * NS_PER_S, end_ns
+        window_ns = window_s * NS_PER_S
+        last_ns = end_ns
         if (
             end_ns - start_ns < (BURN_IN_S + 2 * window_s) * NS_PER_S
             or window_ns < FEWEST_PINGS * usual_ns
@@ -155,7 +154,8 @@ def outage_run(history: History) -> OutageRun:
     innovations, *_ = history.innovations
     time_s = seconds(history.time_ns, history.time_ns[0])
     velocity_error_n = np.zeros((len(time_s), 3))
-    nis, minus_log_score = np.full(len(time_s), np.nan), np.full(len(time_s), np.nan)
+    nis = np.full(len(time_s), np.nan)
+    minus_log_score = np.full(len(time_s), np.nan)
     with np.errstate(over="ignore", invalid="ignore"):
         velocity_error_n[1:] = np.einsum("kij,kj->ki", history.mat_nb[1:], innovations.innovation)
         nis[1:] = innovations.nis
@@ -168,10 +168,8 @@ def outage_run(history: History) -> OutageRun:
 
 def drift_run(time_ns: TimeNs, velocity_error_n: Floats) -> OutageRun:
     """Integrate errors of the velocity from the last used ping on, whose row is the first and counts as zero."""
-    time_s, error_n = (
-        seconds(time_ns, time_ns[0]),
-        np.concatenate([np.zeros((1, 3)), velocity_error_n[1:]]),
-    )
+    time_s = seconds(time_ns, time_ns[0])
+    error_n = np.concatenate([np.zeros((1, 3)), velocity_error_n[1:]])
     unknown = np.full(len(time_s), np.nan)
     return OutageRun(time_s, error_n, _integral(time_s, error_n), unknown, unknown)
 
@@ -211,7 +209,8 @@ def window_ends(outages: OutageRuns, name: str, windows: Windows) -> WindowEnds:
         np.array(columns, np.float64).reshape(-1, 7).T
     )
     with np.errstate(over="ignore", invalid="ignore"):
-        drift_ne_m, end_mps = np.column_stack([north_m, east_m]), np.hypot(north_mps, east_mps)
+        drift_ne_m = np.column_stack([north_m, east_m])
+        end_mps = np.hypot(north_mps, east_mps)
         return WindowEnds(drift_ne_m, np.hypot(north_m, east_m), np.abs(down_m), end_mps, nis)
 
 
@@ -238,7 +237,9 @@ class OutageCurve(NamedTuple):
 
 def outage_curves(outages: OutageRuns) -> dict[str, OutageCurve]:
     """Return the drift of each filter in the windows that are shown, at whole seconds; empty without windows."""
-    shown, at_s, curves = outages.plan.shown, np.arange(SHOWN_S + 1.0), {}
+    shown = outages.plan.shown
+    at_s = np.arange(SHOWN_S + 1.0)
+    curves = {}
     rows = np.searchsorted(outages.plan.runs[0], shown.first)
     for name, runs in outages.runs.items() if len(shown.first) else ():
         with np.errstate(over="ignore", invalid="ignore"):
@@ -269,10 +270,14 @@ def outage_test_table(log: str, outages: OutageRuns) -> list[OutageRow]:
     for windows in outages.plan.by_length:
         count = len(windows.first)
         distance_m = outages.distance_m[windows.last] - outages.distance_m[windows.first]
-        moved, baseline_m, baseline_rms_m = distance_m >= SHORTEST_M, np.empty(0), NAN
+        moved = distance_m >= SHORTEST_M
+        baseline_m = np.empty(0)
+        baseline_rms_m = NAN
         for i, name in enumerate(outages.runs):
-            ends, against = window_ends(outages, name, windows), (NAN, NAN)
-            drift_m, baseline_m = ends.drift_m, baseline_m if i else ends.drift_m
+            ends = window_ends(outages, name, windows)
+            against = (NAN, NAN)
+            drift_m = ends.drift_m
+            baseline_m = baseline_m if i else ends.drift_m
             with np.errstate(over="ignore", invalid="ignore"):
                 rms_m = float(np.sqrt(np.mean(drift_m**2))) if count else NAN
                 baseline_rms_m = baseline_rms_m if i else rms_m

@@ -70,12 +70,15 @@ def _one_step(baseline: History, candidate: History, settled_s: float) -> Score 
     pings = [_pings_of(history) for history in (baseline, candidate)]
     if not pings[0] or pings[0].keys() != pings[1].keys():
         return None
-    sums, dof, count = [0.0, 0.0], 0, 0
+    sums = [0.0, 0.0]
+    dof = 0
+    count = 0
     from_ns = int(baseline.time_ns[0]) + round(settled_s * NS_PER_S)
     for name, before in pings[0].items():
         after = pings[1][name]
         _, rows, new_rows = np.intersect1d(before.time_ns, after.time_ns, return_indices=True)
-        scores, new_scores = before.scores[rows], after.scores[new_rows]
+        scores = before.scores[rows]
+        new_scores = after.scores[new_rows]
         known = (before.time_ns[rows] >= from_ns) & np.isfinite(scores) & np.isfinite(new_scores)
         sums[0] += float(scores[known].sum())
         sums[1] += float(new_scores[known].sum())

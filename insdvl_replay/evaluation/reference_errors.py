@@ -65,7 +65,8 @@ def compared_distance_m(reference: ReferenceColumns, baseline: History, time_ns:
     """
     if not len(time_ns):
         return 0.0
-    start_ns, end_ns = int(baseline.time_ns[0]), int(time_ns[-1])
+    start_ns = int(baseline.time_ns[0])
+    end_ns = int(time_ns[-1])
     estimated_m = distance_travelled_m(baseline, time_ns)
     within = reference.within(start_ns, end_ns)
     by_speed, by_positions = (
@@ -94,7 +95,8 @@ def reference_distance_m(reference: ReferenceColumns, time_ns: TimeNs) -> Floats
     where it has neither.
     """
     rows = np.isin(reference.time_ns, time_ns)
-    moving, located = reference.known["velocities"] & rows, reference.known["positions"] & rows
+    moving = reference.known["velocities"] & rows
+    located = reference.known["positions"] & rows
     time_s = seconds(time_ns, time_ns[0])
     speed_share = covered_share(
         reference.time_ns[rows], moving[rows], int(time_ns[0]), int(time_ns[-1])
@@ -107,7 +109,8 @@ def reference_distance_m(reference: ReferenceColumns, time_ns: TimeNs) -> Floats
     if not located.any():
         return np.full(len(time_ns), np.nan)
     ends = np.union1d(thinned(reference.time_ns[located], CHORD_S), np.count_nonzero(located) - 1)
-    fix_ns, position = reference.time_ns[located][ends], reference.position[located][ends]
+    fix_ns = reference.time_ns[located][ends]
+    position = reference.position[located][ends]
     chords_m = np.hypot(*north_east_m(position[1:], position[:-1], position[:-1]))
     travelled_m = np.append(0.0, np.cumsum(chords_m))
     along_m: Floats = np.interp(time_s, seconds(fix_ns, time_ns[0]), travelled_m)
@@ -168,7 +171,8 @@ def attitude_error(mat_nb: Floats, mat_nb_reference: Floats) -> Floats:
         mat_nb[known] @ np.swapaxes(mat_nb_reference[known], 1, 2)
     ).T
     heading = rpy_from_mat(mat_nb_reference[known])[:, 2]
-    cos, sin = np.cos(heading), np.sin(heading)
+    cos = np.cos(heading)
+    sin = np.sin(heading)
     error[known] = np.column_stack([cos * north + sin * east, -sin * north + cos * east, down])
     return error
 
@@ -186,10 +190,8 @@ def motion_error(
     difference would also hold the second order, 6 % of the speed. Where an attitude is not known, it is the difference.
     """
     known = np.isfinite(true_mat_nb).all(axis=(1, 2)) & np.isfinite(mat_nb).all(axis=(1, 2))
-    velocity_error_n, misalignment_n = (
-        velocity_n - true_velocity_n,
-        np.full_like(velocity_n, np.nan),
-    )
+    velocity_error_n = velocity_n - true_velocity_n
+    misalignment_n = np.full_like(velocity_n, np.nan)
     turned = mat_nb[known] @ np.swapaxes(true_mat_nb[known], 1, 2)
     misalignment_n[known] = vector_from_mat(turned)
     invariant_error_n = velocity_n[known] - np.einsum("kij,kj->ki", turned, true_velocity_n[known])
@@ -205,10 +207,8 @@ def errors_at(
     The states are the twelve, and the position where the filter estimates it. A bias is what is left in the compensated
     readings, known at the times of the truth.
     """
-    ours, theirs = (
-        np.searchsorted(history.time_ns, time_ns),
-        np.searchsorted(reference.time_ns, time_ns),
-    )
+    ours = np.searchsorted(history.time_ns, time_ns)
+    theirs = np.searchsorted(reference.time_ns, time_ns)
     error = np.full(
         (len(time_ns), POSITION.stop if history.estimates_position else POSITION.start), np.nan
     )
@@ -253,7 +253,8 @@ def run_from_start(
     time_ns, ours, theirs = np.intersect1d(
         history.time_ns[1:], reference.time_ns, return_indices=True
     )
-    ours, position = ours + 1, reference.position[theirs]
+    ours = ours + 1
+    position = reference.position[theirs]
     error_ned_m = drifting_ned_m = north_east_down_m(history.position[ours], position)[None]
     if len(history.corrected):
         drifting_ned_m = north_east_down_m(history.dead_reckoned[ours], position)[None]
@@ -325,10 +326,13 @@ def reference_error_table(
     instants.
     """
     baseline, *candidates = histories
-    start_ns, end_ns, rows = int(baseline.time_ns[0]), int(baseline.time_ns[-1]), []
+    start_ns = int(baseline.time_ns[0])
+    end_ns = int(baseline.time_ns[-1])
+    rows = []
     shown = {name: _shown(found, found.distance_m) for name, found in errors.items()}
     for candidate in candidates or [baseline]:
-        after, before = shown.get(candidate.filter, {}), shown.get(baseline.filter, {})
+        after = shown.get(candidate.filter, {})
+        before = shown.get(baseline.filter, {})
         compared = before
         if candidate.is_partial and errors:
             distance_m = min(
@@ -383,7 +387,8 @@ def _shown(errors: ReferenceErrors, distance_m: float) -> dict[str, Floats]:
     """Return the errors of each quantity in its shown unit, shape (k,)."""
     horizontal_m = np.hypot(*errors.position_error_ned_m[:, :2].T)
     percent = 100.0 / distance_m if distance_m >= SHORTEST_M else np.nan
-    attitude, down_m = errors.attitude_error_rad.T / DEG, errors.position_error_ned_m[:, 2]
+    attitude = errors.attitude_error_rad.T / DEG
+    down_m = errors.position_error_ned_m[:, 2]
     columns = (*errors.velocity_error_n.T, *attitude, horizontal_m, down_m, horizontal_m * percent)
     return dict(zip(REFERENCE_QUANTITIES, columns, strict=True))
 
@@ -416,7 +421,8 @@ def reference_acceleration(reference: ReferenceColumns, max_gap_s: float) -> Flo
 
 def acceleration_at(time_ns: TimeNs, reference_ns: TimeNs, acceleration_b: Floats) -> Floats:
     """Interpolate the reference's acceleration at other times; NaN where a row next to the time has none."""
-    time_s, row_s = seconds(time_ns, reference_ns[:1]), seconds(reference_ns, reference_ns[:1])
+    time_s = seconds(time_ns, reference_ns[:1])
+    row_s = seconds(reference_ns, reference_ns[:1])
     return np.column_stack(
         [np.interp(time_s, row_s, axis, np.nan, np.nan) for axis in acceleration_b.T]
     )

@@ -56,7 +56,8 @@ def ratio_text(value: Number) -> str:
 
 def interval_text(row: PooledRow) -> str:
     """Write the interval of a row, a dash where it has none."""
-    low, high = finite(row.low), row.high
+    low = finite(row.low)
+    high = row.high
     if math.isnan(low) or high is None:
         return "-"
     return f"{ratio_text(low)} .. {ratio_text(high)}"
@@ -71,7 +72,9 @@ def ratio_with_interval(row: PooledRow) -> str:
 
 def changed(row: PooledRow) -> str:
     """Say how much smaller or larger, or sooner or later, a quantity is."""
-    name, ratio, is_time = label(row.quantity), finite(row.ratio), row.evidence == "convergence"
+    name = label(row.quantity)
+    ratio = finite(row.ratio)
+    is_time = row.evidence == "convergence"
     if not math.isfinite(ratio):
         return f"{name} unknown"
     if ratio >= MANY_TIMES:
@@ -125,7 +128,8 @@ def acts_line(answer: Answer) -> str:
 
 def _acting(answer: Answer) -> str:
     """Say how far the candidate moves the primary quantity, and the quantity that it moves most."""
-    primary, largest = answer.decisive, answer.acting
+    primary = answer.decisive
+    largest = answer.acting
     if largest is None:
         return "how far it moves the errors is not known"
     if finite(largest.acts) == 0.0:
@@ -168,7 +172,8 @@ def start_of(headings: Iterable[StartHeading]) -> str:
         by_source.setdefault(heading.source, []).append(heading.sd_deg)
     texts = []
     for source, sds_deg in by_source.items():
-        least, most = f"{min(sds_deg):.2g}", f"{max(sds_deg):.2g}"
+        least = f"{min(sds_deg):.2g}"
+        most = f"{max(sds_deg):.2g}"
         size = least if least == most else f"{least} to {most}"
         dives = f" on {counted(len(sds_deg), 'dive')}" if len(by_source) > 1 else ""
         texts.append(f"{_HEADINGS[source]} ({size} deg){dives}")

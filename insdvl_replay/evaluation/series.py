@@ -48,7 +48,8 @@ def samples_in_mean(values: Floats) -> float:
         return float(n)
     if values.var() <= 0.0:
         return 1.0
-    samples, averages = n / _correlation_time(values), _averages(values, slow=True)
+    samples = n / _correlation_time(values)
+    averages = _averages(values, slow=True)
     if len(averages):
         samples_of_averages = len(averages) / _correlation_time(averages)
         samples = min(samples, samples_of_averages * float(values.var() / averages.var()))
@@ -57,10 +58,13 @@ def samples_in_mean(values: Floats) -> float:
 
 def _correlation_time(values: Floats) -> float:
     """Return tau, the number of neighbours that count as one sample."""
-    n, bias, tau = len(values), 0.0, 1.0
+    n = len(values)
+    bias = 0.0
+    tau = 1.0
     covariance = autocovariance(values)
     # Divided by n and not by the n - j products, they already hold the factor 1 - j/n.
-    correlation, weight = covariance / covariance[0], 1.0 - np.arange(n) / n
+    correlation = covariance / covariance[0]
+    weight = 1.0 - np.arange(n) / n
     for _ in range(BIAS_ROUNDS + 1):
         corrected = correlation * (1.0 - bias) + weight * bias
         negative = corrected <= 0.0
@@ -79,7 +83,8 @@ def samples_in_mean_square(standardised: Floats) -> float:
     """
     shares = []
     for series in standardised.T:
-        share, averages = _squared_correlation_time(series) / len(series), _averages(series)
+        share = _squared_correlation_time(series) / len(series)
+        averages = _averages(series)
         if len(averages):
             slow_share = float(np.mean(averages**2) / max(np.mean(series**2), np.finfo(float).tiny))
             share = max(share, slow_share**2 * _squared_correlation_time(averages) / len(averages))
@@ -89,7 +94,8 @@ def samples_in_mean_square(standardised: Floats) -> float:
 
 def _squared_correlation_time(series: Floats) -> float:
     """Add up squared autocorrelations about zero until they are noise."""
-    k, lag = len(series), np.arange(len(series))
+    k = len(series)
+    lag = np.arange(len(series))
     products = _lagged_products(series) / (k - lag)
     correlation = np.clip(products / products[0], -1.0, 1.0) if products[0] != 0.0 else np.ones(k)
     times = 2.0 * np.cumsum((1.0 - lag / k) * correlation**2) - 1.0

@@ -120,7 +120,8 @@ def not_evaluated(
     shared = {
         note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)
     }
-    invalid, suspect = dict[str, str](), dict[str, str]()
+    invalid = dict[str, str]()
+    suspect = dict[str, str]()
     for history in histories:
         name = history.filter
         if history.failure:
@@ -160,10 +161,8 @@ def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
     """
     found = {}
     for history in (history for history in histories if not history.is_partial):
-        name, states = (
-            history.filter,
-            ("sd", "position", "velocity_n", "mat_nb", "accel_bias_b", "gyro_bias_b"),
-        )
+        name = history.filter
+        states = ("sd", "position", "velocity_n", "mat_nb", "accel_bias_b", "gyro_bias_b")
         columns = [getattr(history, state).reshape(len(history.time_ns), -1) for state in states]
         known = np.isfinite(np.hstack(columns)).all(axis=1)
         used = [met for met in history.innovations if is_used(met.measurement)]
@@ -178,14 +177,18 @@ def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
                 (met for met in (*beams, *used) if beams or met.measurement == "velocity"), used[0]
             )
             by_chance = float(chdtrc(lead.dof, lead.gate))
-            lost, measurement = rejected(lead), f"{lead.measurement} innovations"
+            lost = rejected(lead)
+            measurement = f"{lead.measurement} innovations"
             if beams:
                 times, ping = np.unique(
                     np.concatenate([beam.time_ns for beam in beams]), return_inverse=True
                 )
-                lost, measurement = np.ones(len(times), np.bool_), "pings"
+                lost = np.ones(len(times), np.bool_)
+                measurement = "pings"
                 lost[ping[~np.concatenate([rejected(beam) for beam in beams])]] = False
-            count, total, reopened = int(lost.sum()), len(lost), len(history.reopened_ns)
+            count = int(lost.sum())
+            total = len(lost)
+            reopened = len(history.reopened_ns)
             if count > max(FEW, (MANY_REJECTED + by_chance) * total):
                 found[name] = f"{name} rejected {count} of {total} {measurement}"
             elif reopened > max(1.0, (MANY_REOPENED + by_chance**lead.reopen_after) * total):
@@ -387,7 +390,8 @@ def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
     rows = [row for row in tables.consistency if row.measurement == "velocity" and row.dof]
     under_way = {row.filter: finite(row.mean_nis) / row.dof for row in rows}
     alarm = outage_alarm(tables.outage, (baseline, candidate), under_way)
-    consistency_words, baseline_trust = _trust(tables, candidate), _trust(tables, baseline)
+    consistency_words = _trust(tables, candidate)
+    baseline_trust = _trust(tables, baseline)
     if consistency_words == Consistency.NOT_AVAILABLE:
         return f"{candidate} reports no sigma, {baseline} is {baseline_trust}.{alarm}"
     sentence = f"Both filters are {consistency_words}."
@@ -406,10 +410,8 @@ def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
 
 def _trust(tables: Tables, name: str) -> str:
     """Join the consistency of innovations and of errors: one word if they agree or only one is known."""
-    consistency, credibility = (
-        consistency_of(tables.consistency, name),
-        credibility_of(tables.credibility, name),
-    )
+    consistency = consistency_of(tables.consistency, name)
+    credibility = credibility_of(tables.credibility, name)
     if credibility == Consistency.INSUFFICIENT or credibility not in WORST_FIRST:
         return consistency
     # Name the groups of states that have the worst verdict, where others have a better one.

@@ -101,11 +101,9 @@ def find_settings(
         A log cannot be read, or lacks what a replay needs.
     """
     report_stage("finding the settings")
-    dives, whole, given = (
-        dives[:MOST_DIVES],
-        given,
-        replace(given, config=given.config.without_code()),
-    )
+    dives = dives[:MOST_DIVES]
+    whole = given
+    given = replace(given, config=given.config.without_code())
     notes: list[Note] = []
     first, config, cost = _first_with_roles(dives, given, notes, allow_damaged=allow_damaged)
     report_stage("reading the log")
@@ -135,7 +133,8 @@ def find_settings(
     if better != preset and not given.has("noise"):
         known = [middle(ReadDive(with_reference_at_imu(dive, config), config)) for dive in read]
         again = calibrate_dives(known, config, [NOISE]).found
-        config, preset = with_noise(config, answer_of(again).applied(again), given), better
+        config = with_noise(config, answer_of(again).applied(again), given)
+        preset = better
     config, started = _with_heading(
         [with_reference_at_imu(dive, config) for dive in read], config, given, notes
     )
@@ -325,10 +324,8 @@ def settings_file(
         found = find_settings(dives, given, allow_damaged=allow_damaged)
         return SettingsFile(found.text, found.notes)
     except UserError as failure:
-        proposal, config = (
-            propose_settings(dives[0], given.config, allow_damaged=allow_damaged),
-            given.config,
-        )
+        proposal = propose_settings(dives[0], given.config, allow_damaged=allow_damaged)
+        config = given.config
         keys = (key.split(".") for key in given.keys if key.count(".") == 1)
         settings = [*proposal.settings]
         settings += [
@@ -359,11 +356,13 @@ def _differences(own: Config, others: Config) -> list[str]:
     """Name the settings of the sensors that differ: scales in words, and not what a calibration changes a little."""
     words = []
     for key, sensors in SCALES.items():
-        scale, before = getattr(own.imu, key), getattr(others.imu, key)
+        scale = getattr(own.imu, key)
+        before = getattr(others.imu, key)
         if scale != before:
             words.append(f"{sensors} {scale / before:.3g} times those of the other dives")
     for section in ("imu", "dvl", "reference"):
-        now, then = getattr(own, section), getattr(others, section)
+        now = getattr(own, section)
+        then = getattr(others, section)
         for key in now.__struct_fields__:
             is_calibrated = section == "dvl" and key in (
                 *GROUPS.values(),

@@ -167,7 +167,8 @@ class DryRun:
         return table
 
     def _decode(self, role: str, tables: list[Table]) -> None:
-        columns, messages = self.columns, len(tables[0])
+        columns = self.columns
+        messages = len(tables[0])
         notes = columns.decode(role, tables)
         if role == "dvl":
             dvl = columns.dvl

@@ -181,7 +181,8 @@ def in_body(
 def _turn_of_axis(axis: Floats, target: Floats) -> Floats:
     """Return the smallest rotation that brings a unit vector to another one, (3, 3)."""
     across = np.cross(axis, target)
-    sine, cosine = float(np.linalg.norm(across)), float(axis @ target)
+    sine = float(np.linalg.norm(across))
+    cosine = float(axis @ target)
     if sine < 1e-9:
         return np.eye(3) if cosine > 0.0 else np.diag([1.0, -1.0, -1.0])
     return np.asarray(mat_from_vector(across / sine * np.arctan2(sine, cosine)))

@@ -151,7 +151,8 @@ _PROPOSAL: Final = (
 def answer_lines(inventory: Inventory, arguments: str = "") -> list[Callout | Code]:
     """Say whether a log can be replayed, and with which command; ``arguments`` name it and its settings."""
     arguments = arguments or shlex.quote(inventory.log.name)
-    run, name = f"insdvl-replay run {arguments}", inventory.log.name
+    run = f"insdvl-replay run {arguments}"
+    name = inventory.log.name
     if not inventory.blockers:
         found = {
             Reading.SUMMARY: "has what a replay needs by its summary; `run` fetches and reads it",
@@ -160,7 +161,8 @@ def answer_lines(inventory: Inventory, arguments: str = "") -> list[Callout | Co
         }[inventory.reading]
         return [Callout(f"{name} {found}:", "good"), Code(run, "")]
     # The first clause of the first blocker; all are below in full.
-    first, count = inventory.blockers[0], len(inventory.blockers)
+    first = inventory.blockers[0]
+    count = len(inventory.blockers)
     why = (first.message.partition(f"{name}: ")[2] or first.message).partition("; ")[0]
     why = why if len(why) < _LONGEST_CLAUSE else why.partition(": ")[0]
     refused = Callout(
@@ -254,7 +256,8 @@ def _blocks(inventory: Inventory) -> dict[str, Block]:
 
     The column ``log`` allows to join the tables of several logs.
     """
-    known, name = asdict(inventory), inventory.log.name
+    known = asdict(inventory)
+    name = inventory.log.name
     tables: dict[str, list[dict[str, Any]]] = {
         "file": [known["log"]],
         "topics": known["topics"],

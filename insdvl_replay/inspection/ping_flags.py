@@ -23,7 +23,8 @@ def flag_senses(
         "dvl", topic.topic, topic.channel.type_name, (topic.channel,), fields, LOG_TIME, 0.0
     )
     table = read_sample(log, source, _ENOUGH)
-    found, senses = flag_columns(names), dict[str, tuple[str, str]]()
+    found = flag_columns(names)
+    senses = dict[str, tuple[str, str]]()
     for name, flag in zip(names, table.values("flags").T, strict=True):
         is_zero_bad = says_valid(flag, table.values("velocity"))
         by_name = "valid" if name in found.valid else "invalid" if name in found.invalid else ""

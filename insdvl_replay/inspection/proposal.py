@@ -99,7 +99,8 @@ def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
 
 def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
     """Leave out the keys that the configuration has set already."""
-    kept, default = [], Config()
+    kept = []
+    default = Config()
     for setting in settings:
         now, before = (
             getattr(getattr(given, setting.section), setting.name) for given in (config, default)
@@ -184,7 +185,8 @@ def _stamp(log: Recording, seen: ProbedTopic, role: str) -> Iterator[Setting]:
         source = Source("", seen.topic, seen.channel.type_name, (seen.channel,), {}, stamp, 0.0)
         with suppress(LogError):
             table = read_sample(log, source, _ENOUGH)
-            clock, recorded = table.clock(), table.columns["log_time"][:, 0]
+            clock = table.clock()
+            recorded = table.columns["log_time"][:, 0]
             spread_s = min(
                 LARGEST_JITTER_S, _MOST_SPREAD * float(recorded[-1] - recorded[0]) * 1e-9
             )
@@ -291,7 +293,8 @@ def _measured_units(imu: ImuColumns, settings: Imu) -> Iterator[Setting]:
     if settings.angular_rate_unit is not None:
         return
     sizes = np.linalg.norm(imu.angular_rate_b, axis=1)
-    median, largest = float(np.median(sizes)), float(sizes.max())
+    median = float(np.median(sizes))
+    largest = float(sizes.max())
     if median > SPIN_RADPS:
         text = f"the median is {median:.3g}, too fast for a vehicle in rad/s"
         yield Setting("imu.angular_rate_unit", "deg/s", text)
@@ -320,7 +323,9 @@ def axes_text(rows: Floats) -> str:
 
 _DVL_WORDS: Final = re.compile(r"dvl|doppler|bottom")
 _FLAGS: Final = re.compile(r"valid|lock|good")
-_SLOWEST_MPS, _QUICKEST_MPS = 0.1, 5.0  # speeds over ground of a vehicle under way
+# speeds over ground of a vehicle under way
+_SLOWEST_MPS = 0.1
+_QUICKEST_MPS = 5.0
 
 
 def _flag_settings(log: Recording, topic: ProbedTopic, velocity: str) -> Iterator[Setting]:

@@ -297,7 +297,10 @@ _Tried = tuple[Trials, _ImuTopic, str]  # an IMU and the topic of a DVL that wer
 
 def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Config, float]:
     """Choose the topics of IMU and DVL by trial runs, with their units, axes and signs; return the cost of the best."""
-    place, draft, imus, pings = read.place, read.draft, read.imus, read.pings
+    place = read.place
+    draft = read.draft
+    imus = read.imus
+    pings = read.pings
     tried = _trials_of_pairs(read, given)
     first, _, first_topic = tried[0]
     free = turn_freely(first, pings[first_topic])
@@ -467,10 +470,8 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
         known.specific_force_axes or known.axes or FRD,
         imu_rpy_deg=own.mounting_rpy_deg,
     )
-    force, rate = (
-        measured_vectors(table, "specific_force", "force", known),
-        measured_vectors(table, "angular_rate", "rate", known),
-    )
+    force = measured_vectors(table, "specific_force", "force", known)
+    rate = measured_vectors(table, "angular_rate", "rate", known)
     sizes = np.linalg.norm(force, axis=1)
     size = _median(sizes[sizes > 0.0])
     turning = _median(np.linalg.norm(rate, axis=1))
@@ -531,7 +532,8 @@ def _role_notes(
 ) -> Iterator[Note]:
     """Report the topics and axes that were chosen, and which others are as good."""
     trials, imu, dvl_topic = tried[0]
-    parts, warn = [f"IMU {imu.topic}"], False
+    parts = [f"IMU {imu.topic}"]
+    warn = False
     others = {
         found.topic: run.cost / trials.cost
         for run, found, _ in reversed(tried[1:])

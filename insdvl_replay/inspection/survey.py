@@ -122,12 +122,14 @@ def inspect_summary(url: str, config: Config) -> Inventory:
         The summary cannot be read.
     """
     summary = read_summary(url)
-    stated, name = summary.statistics, remote_name(url).name
+    stated = summary.statistics
+    name = remote_name(url).name
     findings = find_roles(name, summary.channels, config)
     role_of = _role_of(findings)
     topics = []
     for topic, same in sorted(by_topic(summary.channels).items()):
-        count, ids = sum(channel.messages for channel in same), {channel.id for channel in same}
+        count = sum(channel.messages for channel in same)
+        ids = {channel.id for channel in same}
         chunks = [
             chunk for chunk in summary.chunks if not ids.isdisjoint(chunk.message_index_offsets)
         ]
@@ -201,7 +203,8 @@ def _utc(time_ns: int) -> str:
 
 
 def _log_facts(log: Recording, log_times: Mapping[int, TimeNs]) -> LogFacts:
-    parts, times = log.parts, [times for times in log_times.values() if times.size]
+    parts = log.parts
+    times = [times for times in log_times.values() if times.size]
     first_ns = min((int(part.min()) for part in times), default=0)
     last_ns = max((int(part.max()) for part in times), default=0)
     return LogFacts(

@@ -48,7 +48,8 @@ def stretched_rate_hz(time_ns: TimeNs) -> float | None:
     span_s = float(time_ns[-1] - time_ns[0]) / NS_PER_S
     if span_s <= 0.0:
         return None
-    rate_hz, written_hz = count / span_s, (count - 1) / span_s
+    rate_hz = count / span_s
+    written_hz = (count - 1) / span_s
     is_round = [
         any(abs(x - float(f"{x:.2g}")) < 1e-8 * x for x in (hz, 1.0 / hz))
         for hz in (rate_hz, written_hz)
@@ -60,7 +61,9 @@ def stretched_rate_hz(time_ns: TimeNs) -> float | None:
 
 def table_clock_settings(log: Recording, config: Config) -> Iterator[Setting]:
     """Propose rates and offsets for the roles that tables play."""
-    place, times, rates = str(log.path), log.log_times(), list[Setting]()
+    place = str(log.path)
+    times = log.log_times()
+    rates = list[Setting]()
     sources = {
         finding.role: finding.sources[0]
         for finding in find_roles(place, log.channels, config)
@@ -72,7 +75,8 @@ def table_clock_settings(log: Recording, config: Config) -> Iterator[Setting]:
         time_ns = times[source.channels[0].id]
         rate_hz = stretched_rate_hz(time_ns) if source.stamp == LOG_TIME else None
         if rate_hz is not None:
-            count, end_s = len(time_ns), float(time_ns[-1]) / NS_PER_S
+            count = len(time_ns)
+            end_s = float(time_ns[-1]) / NS_PER_S
             text = (
                 f"{source.topic}: its clock is {100.0 / (count - 1):.2g} % too slow: {count} rows in equal steps end "
                 f"at {end_s:g} s; at {rate_hz:g} Hz they end a step earlier"
@@ -88,7 +92,9 @@ def table_clock_settings(log: Recording, config: Config) -> Iterator[Setting]:
         if finding.role in sources:
             with suppress(UserError):  # whoever replays reports it
                 columns.decode(finding.role, read_tables(log, finding.sources))
-    imu, dvl, reference = columns.imu, columns.dvl, columns.reference
+    imu = columns.imu
+    dvl = columns.dvl
+    reference = columns.reference
     if imu is None or reference is None or "reference" not in sources:
         return
     by_attitude_s = _best_offset_s(lambda offset_s: _attitude_misfit(imu, reference, offset_s))
@@ -130,14 +136,13 @@ def _best_offset_s(misfit: Callable[[float], float]) -> float | None:
 def _attitude_misfit(imu: ImuColumns, reference: ReferenceColumns, offset_s: float) -> float:
     """Return the median difference of the angles by which reference and gyros turn from attitude to attitude."""
     known = np.isfinite(reference.mat_nb).all(axis=(1, 2))
-    mat_nb, at_s = (
-        reference.mat_nb[known],
-        seconds(reference.time_ns[known], imu.time_ns[0]) + offset_s,
-    )
+    mat_nb = reference.mat_nb[known]
+    at_s = seconds(reference.time_ns[known], imu.time_ns[0]) + offset_s
     inside = (at_s >= 0.0) & (at_s <= float(imu.time_ns[-1] - imu.time_ns[0]) / NS_PER_S)
     if np.count_nonzero(inside) <= ENOUGH:
         return np.inf
-    mat_nb, at_s = mat_nb[inside], at_s[inside]
+    mat_nb = mat_nb[inside]
+    at_s = at_s[inside]
     turned = np.linalg.norm(vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:]), axis=1)
     summed = np.linalg.norm(np.diff(turned_by(imu, at_s), axis=0), axis=1)
     return float(np.sqrt(np.mean((summed - turned) ** 2)))
@@ -148,10 +153,8 @@ def _velocity_misfit(
 ) -> float:
     """Return the residual of pings as linear functions of the reference's velocity and of the angular rate."""
     pings = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
-    ping_s, known = (
-        seconds(dvl.time_ns, imu.time_ns[0]) + offset_s,
-        np.isfinite(velocity_b).all(axis=1),
-    )
+    ping_s = seconds(dvl.time_ns, imu.time_ns[0]) + offset_s
+    known = np.isfinite(velocity_b).all(axis=1)
     last_s = float(imu.time_ns[-1] - imu.time_ns[0]) / NS_PER_S
     if pings is None or np.count_nonzero(known) <= ENOUGH:
         return np.inf
@@ -161,7 +164,8 @@ def _velocity_misfit(
     inside &= np.isfinite(pings).all(axis=1)
     if np.count_nonzero(inside) <= 4 * ENOUGH:
         return np.inf
-    ping_s, measured = ping_s[inside], pings[inside]
+    ping_s = ping_s[inside]
+    measured = pings[inside]
     moving = np.column_stack(
         [np.interp(ping_s, at_s[known], column) for column in velocity_b[known].T]
     )

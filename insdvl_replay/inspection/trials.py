@@ -105,7 +105,8 @@ def thinned(dive: Dive) -> Dive:
 
     A LogError where there are too few of them.
     """
-    imu, dvl = dive.imu, dive.dvl
+    imu = dive.imu
+    dvl = dive.dvl
     blocks = len(imu.time_ns) // samples_in_step(imu)
     if blocks < FEWEST or len(dvl.time_ns) < FEWEST:
         found = f"{counted(len(imu.time_ns), 'sample')} of the IMU and {counted(len(dvl.time_ns), 'ping')} of the DVL"
@@ -113,9 +114,13 @@ def thinned(dive: Dive) -> Dive:
     apart = np.append(
         True, np.diff((dvl.time_ns - dvl.time_ns[0]) // int(PING_STEP_S * NS_PER_S)) > 0
     )
-    imu, dvl = averaged_imu(imu), dvl.rows(apart)
-    middle_ns, force, rate = imu.time_ns, imu.specific_force_b, imu.angular_rate_b
-    first_ns, last_ns = max(middle_ns[0], dvl.time_ns[0]), min(middle_ns[-1], dvl.time_ns[-1])
+    imu = averaged_imu(imu)
+    dvl = dvl.rows(apart)
+    middle_ns = imu.time_ns
+    force = imu.specific_force_b
+    rate = imu.angular_rate_b
+    first_ns = max(middle_ns[0], dvl.time_ns[0])
+    last_ns = min(middle_ns[-1], dvl.time_ns[-1])
     length_ns = int(STRETCH_S * NS_PER_S)
     if last_ns - first_ns > length_ns:
         # Where the vehicle turns and surges most.
@@ -172,7 +177,10 @@ class Trials:
     """All trials of one thinned dive, whose readings are in the axes of the instruments."""
 
     def __init__(self, dive: Dive, config: Config, as_read: Hypothesis, given: Given) -> None:
-        self.dive, self.config, self.as_read, self.given = dive, config, as_read, given
+        self.dive = dive
+        self.config = config
+        self.as_read = as_read
+        self.given = given
         self.found = [as_read]
         # Of hypotheses that are one vehicle turned about down, the first is nearest to what is as read.
         self.order: list[Hypothesis] = [as_read]
@@ -218,7 +226,8 @@ class Trials:
 
     def allows(self, one: Hypothesis) -> bool:
         """Return whether a hypothesis agrees with the axes, the scale and the mounting that are given."""
-        imu, dvl = self.given.config.imu, self.given.config.dvl
+        imu = self.given.config.imu
+        dvl = self.given.config.dvl
         force_axes = imu.specific_force_axes or imu.axes
         is_scaled = self.given.has("imu.angular_rate_unit", "imu.angular_rate_scale")
         return (
@@ -387,7 +396,8 @@ def as_reference_moves(close: Sequence[Hypothesis], dive: Dive, config: Config) 
     """
     if dive.reference is None:
         return close[0]
-    turned, follows = [], []
+    turned = []
+    follows = []
     for one in close[:MOST_COMPARED]:
         dvl = msgspec.structs.replace(config.dvl, mounting_rpy_deg=one.rpy_deg)
         quarters = _quarters_to_reference(dive, msgspec.structs.replace(config, dvl=dvl))
@@ -411,13 +421,15 @@ def _quarters_to_reference(dive: Dive, config: Config) -> int:
 
 def rates_compared(imu: ImuColumns, other: ImuColumns) -> tuple[float, float]:
     """Return how much larger the rates of another IMU are, and their correlation, whatever its axes are."""
-    at_s, other_s = seconds(imu.time_ns, imu.time_ns[0]), seconds(other.time_ns, imu.time_ns[0])
+    at_s = seconds(imu.time_ns, imu.time_ns[0])
+    other_s = seconds(other.time_ns, imu.time_ns[0])
     inside = (at_s >= other_s[0]) & (at_s <= other_s[-1])
     ours = imu.angular_rate_b[inside]
     theirs = np.column_stack(
         [np.interp(at_s[inside], other_s, column) for column in other.angular_rate_b.T]
     )
-    ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
+    ours = ours - ours.mean(axis=0)
+    theirs = theirs - theirs.mean(axis=0)
     turn, *_ = np.linalg.lstsq(ours, theirs, rcond=None)
     explained = float(np.sum((ours @ turn) ** 2) / max(np.sum(theirs**2), 1e-30))
     main = np.linalg.svd(turn, compute_uv=False)

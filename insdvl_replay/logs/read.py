@@ -62,7 +62,8 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     """
     report_stage("reading the log")
     log = open_recording(path, allow_damaged=allow_damaged)
-    place, name = str(log.path), dive_name(log.path)
+    place = str(log.path)
+    name = dive_name(log.path)
     config = config.of_dive(name)
     findings = find_roles(place, log.channels, config)
     for error in filter(None, (finding.error for finding in findings)):
@@ -122,11 +123,9 @@ def held_back_messages(
     These are the reference, truth, onboard solutions and held-out sensors, and the DVL in outages, which are spans of
     its times of validity, without their starts.
     """
-    log, found, of_dvl = (
-        open_recording(paths, allow_damaged=True),
-        dict[str, TimeNs | None](),
-        list[Source](),
-    )
+    log = open_recording(paths, allow_damaged=True)
+    found = dict[str, TimeNs | None]()
+    of_dvl = list[Source]()
     findings = find_roles(str(log.path), log.channels, config.of_dive(dive_name(log.path)))
     for source in (source for finding in findings for source in finding.sources):
         topic = config.topics.get(source.role.removeprefix(LOG_TOPIC))
@@ -155,7 +154,8 @@ def read_solution(path: Path) -> tuple[SolutionColumns, list[Note]]:
             return read_tum(path, Solution(), "solution")
     log = open_recording(path)
     topics = Topics(str(path), log.channels)
-    fix, required = requirement("solution", Solution(), "fix"), requirement("solution", Solution())
+    fix = requirement("solution", Solution(), "fix")
+    required = requirement("solution", Solution())
     fixes = topics.candidates(fix, ())
     named = [topic for topic in by_topic(log.channels) if topic not in fixes]
     wanted = [topics.source(required, topic) for topic in named or fixes]
@@ -195,9 +195,11 @@ def source_notes(sources: Sequence[Source]) -> Iterator[Note]:
 
 def loss_notes(tables: Iterable[Table]) -> list[Note]:
     """Note messages that are missing, do not fit their schema, or are in more than one channel or file."""
-    missing, left_out = [], []
+    missing = []
+    left_out = []
     for table in tables:
-        source, unreadable = table.source, len(table.unreadable_ns)
+        source = table.source
+        unreadable = len(table.unreadable_ns)
         announced = sum(channel.messages for channel in source.channels)
         found = len(table) + table.others + table.duplicates + unreadable
         if announced != found:
@@ -296,7 +298,8 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     def needed(required: TopicRequirement) -> Finding:
         return _explained(topics, required, lambda: (topics.need(required),))
 
-    imu, dvl = needed(requirement("imu", config.imu)), needed(requirement("dvl", config.dvl))
+    imu = needed(requirement("imu", config.imu))
+    dvl = needed(requirement("dvl", config.dvl))
     besides = {source.topic for source in dvl.sources} | {
         own.topic for own in config.solutions.values() if own.topic
     }
@@ -348,7 +351,8 @@ def idle_sensors(
     place: str, channels: Sequence[LogChannel], findings: Sequence[Finding], config: Config
 ) -> dict[str, list[str]]:
     """Name the topics of unused sensors, by sensor: they could aid a filter and play no other role."""
-    topics, asked = Topics(place, channels), {finding.role for finding in findings}
+    topics = Topics(place, channels)
+    asked = {finding.role for finding in findings}
     taken = {
         source.topic for finding in findings for source in (*finding.sources, *finding.candidates)
     }

@@ -218,7 +218,8 @@ def copy_log(path: Path, logs: Sequence[Path], held_back: Mapping[str, TimeNs | 
     encodings = {channel.encoding for channel in kept.values()}
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE)
-        schemas, channels = dict[tuple[str, str, bytes], int](), dict[int, int]()
+        schemas = dict[tuple[str, str, bytes], int]()
+        channels = dict[int, int]()
         writer.start(
             "ros2" if "cdr" in encodings else "ros1" if "ros1" in encodings else "", LIBRARY
         )
@@ -258,7 +259,8 @@ def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
         [len(messages.batch.time_ns) for messages in batches],
     )
     order = np.argsort(time_ns, kind="stable")
-    time_ns, batch_of = time_ns[order], batch_of[order]
+    time_ns = time_ns[order]
+    batch_of = batch_of[order]
     channel = np.array([messages.channel for messages in batches])[batch_of]
     ends = np.cumsum(np.array([messages.size for messages in batches])[batch_of])
     for number, rows in _by_channel(channel):
@@ -270,7 +272,9 @@ def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
             int(time_ns[-1]),
         )
 
-    begin, start, done = 0, 0, np.zeros(len(batches), np.int64)
+    begin = 0
+    start = 0
+    done = np.zeros(len(batches), np.int64)
     while begin < len(ends):
         head = chunk.count  # of the first chunk, the schemas and channels
         end = min(
@@ -295,7 +299,9 @@ def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
             int(time_ns[end - 1]),
         )
         writer.flush()  # type: ignore[no-untyped-call]
-        begin, start, done = end, int(ends[end - 1]), done + own
+        begin = end
+        start = int(ends[end - 1])
+        done = done + own
 
 
 def _by_channel(channel: NDArray[np.int64]) -> list[tuple[int, NDArray[np.intp]]]:
@@ -378,7 +384,8 @@ def write_dive(path: Path, dive: Dive, *, is_compressed: bool = True) -> None:
 
 def _sensor_batch(name: str, sensor: SensorColumns) -> Batch:
     """Return the messages of a sensor: a pressure, an attitude, level where it is not known, or a fix."""
-    values, mat_nb = sensor.values, sensor.mat_nb
+    values = sensor.values
+    mat_nb = sensor.mat_nb
     columns: dict[str, Column]
     if name == "depth":
         pressure_pa = _ATMOSPHERE_PA + _SEA_WATER_KGPM3 * STANDARD_GRAVITY_MPS2 * values[:, 0]
@@ -415,7 +422,8 @@ def _dvl_batch(dvl: DvlColumns) -> Batch:
         return stamped(
             "/dvl", "geometry_msgs/msg/TwistWithCovarianceStamped", dvl.time_ns, DVL, twist
         )
-    vectors_d, good = dvl.beam_vectors_d, np.isfinite(dvl.beam_velocity_mps)
+    vectors_d = dvl.beam_vectors_d
+    good = np.isfinite(dvl.beam_velocity_mps)
     if vectors_d.shape != (4, 3):
         raise ValueError(
             f"marine_acoustic_msgs/Dvl has 4 beams, found vectors of shape {vectors_d.shape}"
@@ -423,7 +431,8 @@ def _dvl_batch(dvl: DvlColumns) -> Batch:
     good_beams = good.sum(axis=1)
     any_good = good_beams > 0
     velocity_d = np.round(_velocity_from_beams(dvl.beam_velocity_mps, vectors_d), VELOCITY_DIGITS)
-    forward, starboard = velocity_d[:, 0], velocity_d[:, 1]
+    forward = velocity_d[:, 0]
+    starboard = velocity_d[:, 1]
     columns: dict[str, Column] = {
         "velocity_mode": 1,  # bottom track
         **components("velocity", velocity_d),
@@ -453,7 +462,8 @@ def _velocity_from_beams(beam_velocity_mps: Floats, beam_vectors_d: Floats) -> F
     The normal matrix N is symmetric, so that its adjugate has the cross products of its columns as its rows.
     """
     good = np.isfinite(beam_velocity_mps)
-    normal, projected = np.zeros((len(good), 3, 3)), np.zeros((len(good), 3))
+    normal = np.zeros((len(good), 3, 3))
+    projected = np.zeros((len(good), 3))
     for beam, vector in enumerate(beam_vectors_d):
         normal += np.where(good[:, beam, None, None], vector[:, None] * vector, 0.0)
         projected += np.where(good[:, beam, None], beam_velocity_mps[:, beam, None] * vector, 0.0)
@@ -524,8 +534,10 @@ def write_replay(
 
 
 def _filter_batches(history: History, errors: Any, origin: Floats) -> list[Batch]:
-    topic, batches = f"/insdvl/{history.filter}", []
-    motion, odometry = history.motion(), []
+    topic = f"/insdvl/{history.filter}"
+    batches = []
+    motion = history.motion()
+    odometry = []
     if history.is_partial:
         state, *odometry = _motion_batches(topic, motion, origin)
         batches.append(state)

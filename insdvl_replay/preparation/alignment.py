@@ -104,13 +104,11 @@ def align(
     What the reference lacks comes from other sensors, from gravity (roll, pitch), from the DVL (velocity) and from the
     settings (heading, position), each with a note. Started level or by an AHRS, the reference gives the position alone.
     """
-    imu, reference, initial, notes, used_ns = (
-        dive.imu,
-        dive.reference,
-        config.initial,
-        list[Note](),
-        dict[str, int](),
-    )
+    imu = dive.imu
+    reference = dive.reference
+    initial = config.initial
+    notes = list[Note]()
+    used_ns = dict[str, int]()
     moving = reference if initial.source == "reference" else None
     posed = moving if moving is not None and moving.has_attitude else None
     is_located = reference is not None and reference.has_position
@@ -124,9 +122,13 @@ def align(
         return dive.sensors[sensor].values[row], abs(used_ns[sensor] - start_ns) / NS_PER_S
 
     # Other sensors: a whole attitude where it is asked for; heading and position where they are open.
-    sensed_mat_nb, is_heading_sensed, level_sd_deg, fix = None, False, 0.0, None
+    sensed_mat_nb = None
+    is_heading_sensed = False
+    level_sd_deg = 0.0
+    fix = None
     if initial.source == BY_SENSOR:
-        is_heading_sensed, level_sd_deg = heading_deg is None, config.heading.level_sd_deg
+        is_heading_sensed = heading_deg is None
+        level_sd_deg = config.heading.level_sd_deg
         start_ns, sensed_mat_nb, found = _sensor_attitude(dive, heading_deg, start_ns, end_ns)
         notes.append(found)
     elif posed is None and "heading" in dive.sensors and initial.heading_deg in (None, BY_SENSOR):
@@ -136,7 +138,8 @@ def align(
                 f"the heading reading nearest to the start is {away_s:.1f} s away",
                 "choose a --start with a heading reading, or --set initial.heading_deg=...",
             )
-        heading_deg, is_heading_sensed = float(values[0]) / DEG % 360.0, True
+        heading_deg = float(values[0]) / DEG % 360.0
+        is_heading_sensed = True
         notes.append(note("start_heading_sensor", heading=heading_deg, away=away_s))
         initial = changed(initial, heading_deg=heading_deg)
     sensor_sd_deg = level_sd_deg, level_sd_deg, config.heading.sd_deg if is_heading_sensed else 0.0
@@ -150,7 +153,9 @@ def align(
         notes.append(note("start_position_sensor", severity=severity, away=away_s))
         if np.isnan(fix[2]):
             notes.append(note("start_height_configured", height=initial.height_m))
-        height_m, sd_m, sds_m = float(fix[2]), config.position.sd_m, initial.position_sd_m
+        height_m = float(fix[2])
+        sd_m = config.position.sd_m
+        sds_m = initial.position_sd_m
         initial = changed(
             initial,
             latitude_deg=float(fix[0]) / DEG,
@@ -179,12 +184,12 @@ def align(
             notes.append(note("start_position_configured", latitude=latitude_deg))
 
     # Attitude.
-    arm_b, baseline = np.array(config.dvl.lever_arm_m), resolve_filters(config)[0]
-    accel_bias_b, gyro_bias_b = (
-        np.array(initial.accel_bias_mg) * MG,
-        np.array(initial.gyro_bias_degph) * DEG_PER_HOUR,
-    )
-    level, samples = None, levelling_samples(imu, start_ns)
+    arm_b = np.array(config.dvl.lever_arm_m)
+    baseline = resolve_filters(config)[0]
+    accel_bias_b = np.array(initial.accel_bias_mg) * MG
+    gyro_bias_b = np.array(initial.gyro_bias_degph) * DEG_PER_HOUR
+    level = None
+    samples = levelling_samples(imu, start_ns)
     if posed is not None:
         mat_nb = posed.mat_nb[np.searchsorted(posed.time_ns, start_ns)]
     elif sensed_mat_nb is not None and len(samples.time_ns) < FEWEST_SAMPLES:
@@ -225,21 +230,24 @@ def align(
         )
 
     # Velocity: the reference's, else that of the nearest ping; after levelling, of the first, carried to the start.
-    by_dvl, dvl_velocity_n = None, None
+    by_dvl = None
+    dvl_velocity_n = None
     if (
         moving is not None
         and apart_s(moving.time_ns, moving.velocity_n, np.array([start_ns]))[0] <= FAR_S
     ):
         velocity_n = at_time(moving.time_ns, moving.velocity_n, start_ns)
     else:
-        rate_ie_b, covs_b = mat_nb.T @ earth_rate_n(position[0]), baseline.velocity_cov(velocities)
+        rate_ie_b = mat_nb.T @ earth_rate_n(position[0])
+        covs_b = baseline.velocity_cov(velocities)
         by_dvl = _velocity_by_dvl(
             imu, velocities, covs_b, level, start_ns, arm_b, gyro_bias_b + rate_ie_b
         )
         velocity_n = dvl_velocity_n = mat_nb @ by_dvl.velocity_b
         notes.append(note("start_velocity_dvl", away=abs(by_dvl.ping_ns - start_ns) * 1e-9))
     levelled_by = level if sensed_mat_nb is None else None
-    cov, spread_cov = start_cov(initial_sd(initial), mat_nb, levelled_by, dvl_velocity_n), None
+    cov = start_cov(initial_sd(initial), mat_nb, levelled_by, dvl_velocity_n)
+    spread_cov = None
     heading_source = _heading_source(
         posed=posed is not None, sensed=is_heading_sensed, fitted=fitted_heading_sd is not None
     )
@@ -253,10 +261,8 @@ def align(
         )
         found_sd = source_sd(dive, config, velocities, sources, start_ns, float(position[0]))
         velocity_cov_n = None if by_dvl is None else by_dvl.cov_n(mat_nb)
-        spread_cov, cov = (
-            cov,
-            start_cov(found_sd.states, mat_nb, levelled_by, dvl_velocity_n, velocity_cov_n),
-        )
+        spread_cov = cov
+        cov = start_cov(found_sd.states, mat_nb, levelled_by, dvl_velocity_n, velocity_cov_n)
         initial = changed(initial, position_sd_m=found_sd.position_m)
         notes.append(source_note(sources, cov))
 
@@ -346,7 +352,8 @@ def _sensor_attitude(
     dive: Dive, heading_deg: float | None, start_ns: int, end_ns: int
 ) -> tuple[int, Floats, Note]:
     """Return time and value of the AHRS's first attitude in the span; a configured heading replaces its own."""
-    time_ns, mats_nb = dive.sensors["heading"].time_ns, dive.sensors["heading"].mat_nb
+    time_ns = dive.sensors["heading"].time_ns
+    mats_nb = dive.sensors["heading"].mat_nb
     if mats_nb is None:
         raise LogError(
             'initial.source is "sensor", but the heading messages have no roll and pitch',
@@ -359,12 +366,14 @@ def _sensor_attitude(
             "compare heading.stamp with imu.stamp, or widen --start and --end",
         )
     row = int(np.argmax(inside))
-    first_ns, mat_nb = int(time_ns[row]), mats_nb[row]
+    first_ns = int(time_ns[row])
+    mat_nb = mats_nb[row]
     roll, pitch, heading = rpy_from_mat(mat_nb)
     if heading_deg is not None:
         heading = heading_deg * DEG
         mat_nb = mat_from_rpy(np.array([roll, pitch, heading]))
-    since_s, shown_deg = (first_ns - start_ns) / NS_PER_S, heading / DEG % 360.0
+    since_s = (first_ns - start_ns) / NS_PER_S
+    shown_deg = heading / DEG % 360.0
     return first_ns, mat_nb, note(
         "start_attitude_sensor", roll=roll / DEG, pitch=pitch / DEG, since=since_s, heading=shown_deg
     )  # fmt: skip
@@ -393,7 +402,8 @@ def _reference_position(
     reference: ReferenceColumns, initial: Initial, start_ns: int
 ) -> tuple[Floats, list[Note]]:
     """Interpolate the reference's position at the start; its height may be missing."""
-    horizontal, notes = reference.position[:, :2].copy(), list[Note]()
+    horizontal = reference.position[:, :2].copy()
+    notes = list[Note]()
     first_longitude = horizontal[np.argmax(np.isfinite(horizontal).all(axis=1)), 1]
     horizontal[:, 1] = wrap_angle(
         horizontal[:, 1] - first_longitude
@@ -450,7 +460,8 @@ def _level_notes(level: Level, mat_nb: Floats, cov: Floats, *, is_sensed: bool) 
     rpy_deg = rpy_from_mat(mat_nb) / DEG
     if is_sensed:
         # Only where the DVL took the vehicle's own acceleration off.
-        gravity_b, down_b = level.gravity_b / np.linalg.norm(level.gravity_b), mat_nb[2]
+        gravity_b = level.gravity_b / np.linalg.norm(level.gravity_b)
+        down_b = mat_nb[2]
         tilt = np.arctan2(np.linalg.norm(np.cross(gravity_b, down_b)), gravity_b @ down_b)
         if not level.pings or tilt <= TILT_LIMIT:
             return []

@@ -35,7 +35,9 @@ from insdvl_replay.preparation.solutions import recorded_history
 
 COMPARED_S: Final = 10.0  # over which turns are compared with those of the baseline
 # A solution that differs more from the baseline is of another dive: no filter turns otherwise than its gyros.
-FARTHEST_START_M, LARGEST_TURN_DEG, LARGEST_SPEED = 100.0, 5.0, 0.5
+FARTHEST_START_M = 100.0
+LARGEST_TURN_DEG = 5.0
+LARGEST_SPEED = 0.5
 
 
 def history_of_candidate(
@@ -92,11 +94,13 @@ def _columns(solution: Solution, start: Start, start_ns: int, end_ns: int) -> So
         else:
             columns[name] = np.concatenate([value[None], own]) if is_later else own
     motion_ns = np.concatenate([[start_ns], time_ns]) if is_later else time_ns
-    cov, cov_ns = np.empty((0, 9, 9)), time_ns[:0]
+    cov = np.empty((0, 9, 9))
+    cov_ns = time_ns[:0]
     if solution.cov is not None:
         cov_ns = time_ns if solution.cov_ns is None else solution.cov_ns
         every = 1 + len(cov_ns) // MOST_COVARIANCES
-        cov, cov_ns = solution.cov[::every], cov_ns[::every]
+        cov = solution.cov[::every]
+        cov_ns = cov_ns[::every]
     return SolutionColumns(ReferenceColumns(motion_ns, **columns), None, cov_ns, cov)
 
 
@@ -107,14 +111,10 @@ def _require_this_dive(history: History, baseline: History, imu: ImuColumns, fir
     """
     columns = {"position": history.position[:, 0], "velocity_n": history.velocity_n[:, 0]}
     columns["mat_nb"] = history.mat_nb[:, 0, 0]
-    known, reason = (
-        {
-            name: np.isfinite(column)
-            for name, column in columns.items()
-            if np.isfinite(column).any()
-        },
-        "",
-    )
+    known = {
+        name: np.isfinite(column) for name, column in columns.items() if np.isfinite(column).any()
+    }
+    reason = ""
     if not known:
         raise CandidateError("gives a solution without a row in the time of the replay")
     for name, rows in known.items():
@@ -179,7 +179,8 @@ def _innovations(solution: Solution, velocities: DvlVelocities) -> Innovations |
     time_ns, own, pings = np.intersect1d(
         solution.time_ns[known], velocities.time_ns, return_indices=True
     )
-    innovation, cov = solution.innovation_b[known][own], solution.innovation_cov[known][own]
+    innovation = solution.innovation_b[known][own]
+    cov = solution.innovation_cov[known][own]
     sign, log_det = np.linalg.slogdet(cov)
     variance = np.diagonal(cov, axis1=1, axis2=2)
     if not len(time_ns) or np.any(sign <= 0.0) or np.any(variance <= 0.0):

@@ -44,20 +44,18 @@ NO_READINGS: Final[Mapping[str, int]] = MappingProxyType({})
 FAR_M: Final = (
     1000.0  # neither a track reckoned until the start nor a position from a map is off by more
 )
-SILENT_S, SILENT_READINGS = (
-    30.0,
-    20.0,
-)  # a pause between readings is noted above this, and so many usual ones
+# a pause between readings is noted above this, and so many usual ones
+SILENT_S = 30.0
+SILENT_READINGS = 20.0
 MEASUREMENT_NOISE: Final = {
     "fixed": kalman.FIXED,
     "adaptive": kalman.ADAPTIVE,
     "student-t": kalman.STUDENT_T,
 }
 KINDS: Final = {"depth": DEPTH, "heading": HEADING, "position": FIX}
-KNOWN_M, UNKNOWN_M = (
-    1e-3,
-    1e3,
-)  # sd of the depth sensor's zero: from the settings, or to be found by the first reading
+# sd of the depth sensor's zero: from the settings, or to be found by the first reading
+KNOWN_M = 1e-3
+UNKNOWN_M = 1e3
 MORE_SD: Final[
     dict[str, Callable[[Config], tuple[float, ...]]]
 ] = {  # of more states at the start, SI units
@@ -143,7 +141,9 @@ class ResolvedFilter:
 
         In long gaps of the IMU the turn rate is unknown, and with it the velocity of the lever arm.
         """
-        arm_b, time_ns, found = mounting.lever_arm_b, velocities.time_ns, list[Measurement]()
+        arm_b = mounting.lever_arm_b
+        time_ns = velocities.time_ns
+        found = list[Measurement]()
         cov_b = self.velocity_cov(velocities) + gaps.swing_cov(time_ns, arm_b)
         from_velocities: dict[str, Any] = {
             "noise": self.measurement_noise,
@@ -195,7 +195,8 @@ class ResolvedFilter:
 
 def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter:
     """Resolve what a filter takes from the sections that all filters share; of two noises the beams' comes first."""
-    held_out, rate_hz = config.evaluation.held_out, 1.0 / config.heading.bias_time_s
+    held_out = config.evaluation.held_out
+    rate_hz = 1.0 / config.heading.bias_time_s
     needed = {*filter_.states, *states_for(aid for aid in filter_.aiding if aid not in held_out)}
     states = tuple(block for block in MORE_STATES if block in needed)
     more_sd = np.array([sd for block in states for sd in MORE_SD[block](config)], dtype=np.float64)
@@ -248,7 +249,8 @@ def prepare_sensors(
     ] = NO_READINGS,  # by sensor, the reading that the start took, which is not used again
 ) -> tuple[dict[str, Measurement], tuple[Note, ...]]:
     """Prepare the sensors of a dive, without a gate; their rows of a time line begin at `timeline.FIRST_OTHER`."""
-    found, notes = dict[str, Measurement](), list[Note]()
+    found = dict[str, Measurement]()
+    notes = list[Note]()
     for row, (name, columns) in enumerate(sensors.items(), start=FIRST_OTHER):
         inside = (columns.time_ns > start_ns) & (columns.time_ns <= end_ns)
         if not inside.any():
@@ -256,16 +258,16 @@ def prepare_sensors(
                 f"no reading of the {name} sensor between the start and the end of the replay",
                 f"compare {name}.stamp with imu.stamp, or widen --start and --end",
             )
-        time_ns, values = columns.time_ns[inside], columns.values[inside]
+        time_ns = columns.time_ns[inside]
+        values = columns.values[inside]
         notes += silence_notes(name, time_ns, start_ns, end_ns)
-        arm_m, late_s = (0.0, 0.0, 0.0), (int(time_ns[0]) - start_ns) / NS_PER_S
+        arm_m = (0.0, 0.0, 0.0)
+        late_s = (int(time_ns[0]) - start_ns) / NS_PER_S
         if name == "depth":
             # The sensor's own zero is at the water's surface, or anywhere: values are below the ellipsoid.
-            arm_m, surface_m, sd = (
-                config.depth.lever_arm_m,
-                config.depth.surface_height_m,
-                [config.depth.sd_m],
-            )
+            arm_m = config.depth.lever_arm_m
+            surface_m = config.depth.surface_height_m
+            sd = [config.depth.sd_m]
             if surface_m is None:
                 arm_down_m = float((start.mat_nb @ np.array(arm_m))[2])
                 surface_m = float(start.position[2]) - arm_down_m + float(values[0, 0])
@@ -275,11 +277,13 @@ def prepare_sensors(
             sd = [config.heading.sd_deg * DEG]
         else:
             # Fixes have heights if these are used; the first must be where the vehicle can be.
-            arm_m, height_sd_m = config.position.lever_arm_m, config.position.height_sd_m
+            arm_m = config.position.lever_arm_m
+            height_sd_m = config.position.height_sd_m
             sd = [config.position.sd_m] * 2
             away_m = float(np.hypot(*north_east_m(values[0], start.position, start.position)))
             if away_m > FAR_M + FASTEST_MPS * late_s:
-                away_km, fix_deg = away_m / 1000.0, values[0, :2] / DEG
+                away_km = away_m / 1000.0
+                fix_deg = values[0, :2] / DEG
                 notes.append(note("position_contradiction", late=late_s, away=away_km, fix=fix_deg))
             if height_sd_m is None:
                 values = values[:, :2]
@@ -302,7 +306,8 @@ def silence_notes(sensor: str, time_ns: TimeNs, start_ns: int, end_ns: int) -> l
     usual_s = float(np.median(length_s[1:-1])) if len(time_ns) > 1 else 0.0
     if length_s[longest] <= max(SILENT_S, SILENT_READINGS * usual_s):
         return []
-    since_s, span_s = (int(ends_ns[longest]) - start_ns) / NS_PER_S, (end_ns - start_ns) / NS_PER_S
+    since_s = (int(ends_ns[longest]) - start_ns) / NS_PER_S
+    span_s = (end_ns - start_ns) / NS_PER_S
     until = "to the end" if longest == len(time_ns) else "on"
     severity = Severity.INFO if sensor == "position" else Severity.WARNING
     values = {"length": length_s[longest], "span": span_s, "since": since_s, "until": until}

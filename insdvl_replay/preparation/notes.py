@@ -5,7 +5,8 @@ from typing import Any, Final
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.words import Severity
 
-INFO, WARNING = Severity.INFO, Severity.WARNING
+INFO = Severity.INFO
+WARNING = Severity.WARNING
 
 # The words after a blank in a key distinguish two sentences of one code. They are not part of the code.
 NOTES: Final[dict[str, tuple[Severity, str, str]]] = {

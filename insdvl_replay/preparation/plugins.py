@@ -49,7 +49,9 @@ ONE_BY_ONE: Final = (
     4  # outages that are asked for one by one; more take four calls, if the user's code allows
 )
 ALIKE: Final = 1e-3  # in the noise of a reading: a network rounds otherwise with more pings at once
-DOWN, POSITION = 2, 12  # columns of H: the velocity down, and the first of the position
+# columns of H: the velocity down, and the first of the position
+DOWN = 2
+POSITION = 12
 # Steps of velocity m/s, misalignment rad, specific force m/s^2, angular rate rad/s and position m: far above rounding,
 # far below what bends.
 _STEPS: Final = (1e-5, 1e-6, 1e-5, 1e-7, 0.01)
@@ -80,8 +82,10 @@ def prepare_user_measurements(
     plugins = dict.fromkeys(
         plugin for filter_ in filters for plugin in filter_.aiding if ":" in plugin
     )
-    found, notes = dict[str, Measurement](), list[Note]()
-    predictions, compiled = dict[str, Predict](), dict[str, Predict]()
+    found = dict[str, Measurement]()
+    notes = list[Note]()
+    predictions = dict[str, Predict]()
+    compiled = dict[str, Predict]()
     for row, plugin in enumerate(plugins, start=FIRST_OTHER + sensors):
         user, readings = _asked(plugin, UserMeasurement, dive, config)
         readings = _inside(readings, [(start_ns, end_ns)])
@@ -158,7 +162,8 @@ def _asked(
     end_ns: int = NO_END,
 ) -> tuple[Any, UserReadings]:
     """Get the readings from a new object, which has no state of earlier calls."""
-    given, held_out = given_dive(dive, config, outages, end_ns), config.evaluation.held_out
+    given = given_dive(dive, config, outages, end_ns)
+    held_out = config.evaluation.held_out
     topics = (
         f"dive.topics has {listed(sorted(given.topics))}"
         if given.topics
@@ -247,21 +252,24 @@ def _tried_prediction(
     A note reports an entry of H that contradicts z, an H of zeros, or a component that is not written. There is no note
     if z is NaN at the start, such as a direction at rest.
     """
-    count, has_position = len(states_with(filter_.states)), "position" in filter_.states
+    count = len(states_with(filter_.states))
+    has_position = "position" in filter_.states
     lacks = "" if has_position else '; for columns 12 to 14: states = ["position"]'
     hint = f"filters.{filter_.name} has {count} error states: z is ({size},) and H ({size}, {count}){lacks}"
     predict = _uncompiled_prediction(plugin, user, hint)
 
     def predicted(error: Floats) -> tuple[Floats, Floats]:
         """Return z and H of an INS that is off by an error, shape (15,), in the order of H, from a vehicle at rest."""
-        mat_nb, ins = start.mat_nb + skew(error[3:6]) @ start.mat_nb, np.empty(INS_SIZE)
+        mat_nb = start.mat_nb + skew(error[3:6]) @ start.mat_nb
+        ins = np.empty(INS_SIZE)
         ins[0:3], ins[3:6] = (
             moved_position(start.position, error[12:15]),
             start.velocity_n + error[0:3],
         )
         force_b = start.mat_nb.T @ np.array([0.0, 0.0, -9.8]) + error[6:9]
         ins[6:15], ins[15:18], ins[18:21] = mat_nb.ravel(), force_b, error[9:12]
-        z, H = np.zeros(size), np.zeros((size, count))
+        z = np.zeros(size)
+        H = np.zeros((size, count))
         predict(ins, z, H)
         return z, H
 
@@ -291,7 +299,8 @@ def _tried_prediction(
     wrong = np.argwhere(off & (H != 0.0) & known & np.isfinite(H))
     if len(wrong):
         row, column = wrong[0]
-        given, found = H[row, column], differences[row, column]
+        given = H[row, column]
+        found = differences[row, column]
         notes.append(
             note(
                 "user_measurement_jacobian wrong",
@@ -375,7 +384,8 @@ def in_outages(
             groups.append(group := [])
         group.append(outage)
     for group in groups:
-        found, factors = dict[str, Measurement](), dict[str, NoiseFactors]()
+        found = dict[str, Measurement]()
+        factors = dict[str, NoiseFactors]()
         with error_context(dive.name, "in the DVL outage test"):
             for plugin, whole in plugins.items():
                 readings = _in_outages(plugin, UserMeasurement, whole.size, dive, config, group)

@@ -157,10 +157,8 @@ def reference_at_imu(
         mat_nb = mat_nb @ mat_br.T
         reference = replace(reference, mat_nb=mat_nb)
     if np.any(lever_arm_b):
-        sample_s, row_s = (
-            seconds(imu.time_ns, imu.time_ns[0]),
-            seconds(reference.time_ns, imu.time_ns[0]),
-        )
+        sample_s = seconds(imu.time_ns, imu.time_ns[0])
+        row_s = seconds(reference.time_ns, imu.time_ns[0])
         rate_ib_b = np.column_stack(
             [np.interp(row_s, sample_s, column, np.nan, np.nan) for column in imu.angular_rate_b.T]
         )
@@ -207,7 +205,8 @@ def prepare_dive(dive: Dive, config: Config, *, fitted_heading_sd: float | None 
             gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0])
         )
         alignment = align(dive, config, velocities, start_ns, end_ns, fitted_heading_sd)
-        start, start_ns = alignment.start, alignment.start_ns
+        start = alignment.start
+        start_ns = alignment.start_ns
         config = changed(config, initial=alignment.initial or config.initial)
         filters = resolve_filters(config)
         sensors, sensor_notes = prepare_sensors(
@@ -257,7 +256,9 @@ def prepare_dive(dive: Dive, config: Config, *, fitted_heading_sd: float | None 
 
 def _ping_notes(dive: Dive, velocities: DvlVelocities, limit_mps: float | None) -> list[Note]:
     """Count the pings that gave no velocity; LogError if none did."""
-    solved, bad, notes = len(velocities.time_ns), velocities.pings_with_bad_residual, list[Note]()
+    solved = len(velocities.time_ns)
+    bad = velocities.pings_with_bad_residual
+    notes = list[Note]()
     if not solved and bad:
         text = f"{dive.name}: the beams of all {bad} solved pings disagree by more than {limit_mps:g} m/s"
         raise LogError(text, RESIDUAL_HINT)
@@ -302,8 +303,10 @@ def raise_if_span_is_empty(name: str, imu: ImuColumns, span: Span) -> None:
 
 def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, int]:
     """Return the span of the replay, by IMU, DVL and configuration."""
-    first_ns, last_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
-    start_s, end_s = config.span.start_s, config.span.end_s
+    first_ns = int(dive.imu.time_ns[0])
+    last_ns = int(dive.imu.time_ns[-1])
+    start_s = config.span.start_s
+    end_s = config.span.end_s
     start_ns = first_ns if start_s is None else max(first_ns, first_ns + nanoseconds(start_s))
     end_ns = last_ns if end_s is None else min(last_ns, first_ns + nanoseconds(end_s))
     raise_if_span_is_empty(dive.name, dive.imu, config.span)
@@ -327,7 +330,8 @@ def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
     that lasts from end to end is the worst of them: its density ``sd^2 T`` gives the deviation ``sd T`` after a gap T.
     """
     rows = np.flatnonzero(np.diff(time_ns) > nanoseconds(imu.max_gap_s))
-    start_ns, end_ns = time_ns[rows], time_ns[rows + 1]
+    start_ns = time_ns[rows]
+    end_ns = time_ns[rows + 1]
     length_s = seconds(end_ns, start_ns)[:, None]
     density = np.zeros((len(rows), len(STATES)))
     density[:, DV] = imu.gap_accel_mps2**2 * length_s
@@ -342,20 +346,23 @@ def apply_gap_policy(
     """Bridge or split at the long gaps of a span; return the span that is left, ns, with notes."""
 
     def described(gaps: Gaps) -> str:
-        count, first_s = len(gaps.start_ns), (int(gaps.start_ns[0]) - origin_ns) * 1e-9
+        count = len(gaps.start_ns)
+        first_s = (int(gaps.start_ns[0]) - origin_ns) * 1e-9
         return (
             f"the IMU has {counted(count, 'gap')} longer than {imu.max_gap_s:g} s: first at {first_s:.1f} s, "
             f"longest {gaps.length_s.max():.1f} s, total {gaps.length_s.sum():.1f} s"
         )
 
-    bridged, notes = gaps.within(start_ns, end_ns), list[Note]()
+    bridged = gaps.within(start_ns, end_ns)
+    notes = list[Note]()
     turned_rad = bridged.rate_sd_radps * bridged.length_s  # turn that is possible in a gap
     split = bridged if imu.long_gaps == "split" else bridged.where(turned_rad > WIDEST_ATTITUDE_RAD)
     if len(split.start_ns):
         kept_ns = split.longest_stretch(start_ns, end_ns)
         from_s, to_s = ((time_ns - origin_ns) * 1e-9 for time_ns in kept_ns)
         left_out_s = (end_ns - start_ns - kept_ns[1] + kept_ns[0]) * 1e-9
-        hint, why = "to bridge shorter gaps: --set imu.long_gaps=grow", ""
+        hint = "to bridge shorter gaps: --set imu.long_gaps=grow"
+        why = ""
         if imu.long_gaps == "grow":
             unknown_deg = turned_rad.max() / DEG
             why = f" (at {imu.gap_rate_degps:g} deg/s the attitude may change by {unknown_deg:.0f} deg in a gap)"
@@ -384,11 +391,10 @@ def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> list[Note]:
     """Note long outages of the DVL, in which gravity is held."""
     ends_ns = np.concatenate([[start_ns], ping_ns, [end_ns]])
     length_ns = np.diff(ends_ns)
-    count, longest = (
-        int(np.count_nonzero(length_ns > nanoseconds(HOLD_AFTER_S))),
-        int(np.argmax(length_ns)),
-    )
+    count = int(np.count_nonzero(length_ns > nanoseconds(HOLD_AFTER_S)))
+    longest = int(np.argmax(length_ns))
     if not count:
         return []
-    longest_s, since_s = length_ns[longest] / NS_PER_S, (ends_ns[longest] - start_ns) / NS_PER_S
+    longest_s = length_ns[longest] / NS_PER_S
+    since_s = (ends_ns[longest] - start_ns) / NS_PER_S
     return [note("dvl_outages", count, held=HOLD_AFTER_S, longest=longest_s, since=since_s)]

@@ -34,10 +34,9 @@ from insdvl_replay.preparation.solution_files import LONGEST_LINE, checked_solut
 TIMEOUT_S: Final = 600.0
 LONGEST_OUTPUT: Final = 1 << 16  # bytes of stdout, and of stderr, that are kept of one run
 LONGEST_PART: Final = 1 << 20  # bytes of an answer that are read at once
-MARK, HEADER = (
-    b"solution",
-    struct.Struct("<8sQ"),
-)  # before each answer of a class: that it is one, and its length
+# before each answer of a class: that it is one, and its length
+MARK = b"solution"
+HEADER = struct.Struct("<8sQ")
 DIVE_FILES: Final = {
     "class": "{}.pickle",
     "clean": "{}.mcap",
@@ -55,7 +54,9 @@ class UserProcesses:
     """The processes of one filter of the user's, and what they have printed."""
 
     def __init__(self, settings: Filter, folder: Path) -> None:
-        self.settings, self.folder = settings, folder  # the folder is for its files
+        # the folder is for its files
+        self.settings = settings
+        self.folder = folder
         self.input = "class" if settings.program is None else settings.input or "clean"
         self.timeout_s = settings.timeout_s or TIMEOUT_S  # of one run
         self.too_late = f"did not end within {self.timeout_s:g} s"
@@ -79,7 +80,8 @@ class UserProcesses:
             )
         folder = self.folder / run
         folder.mkdir()
-        start_file, solution_file = folder / "start.json", folder / "solution"
+        start_file = folder / "start.json"
+        solution_file = folder / "solution"
         start_file.write_bytes(start.to_json())
         words = list(self.settings.program or ())
         for place, path in {
@@ -154,7 +156,9 @@ class UserProcesses:
         """Return what the process of a class answers; what it has started may hold the pipe open."""
         assert process.stdin is not None
         assert process.stdout is not None
-        until_s, answer, size = time.monotonic() + self.timeout_s, bytearray(), HEADER.size
+        until_s = time.monotonic() + self.timeout_s
+        answer = bytearray()
+        size = HEADER.size
         ready = select.poll()
         ready.register(process.stdout, select.POLLIN)
         with contextlib.suppress(BrokenPipeError):  # its end is read below
@@ -193,7 +197,8 @@ class UserProcesses:
             (self.folder / f"{name}stdout").open("ab") as out,
             (self.folder / f"{name}stderr").open("ab") as err,
         ):
-            stdin, stdout = pipe or subprocess.DEVNULL, pipe or out
+            stdin = pipe or subprocess.DEVNULL
+            stdout = pipe or out
             try:
                 process = subprocess.Popen(
                     words, stdin=stdin, stdout=stdout, stderr=err, env=env, start_new_session=True
@@ -260,7 +265,8 @@ def _tail(path: Path) -> str:
 
 def run_class() -> None:
     """Run the class that the command line names over each dive that comes on stdin, and answer on stdout."""
-    asked, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    asked = os.fdopen(os.dup(0), "rb")
+    answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # what the class prints goes to a file
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()

@@ -127,10 +127,8 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
     """
     report_stage("running the filters")
     return_freed_memory()
-    timeline, cov_ns = (
-        prepared_timeline(dive, prepared),
-        np.union1d(plan.evaluated_ns, plan.windows.start_ns),
-    )
+    timeline = prepared_timeline(dive, prepared)
+    cov_ns = np.union1d(plan.evaluated_ns, plan.windows.start_ns)
     timed = _side_by_side(
         timeline,
         lambda filter_: _timed(lambda: run_one(filter_, prepared, timeline, cov_ns=cov_ns)),
@@ -148,12 +146,14 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
         )
     outages = run_outages(dive, prepared, timeline, config, histories, plan.windows)
     turned = _from_drawn_heading(prepared, timeline, plan.heading)
-    motions, notes = dict[str, ReferenceColumns](), list[Note]()
+    motions = dict[str, ReferenceColumns]()
+    notes = list[Note]()
     for name, settings in config.solutions.items():
         found, motions[name], its_notes = recorded_history(
             name, dive.solutions[name], settings, dive.imu, histories[0], plan.evaluated_ns
         )
-        histories, notes = (*histories, found), [*notes, *its_notes]
+        histories = (*histories, found)
+        notes = [*notes, *its_notes]
         if turned and not found.is_turned:
             turned = (*turned, _compared_alone(found))
     drawn: tuple[DrawnErrors, ...] = ()
@@ -213,7 +213,8 @@ def run_one(
     cov_ns: TimeNs | None = None,
 ) -> History:
     """Run one filter over the time line of a prepared dive."""
-    start, has_heading_bias = start or prepared.alignment.start, "heading_bias" in filter_.states
+    start = start or prepared.alignment.start
+    has_heading_bias = "heading_bias" in filter_.states
     history = run_filter(
         filter_.name,
         timeline,
@@ -267,7 +268,8 @@ def run_outages(
     User code is given the dive without the pings of each window.
     """
     report_stage("DVL outage test")
-    groups, windows_ns = list[tuple[Sequence[Outage], Prepared, Timeline]](), tuple(plan.windows_ns)
+    groups = list[tuple[Sequence[Outage], Prepared, Timeline]]()
+    windows_ns = tuple(plan.windows_ns)
     for windows, sensors, noise in in_outages(
         dive, config, prepared.sensors, prepared.noise, windows_ns
     ):
@@ -277,12 +279,14 @@ def run_outages(
     measured = prepared.velocities, prepared.mounting, prepared.gaps
 
     def outages(filter_: ResolvedFilter, history: History) -> tuple[OutageRun, ...]:
-        found, drift = dict[tuple[int, int], OutageRun](), gravity_drift(history)
+        found = dict[tuple[int, int], OutageRun]()
+        drift = gravity_drift(history)
         (velocity,) = replace(filter_, aiding=("velocity",), held_out=()).measurements(*measured)
         for windows, part, line in groups:
             aiding = filter_.measurements(*measured, part.sensors, prepared.beams)
             others = (measurement for measurement in aiding if measurement.sensor >= FIRST_OTHER)
-            kept, settings = (velocity, *others), _filter_settings(filter_, part)
+            kept = (velocity, *others)
+            settings = _filter_settings(filter_, part)
             for window in windows:
                 found[window] = outage_run(
                     run_outage(history, drift, line, window, kept, **settings)
@@ -312,7 +316,8 @@ def run_from_drawn_starts(
     """
     report_stage("running the filters from random starts")
     starts, part, prepared = drawn_part(dive, prepared, count, seed)
-    reference, timeline = part.reference, prepared_timeline(part, prepared)
+    reference = part.reference
+    timeline = prepared_timeline(part, prepared)
     assert reference is not None
 
     def run(work: tuple[ResolvedFilter, Start]) -> DrawnErrors:
@@ -337,7 +342,8 @@ def drawn_part(
     if dive.reference is None:
         raise ValueError(f"{dive.name}: errors need a reference")
     # Dives differ by these numbers, and they depend neither on a date nor on a processor.
-    start_ns, time_ns = prepared.alignment.start_ns, dive.imu.time_ns
+    start_ns = prepared.alignment.start_ns
+    time_ns = dive.imu.time_ns
     sizes = len(time_ns), len(prepared.velocities.time_ns), prepared.end_ns - start_ns
     alignment = prepared.alignment
     starts = (alignment.start, *drawn_starts(alignment.spread_start, count, (*sizes, seed))[1:])
@@ -367,7 +373,9 @@ HELD_BIAS_DEGPH: Final = (
     1.0  # a filter that may move its biases takes errors of beams and accelerometers for a turn
 )
 LEAST_SURE_DEG: Final = 15.0  # a heading that a track gives no better says nothing
-HEADING_DIGITS, BIAS_DIGITS = 2, 1  # decimals; neither is known so well
+# decimals; neither is known so well
+HEADING_DIGITS = 2
+BIAS_DIGITS = 1
 
 
 @dataclass(frozen=True)
@@ -385,7 +393,8 @@ def prepare_with_heading(dive: Dive, config: Config) -> Prepared:
 
     An attitude of the reference to start from goes before a fit.
     """
-    initial, reference = config.initial, dive.reference
+    initial = config.initial
+    reference = dive.reference
     starts_posed = (
         initial.source == "reference" and reference is not None and reference.has_attitude
     )
@@ -410,7 +419,8 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
     itself. ConfigError where the reference has no positions, LogError where its track is too short.
     """
     by_hand = "to set it: --set initial.heading_deg=... (from north over east)"
-    reference, initial = dive.reference, config.initial
+    reference = dive.reference
+    initial = config.initial
     if reference is None or not reference.has_position:
         with error_context(dive.name):
             raise ConfigError(
@@ -418,10 +428,12 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
                 f"set reference.topic or reference.fix; {by_hand}",
             )
     config = changed(config, filters={config.baseline: config.filters[config.baseline]})
-    placed, prior_degph, prior_sd_degph = (
-        reference.rows(reference.known["positions"]), initial.gyro_bias_degph[2], initial.gyro_bias_sd_degph
-    )  # fmt: skip
-    bias_step_degph, heading_deg, bias_degph = BIAS_STEP * prior_sd_degph, 0.0, prior_degph
+    placed = reference.rows(reference.known["positions"])
+    prior_degph = initial.gyro_bias_degph[2]
+    prior_sd_degph = initial.gyro_bias_sd_degph
+    bias_step_degph = BIAS_STEP * prior_sd_degph
+    heading_deg = 0.0
+    bias_degph = prior_degph
     found = HeadingFit(np.inf, np.inf, 0.0, np.inf)
     for _ in range(MOST_ROUNDS):
         if abs(found.heading) < SETTLED_DEG * DEG:
@@ -450,10 +462,8 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
         )
         piece = piece[theirs]
         theirs = np.searchsorted(placed.time_ns, time_ns)
-        tracks, origin = (
-            [history.position[ours] for history in histories],
-            placed.position[theirs[:1]],
-        )
+        tracks = [history.position[ours] for history in histories]
+        origin = placed.position[theirs[:1]]
         reference_m, track_m, turned_m, biased_m = (
             np.stack(north_east_m(track, origin, origin), axis=1)
             for track in (placed.position[theirs], *tracks)
@@ -512,7 +522,9 @@ def _started(initial: Initial, heading_deg: float, bias_degph: float, **others: 
 
 # --- Whether the settings fit a dive.
 
-LEAST_NIS, MOST_NIS = 0.4, 2.5  # mean NIS/dof of a baseline whose settings fit the dive
+# mean NIS/dof of a baseline whose settings fit the dive
+LEAST_NIS = 0.4
+MOST_NIS = 2.5
 # Warnings that name a unit, axes, a sign or a scale that is wrong.
 MISREAD: Final = frozenset(
     {

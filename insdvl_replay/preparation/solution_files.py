@@ -135,7 +135,8 @@ def read_solution(path: Path, start: CandidateStart) -> Solution:
         ) from error
     if wrong := next((note for note in notes if note.severity == Severity.WARNING), None):
         raise CandidateError(f"wrote a solution that cannot be used: {visible(wrong.text)}")
-    motion, position = read.motion, read.motion.position
+    motion = read.motion
+    position = read.motion.position
     if read.moved_n is not None:
         # From the start; a solution that begins there may have an origin of its own.
         first = int(np.argmax(np.isfinite(read.moved_n).all(axis=1)))
@@ -175,7 +176,8 @@ def _read_csv(data: bytes) -> Solution:
         raise CandidateError("wrote a solution without rows")
     unknown = next((name for name in map(str, table.columns) if name not in _COLUMNS), None)
     if unknown is not None:
-        name, hint = visible(unknown)[:LONGEST_LINE], hint_for(unknown, _COLUMNS, most=1)
+        name = visible(unknown)[:LONGEST_LINE]
+        hint = hint_for(unknown, _COLUMNS, most=1)
         raise CandidateError(
             f"wrote a solution with the column '{name}', which is not known ({hint})"
         )
@@ -199,14 +201,17 @@ def _read_csv(data: bytes) -> Solution:
             )
         return None if lacking else table[wanted].to_numpy(np.float64)
 
-    time_ns, position, rpy = table["time_ns"].to_numpy(np.int64), group(POSITION), group(ATTITUDE)
+    time_ns = table["time_ns"].to_numpy(np.int64)
+    position = group(POSITION)
+    rpy = group(ATTITUDE)
     if position is not None:
         position = position * [DEG, DEG, 1.0]
     # Covariances at evenly chosen rows. The blocks that are not given are NaN.
     chosen = slice(None, None, 1 + len(table) // MOST_COVARIANCES)
     cov = np.zeros((len(time_ns[chosen]), 9, 9))
     for block, names in enumerate((VELOCITY, ATTITUDE, POSITION)):
-        rows, sd = slice(3 * block, 3 * block + 3), group(names, "_sd")
+        rows = slice(3 * block, 3 * block + 3)
+        sd = group(names, "_sd")
         if sd is None:
             cov[:, rows] = cov[:, :, rows] = np.nan
             continue
@@ -220,7 +225,8 @@ def _read_csv(data: bytes) -> Solution:
             here = np.zeros(3) if position is None else np.nan_to_num(position[chosen])
             sd = np.abs(north_east_down_m(here + sd * [DEG, DEG, 1.0], here))
         cov[:, rows, rows] = sd[:, :, None] ** 2 * np.eye(3)
-    innovation, innovation_sd = group(INNOVATION), group(INNOVATION, "_sd")
+    innovation = group(INNOVATION)
+    innovation_sd = group(INNOVATION, "_sd")
     has_cov = bool(np.isfinite(cov).any())
     return Solution(
         time_ns,

@@ -62,16 +62,16 @@ def recorded_history(
     With it come positions and velocities of each sample, as they were aligned, and notes: how it was aligned, what of
     the replay it covers, and what it does not give.
     """
-    key, notes, origin = key or f"filters.{name}.solution", list[Note](), baseline.position[0]
+    key = key or f"filters.{name}.solution"
+    notes = list[Note]()
+    origin = baseline.position[0]
     if any(settings.lever_arm_m) and not solution.motion.has_attitude:
         raise ConfigError(
             f"{key} has no attitude, so {key}.lever_arm_m cannot be applied",
             f"--set {key}.lever_arm_m=[0,0,0] (the errors then contain the lever arm)",
         )
-    mat_br, has_own_origin = (
-        mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG),
-        solution.moved_n is not None,
-    )
+    mat_br = mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG)
+    has_own_origin = solution.moved_n is not None
     align = settings.align or ("position" if has_own_origin else "none")
     if align == "heading":
         at_ns = _first_ns(solution.motion, "attitudes", key, baseline)
@@ -97,10 +97,8 @@ def recorded_history(
     motion = reference_at_imu(motion, imu, np.array(settings.lever_arm_m), mat_br)
     if align != "none" and motion.has_position:
         # Its first position is moved to the baseline, and all others with it, in place.
-        at_ns, has_height = (
-            _first_ns(motion, "positions", key, baseline),
-            bool(motion.known["heights"].any()),
-        )
+        at_ns = _first_ns(motion, "positions", key, baseline)
+        has_height = bool(motion.known["heights"].any())
         flat = np.column_stack([motion.position[:, :2], np.zeros(len(motion.time_ns))])
         own_position = at_time(motion.time_ns, motion.position if has_height else flat, at_ns)
         wanted = at_time(baseline.time_ns, baseline.position, at_ns)
@@ -140,7 +138,8 @@ def _history(
     is_turned: bool,
 ) -> History:
     """Interpolate a solution at the times of the baseline; rows count as updated where it gives any at a ping."""
-    motion, time_ns = solution.motion, baseline.time_ns
+    motion = solution.motion
+    time_ns = baseline.time_ns
     position = interpolated(motion.time_ns, motion.position, time_ns)
     velocity_n = interpolated(motion.time_ns, motion.velocity_n, time_ns)
     mat_nb = interpolated_attitude(motion.time_ns, motion.mat_nb, time_ns)
@@ -185,7 +184,8 @@ def _history(
 def _first_ns(motion: ReferenceColumns, quantity: str, key: str, baseline: History) -> int:
     """Return the first time inside the replay at which a quantity is known, or between known ones."""
     known_ns = motion.time_ns[motion.known[quantity]]
-    start_ns, end_ns = int(baseline.time_ns[0]), int(baseline.time_ns[-1])
+    start_ns = int(baseline.time_ns[0])
+    end_ns = int(baseline.time_ns[-1])
     if not len(known_ns) or known_ns[0] > end_ns or known_ns[-1] < start_ns:
         raise LogError(
             f"{key}: it has no {quantity} in the time of the replay",
@@ -203,7 +203,8 @@ def _heading_at(time_ns: TimeNs, mat_nb: Floats, at_ns: int) -> float:
 
 def _turned(solution: SolutionColumns, mat: Floats) -> SolutionColumns:
     """Turn a solution about down; geographic positions about the first of them."""
-    motion, moved_n = solution.motion, solution.moved_n
+    motion = solution.motion
+    moved_n = solution.moved_n
     position = motion.position
     if moved_n is not None:
         moved_n = moved_n @ mat.T
@@ -255,7 +256,8 @@ def interpolated(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
 def interpolated_attitude(time_ns: TimeNs, mat_nb: Floats, at_ns: TimeNs) -> Floats:
     """Turn from one attitude to the next at a steady rate."""
     rows, share = _between(time_ns, np.asarray(np.isfinite(mat_nb).all(axis=(1, 2))), at_ns)
-    found, given = np.full((len(at_ns), 3, 3), np.nan), np.flatnonzero(np.isfinite(share))
+    found = np.full((len(at_ns), 3, 3), np.nan)
+    given = np.flatnonzero(np.isfinite(share))
 
     def partway(block: NDArray[np.int64]) -> Floats:
         first, second = mat_nb[rows[:, block]]
@@ -268,11 +270,9 @@ def interpolated_attitude(time_ns: TimeNs, mat_nb: Floats, at_ns: TimeNs) -> Flo
 
 def _coverage_notes(key: str, motion: ReferenceColumns, history: History) -> Iterator[Note]:
     """Note the quantities that a solution lacks or does not cover, and those without covariance."""
-    start_ns, end_ns, shares = (
-        int(history.time_ns[0]),
-        int(history.time_ns[-1]),
-        dict[str, list[str]](),
-    )
+    start_ns = int(history.time_ns[0])
+    end_ns = int(history.time_ns[-1])
+    shares = dict[str, list[str]]()
     never = [quantity for quantity in QUANTITIES if not motion.known[quantity].any()]
     if never:
         severity = Severity.WARNING if len(never) == len(QUANTITIES) else Severity.INFO

@@ -107,7 +107,8 @@ def ahrs_sd(dive: Dive, config: Config, start_ns: int, latitude: float) -> Float
 
     They are those of its messages, else of ``[heading]``; more if the gyros show it.
     """
-    sensor, settings = dive.sensors["heading"], config.heading
+    sensor = dive.sensors["heading"]
+    settings = config.heading
     assert sensor.mat_nb is not None
     scatter = None
     around = sensor.within(start_ns - nanoseconds(STRETCH_S), start_ns + nanoseconds(STRETCH_S))
@@ -216,7 +217,8 @@ def attitude_scatter(
         & (rows.time_ns >= imu.time_ns[0])
         & (rows.time_ns <= imu.time_ns[-1])
     )
-    time_ns, mat_nb = rows.time_ns[inside], rows.mat_nb[inside]
+    time_ns = rows.time_ns[inside]
+    mat_nb = rows.mat_nb[inside]
     if len(time_ns) < FEWEST_ROWS:
         return None
     turns = Turns(imu, int(time_ns[0]), int(time_ns[-1]))
@@ -247,7 +249,8 @@ def attitude_scatter(
 def _gyro_errors(step_s: Floats, turned_b: Floats, rest_b: Floats, seen: Floats) -> Floats:
     """Return the part of each step, (k, 3), that a bias, scale factors and axes of the gyros explain."""
     causes = np.column_stack([step_s, turned_b])
-    known, effect = causes[seen], rest_b[seen]
+    known = causes[seen]
+    effect = rest_b[seen]
     scatter = (NORMAL * np.median(np.abs(effect - np.median(effect, axis=0)))) ** 2 + 1e-16
     information = known.T @ known / scatter
     information[1:, 1:] += np.eye(3) / GYRO_AXES_SD**2
@@ -269,7 +272,8 @@ def third_difference_sd(time_ns: TimeNs, values: Floats) -> Floats:
     found = np.full(3, np.nan)
     for axis in range(3):
         known = np.isfinite(values[:, axis])
-        step_s, column = np.diff(time_ns[known]) * 1e-9, values[known, axis]
+        step_s = np.diff(time_ns[known]) * 1e-9
+        column = values[known, axis]
         if len(column) < FEWEST_ROWS:
             continue
         even = np.abs(step_s - np.median(step_s)) <= UNEVEN * np.median(step_s)
@@ -326,7 +330,8 @@ def velocity_pair(
 
 def _at(at_ns: TimeNs, time_ns: TimeNs, values: Floats) -> Floats:
     """Interpolate columns, (k, n), at times inside them."""
-    at_s, time_s = seconds(at_ns, int(time_ns[0])), seconds(time_ns, int(time_ns[0]))
+    at_s = seconds(at_ns, int(time_ns[0]))
+    time_s = seconds(time_ns, int(time_ns[0]))
     return np.column_stack([np.interp(at_s, time_s, column) for column in values.T])
 
 

@@ -63,10 +63,9 @@ OUTAGE_DIVES: Final = (
 LATER_NS: Final = 1000  # by which stamps are moved, and samples repeated
 REPEATED_EVERY: Final = 10_000
 SHOWN_DIGITS: Final = 16  # of a digest
-LONGEST_WINDOW_S, FEWEST_WINDOWS = (
-    60,
-    6,
-)  # the longest windows of which there are so many, else the shortest
+# the longest windows of which there are so many, else the shortest
+LONGEST_WINDOW_S = 60
+FEWEST_WINDOWS = 6
 
 
 @dataclass(frozen=True)
@@ -104,19 +103,20 @@ def with_user_candidates(
     whole = GivenDive(
         "dive", _given(given_dive(dive, config), prepared), prepared, runs.histories[0]
     )
-    windows, part = _windows(plan.windows), dive
+    windows = _windows(plan.windows)
+    part = dive
     starts: tuple[Start, ...] = (prepared.alignment.start,)
     outage_dives = _outage_dives(dive, prepared, config, windows)
     if plan.starts:
         starts, part, _ = drawn_part(dive, prepared, plan.starts, plan.seed)
-    histories, drawn, notes, turned = (
-        list(runs.histories),
-        list(runs.drawn),
-        list(runs.notes),
-        list(runs.turned),
-    )
-    outages, printed = dict[str, OutageRuns](), dict[str, str]()
-    cpu_s, not_repeatable = dict(runs.cpu_s), dict[str, str]()
+    histories = list(runs.histories)
+    drawn = list(runs.drawn)
+    notes = list(runs.notes)
+    turned = list(runs.turned)
+    outages = dict[str, OutageRuns]()
+    printed = dict[str, str]()
+    cpu_s = dict(runs.cpu_s)
+    not_repeatable = dict[str, str]()
     # What a program has started may still write into it.
     with tempfile.TemporaryDirectory(prefix="insdvl-replay-", ignore_cleanup_errors=True) as folder:
         for name, settings in config.user_candidates.items():
@@ -158,7 +158,9 @@ class _Candidate:
     """One filter of the user's: a program or a class."""
 
     def __init__(self, name: str, settings: Filter, folder: Path, plan: RunPlan) -> None:
-        self.name, self.plan, self.folder = name, plan, folder
+        self.name = name
+        self.plan = plan
+        self.folder = folder
         self.processes = UserProcesses(settings, folder)
 
     def file(self, test: GivenDive) -> Path:
@@ -253,7 +255,8 @@ class _Candidate:
         if self.plan.heading is not None:
             turned, *_ = self.history(whole, "start_heading", self.plan.heading.start)
         has_attitude = np.isfinite(history.mat_nb).any() and np.isfinite(history.velocity_n).any()
-        own, outages = list[History](), None
+        own = list[History]()
+        outages = None
         if windows is not None and has_attitude:
             own = list(parallel_map(in_outages, outage_dives, stop=self.processes.stop))
             outages = self._outages(whole, outage_dives, own, windows)
@@ -429,7 +432,8 @@ def with_repeated_samples(imu: ImuColumns) -> ImuColumns:
 
 def _notes_of(repeats: Sequence[Repeat], digest: str, key: str, baseline: str) -> tuple[Note, ...]:
     """Note whether a second run gave the same answer, and how far it moves."""
-    notes, moved = list[Note](), list[str]()
+    notes = list[Note]()
+    moved = list[str]()
     if any(repeat.change == Change.AGAIN and repeat.is_off for repeat in repeats):
         # Whatever moves by itself moves with every change.
         repeats = [repeat for repeat in repeats if repeat.change == Change.AGAIN]
@@ -452,7 +456,9 @@ def _notes_of(repeats: Sequence[Repeat], digest: str, key: str, baseline: str) -
 
 def _given(dive: Dive, prepared: Prepared) -> Dive:
     """Return what the built-in filters get of a dive, without anything that judges them."""
-    start_ns, end_ns, time_ns = prepared.alignment.start_ns, prepared.end_ns, dive.imu.time_ns
+    start_ns = prepared.alignment.start_ns
+    end_ns = prepared.end_ns
+    time_ns = dive.imu.time_ns
     covering = slice(
         int(np.searchsorted(time_ns, start_ns, "right")) - 1,
         int(np.searchsorted(time_ns, end_ns)) + 1,
@@ -484,7 +490,9 @@ def _outage_dives(
     dive: Dive, prepared: Prepared, config: Config, windows: Windows | None
 ) -> list[GivenDive]:
     """Make dives that lack the pings of every third window, and run the baseline over them."""
-    found, ping_ns, alignment = list[GivenDive](), prepared.velocities.time_ns, prepared.alignment
+    found = list[GivenDive]()
+    ping_ns = prepared.velocities.time_ns
+    alignment = prepared.alignment
     filters = {config.baseline: config.filters[config.baseline]}
     settings = changed(config, initial=alignment.initial or config.initial, filters=filters)
     for number in range(0 if windows is None else min(OUTAGE_DIVES, len(windows.first))):
@@ -513,11 +521,9 @@ def _drifts(
     dives: Sequence[GivenDive], histories: Sequence[History], prepared: Prepared, windows: Windows
 ) -> tuple[OutageRun, ...]:
     """Return the drift of a filter in all windows, in their order, by the absent pings."""
-    found, velocities, arm_b = (
-        dict[int, OutageRun](),
-        prepared.velocities,
-        prepared.mounting.lever_arm_b,
-    )
+    found = dict[int, OutageRun]()
+    velocities = prepared.velocities
+    arm_b = prepared.mounting.lever_arm_b
     for test, history in zip(dives, histories, strict=True):
         imu = test.dive.imu
         for row in test.windows:

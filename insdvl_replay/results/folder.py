@@ -129,7 +129,8 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
     require_replaceable_folder(target, force=force)
     with _workspace(target) as workspace:
         require_replaceable_folder(target, force=force)  # an older result may have been put back
-        new, old = workspace / "new", workspace / _OLD / target.name
+        new = workspace / "new"
+        old = workspace / _OLD / target.name
         new.mkdir()
         old.parent.mkdir()
         yield new
@@ -151,7 +152,8 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
     A link to a file stays. What is no file, as a device or a named pipe, is never replaced: the bytes go into it.
     """
     require_replaceable_file(target, force=force)
-    file, in_place = target.resolve(), target.exists() and not target.is_file()
+    file = target.resolve()
+    in_place = target.exists() and not target.is_file()
     with _workspace(Path(tempfile.gettempdir(), file.name) if in_place else file) as folder:
         path = folder / file.name
         yield path
@@ -329,7 +331,8 @@ def add_to_lake(lake: Path, report: Report) -> None:
     import pyarrow as pa
     from pyarrow.parquet import write_table
 
-    settings_sha256, version = report.files[SETTINGS_FILE], report.tool.version
+    settings_sha256 = report.files[SETTINGS_FILE]
+    version = report.tool.version
     rows = [
         LakeRow(
             **asdict(row),

@@ -101,7 +101,8 @@ def _timed(frame: "pd.DataFrame", start_ns: int) -> "pd.DataFrame":
 
 def read_histories(folder: Path, names: Sequence[str]) -> dict[str, "pd.DataFrame"]:
     """Read the histories of filters. A recorded solution has the rows in which it gives anything."""
-    found, frames = _read(folder, [f"/insdvl/{name}/" for name in names]), {}
+    found = _read(folder, [f"/insdvl/{name}/" for name in names])
+    frames = {}
     for name in names:
         if (state := found.get(f"/insdvl/{name}/state")) is None:
             raise ResultError(
@@ -140,7 +141,8 @@ def _read(folder: Path, prefixes: Sequence[str]) -> dict[str, Table]:
     if not path.is_file():
         hint = "replay the log again, or `insdvl-replay check --keep-histories`"
         raise ResultError(f"{folder}: has no {REPLAY_LOG}, which holds the histories", hint)
-    log, sources = open_recording(path), []
+    log = open_recording(path)
+    sources = []
     for channel in log.channels:
         kind = channel.type_name.rpartition("/")[2]
         fields = {

@@ -106,7 +106,8 @@ def run_log(report: Report) -> str:
         f"log {log.name}, sha256 {log.sha256 or 'none'}",
     ]
     for channel in log.channels:
-        kind, role = f"({channel.type_name}, {channel.encoding})", channel.role or "not used"
+        kind = f"({channel.type_name}, {channel.encoding})"
+        role = channel.role or "not used"
         lines.append(f"channel {channel.topic} {kind}: {channel.messages} messages, {role}")
     lines.append(
         f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock"
@@ -133,7 +134,8 @@ def save_histories(replay: Replay, folder: Path, format_: str) -> None:
     from insdvl_replay.results.frames import history_frame
 
     for history in replay.histories:
-        path, frame = folder / history_file(history.filter, format_), history_frame(history)
+        path = folder / history_file(history.filter, format_)
+        frame = history_frame(history)
         if format_ == "csv":
             path.write_bytes(table_csv(frame))
         else:

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TUM: Final = "tum"
-_DIGITS, _HEIGHT_DIGITS = 9, 3  # of a degree, which is 0.1 mm, and of a metre
+# of a degree, which is 0.1 mm, and of a metre
+_DIGITS = 9
+_HEIGHT_DIGITS = 3
 
 
 def save_tracks(replay: Replay, folder: Path, formats: Sequence[str]) -> None:

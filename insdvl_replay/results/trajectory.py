@@ -71,7 +71,8 @@ class Trajectory:
 def trajectory_of(replay: "Replay") -> Trajectory:
     """Sample the histories of a replay once a second: the last state at or before each."""
     grid_ns = np.arange(replay.start_ns, replay.end_ns + 1, NS_PER_S)
-    origin, factors = replay.histories[0].position[0], np.array([state.factor for state in STATES])
+    origin = replay.histories[0].position[0]
+    factors = np.array([state.factor for state in STATES])
     values = []
     for history in replay.histories:
         rows = _last_before(history.time_ns, grid_ns)
@@ -116,7 +117,8 @@ def trajectory_of(replay: "Replay") -> Trajectory:
             history.sd[rows, : len(STATES)] / factors,
         ]
         values.append(np.column_stack([*states, nis, error]))
-    names, curves = tuple(history.filter for history in replay.histories), {}
+    names = tuple(history.filter for history in replay.histories)
+    curves = {}
     for quantity, curve in replay.curves.convergence.items():
         unknown = np.full(len(curve.time_s), np.nan)  # of a solution that was read
         curves[f"{quantity}_time_s"] = curve.time_s
@@ -195,7 +197,8 @@ def paper_figure(
     """Return a figure of a kind, by the tables of the dive; states are for sigma, the reference for the track."""
     require_known("figure", kind, KINDS, most=len(KINDS))
     chosen = chosen_states(states)
-    names, panels = trajectory.names, list[Panel]()
+    names = trajectory.names
+    panels = list[Panel]()
     styles = [filter_style(number) for number in range(len(names))]
     legend = [*zip(styles, names, strict=True)]
 

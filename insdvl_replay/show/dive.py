@@ -89,9 +89,11 @@ def headline_table(report: Report, title: str = "", footnote: str = "") -> Itera
 
     rows = []
     for name in (report.baseline, *report.filters):
-        row, errors = position.get(name), [MISSING] * 4
+        row = position.get(name)
+        errors = [MISSING] * 4
         if row is not None:
-            pct, distance_m = row.final_of_distance_pct, row.distance_m
+            pct = row.final_of_distance_pct
+            distance_m = row.distance_m
             of_distance = MISSING if pct is None else f"{pct:.2f} % of {distance_m:.0f} m"
             errors = [of_distance, *map(metres, (row.p50, row.p95, row.final))]
         rows.append(
@@ -355,15 +357,11 @@ def dive_document(
     def named(*names: str) -> list[DisplayTable]:
         return [table for (name, _), table in found.items() if name in names]
 
-    by_candidate, outage, references = (
-        named("evidence"),
-        named("outage"),
-        named("drift", "track_fit", "jumps"),
-    )
-    gains, names = (
-        ("improvement", "convergence", "reference_error"),
-        [*report.filters] or [report.baseline],
-    )
+    by_candidate = named("evidence")
+    outage = named("outage")
+    references = named("drift", "track_fit", "jumps")
+    gains = ("improvement", "convergence", "reference_error")
+    names = [*report.filters] or [report.baseline]
     tables = [found[kind, name] for name in names for kind in gains if (kind, name) in found]
     tables += named("consistency", "innovations", "credibility")
     verdicts = (

@@ -158,7 +158,8 @@ def named_result(
         "pooled": (PooledRow, pooled_rows(outcomes)),
         "summary": (SummaryRow, list(summary_rows(outcomes))),
     }
-    reports, shown_tables = reports_of(outcomes), list[Part]()
+    reports = reports_of(outcomes)
+    shown_tables = list[Part]()
     for name in (name for name in names if name in TOGETHER):
         missing = f"There is no table {name}: {_NEEDED[name]}, and {counted(len(reports), 'dive')} could be replayed."
         shown_tables += list(_TOGETHER[name](outcomes)) or [missing]
@@ -180,7 +181,8 @@ def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
     reports = reports_of(outcomes)
     names = candidate_names(reports)
     for quantity in _SUMMARIES:
-        rows, unit = [], ""
+        rows = []
+        unit = ""
         for report in reports:
             found = {row.filter: row for row in report.tables.evidence if row.quantity == quantity}
             for row in list(found.values())[:1]:
@@ -239,7 +241,8 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     """Yield the pooled verdicts, and the number of dives with each verdict."""
     reports = reports_of(outcomes)
     failed = len(outcomes) - len(reports)
-    answers, names = answers_of(reports), candidate_names(reports)
+    answers = answers_of(reports)
+    names = candidate_names(reports)
     compared = (
         f": {', '.join(names)} against {reports[0].baseline}"
         if 0 < len(names) <= MOST_NAMED
@@ -337,11 +340,15 @@ _ALONE: Final[tuple[ShownColumn, ...]] = tuple(
 
 def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
     """Yield the table of dives, each with a link to its page, and the pooled evidence; empty columns are left out."""
-    rows, reports = list(summary_rows(outcomes)), reports_of(outcomes)
-    title, footnote, own = "Each dive", MEDIAN, _ALONE
+    rows = list(summary_rows(outcomes))
+    reports = reports_of(outcomes)
+    title = "Each dive"
+    footnote = MEDIAN
+    own = _ALONE
     if candidate_names(reports):
         known = any(has_reference(report) for report in reports)
-        title, own = "Each candidate against its baseline", _CANDIDATE
+        title = "Each candidate against its baseline"
+        own = _CANDIDATE
         footnote = f"{MEANS}; position: rms of the horizontal error" if known else MEANS
     columns = [*_DIVE, *own, *_LAST]
     cells = zip(*table_of("", rows, columns).rows, strict=True)

@@ -46,7 +46,8 @@ SIGMAS: Final = 3.0
 # Share of the dive after which a panel shows everything; before, a sigma may fall from fifty times as high.
 SETTLED: Final = 0.02
 # Share of the values that a panel shows, since one outage would flatten all others; and margin above.
-_SHOWN, _AIR = 0.97, 1.15
+_SHOWN = 0.97
+_AIR = 1.15
 _CONSTANT: Final = (
     0.5  # Values that fall to no less than this share of the largest are nearly constant.
 )
@@ -119,7 +120,8 @@ def error_panel(replay: Replay) -> Iterator[Panel]:
             band = (curve.low_m, curve.high_m) if curve.starts > 1 else None
             curves.append(Curve(time, curve.median_m, filter_style(number), label=name, band=band))
         # Runs from random starts may end before a long dive does.
-        ends, end = curves[0].x[-1], clock.limits[1]
+        ends = curves[0].x[-1]
+        end = clock.limits[1]
         part = f", first {ends:.0f} {clock.unit}" if ends < _COMPLETE * end else ""
         panel = Panel(f"horizontal position error [m]{part}", clock.label, dashes_on_top(curves))
         yield _over_time(panel, shades_of(replay), clock)
@@ -147,7 +149,8 @@ def _legend(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
 
 def _error_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
     """Draw velocity, attitude and position errors, as far as the reference has them."""
-    reference, found = replay.dive.reference, []
+    reference = replay.dive.reference
+    found = []
     if not replay.errors or reference is None:
         return
     for history in replay.histories:
@@ -167,7 +170,8 @@ def _error_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
         )
     panels = []
     for state in STATES[:6]:
-        curves, shown = [], []
+        curves = []
+        shown = []
         for number, (_, time_ns, state_error, state_sd, _) in enumerate(found):
             time = clock.time(time_ns)
             error, sd = (
@@ -178,7 +182,8 @@ def _error_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
             largest = float(np.max(np.abs(error), where=np.isfinite(error), initial=0.0)) or np.inf
             height = min(SIGMAS * _settled_height(sd[_settled(time_ns, clock)]), _WIDEST * largest)
             shown += [error, np.array([-height, height])]
-        title, y_limits = f"{state.label} [{state.unit}]", limits(np.concatenate(shown))
+        title = f"{state.label} [{state.unit}]"
+        y_limits = limits(np.concatenate(shown))
         panels.append(Panel(title, clock.label, dashes_on_top(curves), y_limits=y_limits))
     for axis, direction in enumerate(("north", "east", "down")):
         series = [
@@ -266,7 +271,8 @@ _CONVERGED: Final = {
     "velocity": ("horizontal velocity [m/s]", 1.0),
 }
 # Seconds, and share of the time, that are left out: no ping has come, and half of the axis would show them.
-_FIRST_S, _FIRST = 1.0, 1e-3
+_FIRST_S = 1.0
+_FIRST = 1e-3
 
 
 def convergence_figure(
@@ -276,13 +282,15 @@ def convergence_figure(
 
     ``curves`` are by quantity of `quantities.CONVERGED`; ``evidence`` has the times of convergence.
     """
-    names, panels = [], []
+    names = []
+    panels = []
     for quantity, (title, unit) in _CONVERGED.items():
         if (found := curves.get(quantity)) is None:
             continue
         names = list(found.rms)
         shown = found.time_s >= max(_FIRST_S, _FIRST * found.time_s[-1])
-        time_s, limit = found.time_s[shown], found.limit / unit
+        time_s = found.time_s[shown]
+        limit = found.limit / unit
         predicted = [
             Curve(
                 time_s,
@@ -330,7 +338,8 @@ def convergence_figure(
 
 def _sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
     """Draw the standard deviations of all filters, one panel for each state."""
-    shown, panels = [], []
+    shown = []
+    panels = []
     for history in histories:
         # Rows with a ping, and rows in gaps. Between two pings sigma grows, and a curve through all rows would be a
         # broad stroke.
@@ -344,7 +353,9 @@ def _sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
         rows = history.updated | (waited_ns > _MISSING * usual_ns) | (waited_ns == 0)
         shown.append((rows, history.updated[rows] & _settled(history.time_ns[rows], clock)))
     for state in STATES:
-        lowest, highest, curves = np.inf, 0.0, []
+        lowest = np.inf
+        highest = 0.0
+        curves = []
         for number, (history, (rows, pings)) in enumerate(zip(histories, shown, strict=True)):
             if history.predicted[state.index]:
                 sd = history.sd[rows, state.index] / state.factor
@@ -384,10 +395,8 @@ def nis_figure(
                 Curve(time, innovations.nis, f"{filter_style(number)} solid"),
                 Curve(time, rejected, REJECTED, points=True),
             )
-            title, levels = (
-                f"{history.filter}: NIS of the {innovations.measurement}",
-                interval(innovations.dof),
-            )
+            title = f"{history.filter}: NIS of the {innovations.measurement}"
+            levels = interval(innovations.dof)
             panels.append(Panel(title, clock.label, curves, levels=levels, y_scale="log"))
     return Figure(
         "Innovation consistency (NIS)",
@@ -420,10 +429,8 @@ def _tracks(replay: Replay) -> list[tuple[TimeNs, Floats, Curve]]:
     tracks = []
     for name, style, motion in named:
         origin = np.broadcast_to(replay.histories[0].position[0], motion.position.shape)
-        ned_m, time_s = (
-            north_east_down_m(motion.position, origin),
-            seconds(motion.time_ns, replay.start_ns),
-        )
+        ned_m = north_east_down_m(motion.position, origin)
+        time_s = seconds(motion.time_ns, replay.start_ns)
         tracks.append(
             (motion.time_ns, ned_m, Curve(ned_m[:, 1], ned_m[:, 0], style, label=name, time=time_s))
         )
@@ -432,7 +439,8 @@ def _tracks(replay: Replay) -> list[tuple[TimeNs, Floats, Curve]]:
 
 def _motion_figure(replay: Replay, clock: Clock) -> Figure:
     """Draw the tracks from above and over time, and the motion by the baseline."""
-    baseline, tracks = replay.histories[0], _tracks(replay)
+    baseline = replay.histories[0]
+    tracks = _tracks(replay)
     above = [replace(curve, label="") for _, _, curve in tracks]
     down = [
         Curve(clock.time(time_ns), ned_m[:, 2], curve.style) for time_ns, ned_m, curve in tracks
@@ -440,7 +448,8 @@ def _motion_figure(replay: Replay, clock: Clock) -> Figure:
     speed_mps = np.hypot(baseline.velocity_n[:, 0], baseline.velocity_n[:, 1])
     # The turn rate is from ping to ping, where the states are far enough apart for a rate.
     pings = np.flatnonzero(baseline.updated)
-    ping_ns, heading = baseline.time_ns[pings], rpy_from_mat(baseline.mat_nb[pings])[:, 2]
+    ping_ns = baseline.time_ns[pings]
+    heading = rpy_from_mat(baseline.mat_nb[pings])[:, 2]
     rate_degps = wrap_angle(np.diff(heading)) / seconds(ping_ns[1:], ping_ns[:-1]) / DEG
     solid = f"{filter_style(0)} solid"
     speed = Curve(clock.time(baseline.time_ns), speed_mps, solid)
@@ -509,8 +518,10 @@ def _acceleration_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
     )
     if derived is None:
         return
-    legend, curves = [(DERIVED, "slope of the DVL's velocities")], {DERIVED: derived.measured}
-    reference, filters = replay.dive.reference, replay.config.filters.values()
+    legend = [(DERIVED, "slope of the DVL's velocities")]
+    curves = {DERIVED: derived.measured}
+    reference = replay.dive.reference
+    filters = replay.config.filters.values()
     if reference is not None and reference.has_velocity and reference.has_attitude:
         longest_s = max(
             filter_.acceleration.max_window_gap_s
@@ -543,25 +554,24 @@ def _acceleration_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
 
 # --- Shades behind the panels over time: where the vehicle turned, and where the DVL has no velocity.
 
-TURNS_DEGPS, OVER_S = (
-    1.5,
-    10.0,
-)  # In a turn the heading changes by more, over the time of several pings.
+# In a turn the heading changes by more, over the time of several pings.
+TURNS_DEGPS = 1.5
+OVER_S = 10.0
 SILENT: Final = 3.0  # A gap of the DVL is longer than this many usual steps.
 MOST: Final = 40  # With more stretches of a kind, none is shaded, since they would hide the curves.
 
 
 def shades_of(replay: Replay) -> tuple[Shade, ...]:
     """Find what is shaded behind the panels over time of a replay."""
-    baseline, clock = replay.histories[0], Clock(replay.start_ns, replay.end_ns)
+    baseline = replay.histories[0]
+    clock = Clock(replay.start_ns, replay.end_ns)
     rows = np.flatnonzero(baseline.updated)
     turns = np.empty((0, 2), dtype=np.int64)
     if len(rows) >= 3:
-        time_ns, heading = baseline.time_ns[rows], rpy_from_mat(baseline.mat_nb[rows])[:, 2]
-        unwrapped, time_s = (
-            np.cumsum(np.append(0.0, wrap_angle(np.diff(heading)))),
-            seconds(time_ns, time_ns[0]),
-        )
+        time_ns = baseline.time_ns[rows]
+        heading = rpy_from_mat(baseline.mat_nb[rows])[:, 2]
+        unwrapped = np.cumsum(np.append(0.0, wrap_angle(np.diff(heading))))
+        time_s = seconds(time_ns, time_ns[0])
         before, after = (
             np.interp(np.clip(time_s + half_s, 0.0, time_s[-1]), time_s, unwrapped)
             for half_s in (-OVER_S / 2.0, OVER_S / 2.0)
@@ -592,14 +602,17 @@ def _over_time(panel: Panel, shades: tuple[Shade, ...], clock: Clock) -> Panel:
 
 # --- Strips: coverage of the dive by each sensor.
 
-_COLUMNS, _HEIGHT, _TICKS = 300, 20, 5
+_COLUMNS = 300
+_HEIGHT = 20
+_TICKS = 5
 _RIGHTMOST: Final = 97.0  # Labels from here on end at their place, in percent of the width.
 _FEWEST_BEAMS: Final = 3  # With fewer valid beams a ping has no velocity.
 
 
 def coverage_strips(replay: Replay) -> str:
     """Draw a strip for each sensor, as HTML: as high as the share of the time that its valid samples cover."""
-    clock, rows = Clock(replay.start_ns, replay.end_ns), []
+    clock = Clock(replay.start_ns, replay.end_ns)
+    rows = []
     for name, time_ns, valid in _sources(replay.dive):
         shares = covered_shares(time_ns, valid, clock.start_ns, clock.end_ns)
         heights = np.round(shares * _HEIGHT).astype(int)

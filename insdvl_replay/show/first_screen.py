@@ -26,12 +26,14 @@ from insdvl_replay.show.page import table_html
 # --- Forest plots as SVG.
 
 # Percent of the width: the end of labels, both ends of the axis, the start of texts.
-LABEL_END, LEFT, RIGHT, TEXT = 28.0, 30.0, 64.0, 66.0
-TOP, ROW, BOTTOM = (
-    3,
-    17,
-    16,
-)  # Pixels: free above the rows, the height of a row, the height of the axis labels.
+LABEL_END = 28.0
+LEFT = 30.0
+RIGHT = 64.0
+TEXT = 66.0
+# Pixels: free above the rows, the height of a row, the height of the axis labels.
+TOP = 3
+ROW = 17
+BOTTOM = 16
 _BASELINE: Final = 4  # Pixels by which the foot of a text is below the middle of its row.
 # Ticks by the upper end of the axis; the lower end is one over it.
 AXES: Final = {
@@ -68,7 +70,8 @@ def forest(title: str, rows: Sequence[ForestRow]) -> str:
     )
     footnote = f'<p class="footnote">{notes}.</p>' if notes else ""
     marks = {why: f" {number}" for number, why in zip(numbers, reasons, strict=True)}
-    end, bottom = axis_end(rows), TOP + ROW * len(rows)
+    end = axis_end(rows)
+    bottom = TOP + ROW * len(rows)
     low, high = (place(ratio, end) for ratio in (1.0 / BAND, BAND))
     lines = [
         f'<svg width="100%" height="{bottom + BOTTOM}">',
@@ -82,8 +85,10 @@ def forest(title: str, rows: Sequence[ForestRow]) -> str:
             f'<text class="tick" x="{across}" y="{bottom + 13}" text-anchor="middle">{tick:g}</text>'
         )
     for number, row in enumerate(rows):
-        middle, half = TOP + ROW * number + ROW / 2.0, _LONGEST_LABEL // 2
-        foot, name = middle + _BASELINE, visible(row.label)
+        middle = TOP + ROW * number + ROW / 2.0
+        half = _LONGEST_LABEL // 2
+        foot = middle + _BASELINE
+        name = visible(row.label)
         # Where the pointer rests: whole name, ratio, interval, verdict.
         ratio = "" if math.isnan(finite(row.ratio)) else f" {row.ratio:.3g}"
         ends = () if row.interval is None or math.isnan(sum(row.interval)) else row.interval
@@ -182,7 +187,8 @@ def first_screen(
 
 def section(answer: Answer, sentences: Sequence[str], plots: Sequence[str] = ()) -> str:
     """Return the section of a candidate: the word, sentences, and plots next to them."""
-    name, baseline = answer.filter, answer.baseline
+    name = answer.filter
+    baseline = answer.baseline
     # The word is above the sentences.
     verdict = shouted(answer.verdict)
     texts = [text.removeprefix(f"{verdict}, ") for text in sentences if text != verdict]
@@ -227,15 +233,18 @@ def evidence_forest(title: str, answer: Answer, most: int) -> str:
 
 def interval_ends(row: PooledRow) -> tuple[float, float] | None:
     """Return the ends of the interval of a row; None without one."""
-    low, high = finite(row.low), finite(row.high)
+    low = finite(row.low)
+    high = finite(row.high)
     return None if math.isnan(low + high) else (low, high)
 
 
 def dives_forest(answer: Answer, reports: Iterable[Report], *, linked: bool) -> str:
     """Draw the dives one by one, the smallest ratio first, by the primary quantity. One dive has no interval."""
-    quantity, rows = answer.primary, list[ForestRow]()
+    quantity = answer.primary
+    rows = list[ForestRow]()
     for report in (report for report in reports if answer.filter in report.filters):
-        name, link = report.log.name, f"{quote(report.log.name)}/{DIVE_PAGE}" if linked else ""
+        name = report.log.name
+        link = f"{quote(report.log.name)}/{DIVE_PAGE}" if linked else ""
         own = [
             row
             for row in report.tables.evidence

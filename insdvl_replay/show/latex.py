@@ -39,7 +39,8 @@ def as_latex(document: Document, about: str = "") -> str:
     """Render a document: all sentences first, then a ``table`` for each table, which names what it is about."""
     parts = list(flat("latex", document))
     sentences = [f"% {visible(text)}" for part in parts if (text := sentence_of(part))]
-    blocks, labels = list[str](), set[str]()
+    blocks = list[str]()
+    labels = set[str]()
     for count, table in enumerate((part for part in parts if isinstance(part, DisplayTable)), 1):
         blocks += [_table(table, about, labels), *([] if count % _MOST_FLOATS else [r"\clearpage"])]
     return "\n\n".join(["\n".join([*([_PACKAGES] if blocks else []), *sentences]), *blocks]) + "\n"
@@ -107,10 +108,8 @@ def _column(letter: str, head: str, *column: CellText) -> list[str]:
         is_long = max(map(len, texts), default=0) > _LONGEST_CELL
         return ["p{25mm}" if letter == "l" and is_long else letter, *map(_cell, (title, *texts))]
     unit = " [%]" if numbers[0]["unit"] else ""
-    missing, plain = (
-        f"{{{MISSING * 2}}}",
-        (re.sub(r"e([+-])0+", r"e\1", text.removesuffix(" %")) for text in texts),
-    )
+    missing = f"{{{MISSING * 2}}}"
+    plain = (re.sub(r"e([+-])0+", r"e\1", text.removesuffix(" %")) for text in texts)
     return [
         _siunitx(numbers),
         f"{{{_text(title + unit)}}}",

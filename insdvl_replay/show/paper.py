@@ -50,7 +50,8 @@ _STYLE: Final[Any] = {
     "svg.hashsalt": "insdvl-replay",
     "svg.fonttype": "none",
 }
-NARROWEST_MM, WIDEST_MM = 60.0, 1000.0
+NARROWEST_MM = 60.0
+WIDEST_MM = 1000.0
 _MM_PER_INCH: Final = 25.4
 _SHAPE: Final = 0.62  # Height over width of a panel.
 _LOW_MM: Final = 34.0  # Height of a panel among several, if it is wide.
@@ -91,7 +92,8 @@ def drawn(figure: Figure, format_: str, width_mm: float, *, headed: bool = False
 
     Raises a ConfigError for pgf without LaTeX.
     """
-    canvas, stream = paper_canvas(figure, width_mm, headed=headed), BytesIO()
+    canvas = paper_canvas(figure, width_mm, headed=headed)
+    stream = BytesIO()
     from matplotlib import style
 
     with style.context(["default", _STYLE]):
@@ -181,7 +183,8 @@ def _fit_titles(canvas: "Canvas") -> None:
     canvas.draw_without_rendering()
     shares = [1.0]
     for axes in canvas.axes:
-        place, title = axes.get_position(), axes.get_title(loc="left")
+        place = axes.get_position()
+        title = axes.get_title(loc="left")
         others = [
             other.get_position().x0 for other in canvas.axes if other.get_position().x0 > place.x1
         ]

@@ -23,18 +23,25 @@ from insdvl_replay.core.result import REFERENCE, Curve, Figure, Panel, Scale
 
 WIDTH: Final = 360.0
 HEIGHT: Final = 210.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 48.0, 10.0, 26.0, 36.0
-_TICKS_X, _TICKS_Y, _TICKS_WHOLE = 6, 5, 12
+_LEFT = 48.0
+_RIGHT = 10.0
+_TOP = 26.0
+_BOTTOM = 36.0
+_TICKS_X = 6
+_TICKS_Y = 5
+_TICKS_WHOLE = 12
 _PIXEL: Final = 0.7
 _POINT: Final = 3.0
-_LABEL, _ABOVE = (
-    11.0,
-    4.0,
-)  # Height of a name at the end of a line, and how far above the line it is.
+# Height of a name at the end of a line, and how far above the line it is.
+_LABEL = 11.0
+_ABOVE = 4.0
 _FAR: Final = 1e7  # Counts are cut here: thousands of heights of the panel, and about what a browser's numbers hold.
-_DIGITS_X, _DIGITS_Y = 4, 3  # An axis is at least ten to this power counts long.
+# An axis is at least ten to this power counts long.
+_DIGITS_X = 4
+_DIGITS_Y = 3
 # On a logarithmic axis values have three digits, and a decade has enough counts to tell them apart.
-_LOG_DIGITS, _LOG_COUNTS = 3, 5000
+_LOG_DIGITS = 3
+_LOG_COUNTS = 5000
 # Seconds in the unit of an axis: values at the cursor are in seconds, as in files.
 _SECONDS: Final = {"time [min]": 60.0, "time [h]": 3600.0}
 
@@ -106,10 +113,12 @@ class Axis:
 
     def place(self, values: Floats) -> Floats:
         """Return the places of values; NaN where a logarithmic axis has none."""
-        low, high = self.low, self.high
+        low = self.low
+        high = self.high
         if self.scale == "log":
             values = np.log10(np.where(values > 0.0, values, np.nan))
-            low, high = math.log10(low), math.log10(high)
+            low = math.log10(low)
+            high = math.log10(high)
         places: Floats = self.start + (values - low) / (high - low) * (self.end - self.start)
         return places
 
@@ -137,7 +146,8 @@ def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
     known = values[(np.abs(values) < _LARGEST) & ((values > 1.0 / _LARGEST) | (scale == "linear"))]
     if not len(known):
         return (0.0, 1.0) if scale == "linear" else (1.0, 10.0)
-    low, high = float(known.min()), float(known.max())
+    low = float(known.min())
+    high = float(known.max())
     if scale == "log":
         return 10.0 ** math.floor(math.log10(low)), 10.0 ** (math.floor(math.log10(high)) + 1)
     if high - low <= _SMALLEST_SPAN * max(abs(low), abs(high)):
@@ -167,7 +177,8 @@ def _round_values(low: float, high: float, count: int, *, whole: bool) -> tuple[
 
 def _decades(low: float, high: float, count: int) -> Floats:
     """Find at most ``count`` powers of ten, equally far apart: at multiples of their distance."""
-    first, last = math.ceil(math.log10(low)), math.floor(math.log10(high))
+    first = math.ceil(math.log10(low))
+    last = math.floor(math.log10(high))
     step = math.ceil((last - first + 1) / count) or 1
     return np.asarray(10.0 ** np.arange(-(-first // step) * step, last + 1, step))
 
@@ -190,7 +201,8 @@ def envelope(x: Floats, y: Floats, columns: int = COLUMNS) -> NDArray[np.int64]:
     known = np.flatnonzero(np.isfinite(y))
     by_size = known[np.lexsort((y[known], column[known]))]
     begins = np.diff(column[by_size], prepend=-1.0) > 0.0
-    lowest, highest = by_size[begins], by_size[np.roll(begins, -1)]
+    lowest = by_size[begins]
+    highest = by_size[np.roll(begins, -1)]
     missing = np.unique(column, return_index=True)[1]
     missing = missing[~np.isin(column[missing], column[known])]
     return np.unique(np.concatenate([lowest, highest, missing]))
@@ -223,7 +235,8 @@ def _height(panel: Panel) -> float:
 def _panel(panel: Panel, place: str, names: Mapping[str, str]) -> str:
     height = _height(panel)
     x_axis, y_axis = _axes(panel, height)
-    width, tall = WIDTH - _LEFT - _RIGHT, height - _TOP - _BOTTOM
+    width = WIDTH - _LEFT - _RIGHT
+    tall = height - _TOP - _BOTTOM
     plot = f'x="{_LEFT:g}" y="{_TOP:g}" width="{width:g}" height="{tall:g}"'
     title = escape(panel.title)
     (across, left), (down, top) = x_axis.transform, y_axis.transform
@@ -261,12 +274,12 @@ def _axes(panel: Panel, height: float) -> tuple[Axis, Axis]:
     x_low, x_high = panel.x_limits or limits(x, panel.x_scale)
     known = x[np.isfinite(x) & (x > 0.0)]
     if panel.x_scale == "log" and len(known) and known.min() < known.max():
-        x_low, x_high = (
-            float(known.min()),
-            float(known.max()),
-        )  # with a margin, half of the axis would be empty
+        # with a margin, half of the axis would be empty
+        x_low = float(known.min())
+        x_high = float(known.max())
     y_low, y_high = panel.y_limits or limits(y, panel.y_scale)
-    right, bottom = WIDTH - _RIGHT, height - _BOTTOM
+    right = WIDTH - _RIGHT
+    bottom = height - _BOTTOM
     if panel.equal:
         unit = max((x_high - x_low) / (right - _LEFT), (y_high - y_low) / (bottom - _TOP))
         x_low, x_high = _widened(x_low, x_high, unit * (right - _LEFT))
@@ -297,7 +310,10 @@ def _shades(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
 
 def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
     """Draw ticks as lines across the panel, with their labels outside."""
-    bottom, top, left, right = y_axis.start, y_axis.end, x_axis.start, x_axis.end
+    bottom = y_axis.start
+    top = y_axis.end
+    left = x_axis.start
+    right = x_axis.end
     across = x_axis.ticks(_TICKS_WHOLE if panel.x_whole else _TICKS_X)
     yield f'<g class="ticks"><path d="{"".join(f"M{place:.1f} {top:g}V{bottom:g}" for place, _ in across)}"/>'
     yield from (
@@ -315,11 +331,13 @@ def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str])
     """Draw the bands, the first of them filled, and the lines above all of them."""
     paths = len(panel.curves) + sum(curve.band is not None for curve in panel.curves)
     crowd = max(paths / _FEW, 1.0)
-    columns, step = round(COLUMNS / crowd**_COARSER), _PIXEL * crowd**2
+    columns = round(COLUMNS / crowd**_COARSER)
+    step = _PIXEL * crowd**2
     bands: list[str] = []
     lines: list[str] = []
     for curve in panel.curves:
-        x, y = x_axis.counts(curve.x), y_axis.counts(curve.y)
+        x = x_axis.counts(curve.x)
+        y = y_axis.counts(curve.y)
         places = x_axis.place(curve.x), y_axis.place(curve.y)
         if curve.points:
             rows = _one_of_each_cell(*places)
@@ -355,10 +373,8 @@ def _marks(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
     curve = next((curve for curve in panel.curves if curve.style == REFERENCE), panel.curves[-1])
     known = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
     if len(known):
-        x, y = (
-            x_axis.place(curve.x[known[[0, -1]]]).tolist(),
-            y_axis.place(curve.y[known[[0, -1]]]).tolist(),
-        )
+        x = x_axis.place(curve.x[known[[0, -1]]]).tolist()
+        y = y_axis.place(curve.y[known[[0, -1]]]).tolist()
         yield f'<circle class="start" cx="{x[0]:.1f}" cy="{y[0]:.1f}" r="4"/>'
         yield f'<rect class="end" x="{x[1] - 3:.1f}" y="{y[1] - 3:.1f}" width="6" height="6"/>'
         for name, across, down in (("start", x[0], y[0] - 6.0), ("end", x[1], y[1] + 13.0)):
@@ -410,7 +426,8 @@ def _line(x: Floats, y: Floats) -> str:
     counts = np.column_stack([x, y])[known].astype(np.int64)
     begins = np.diff(np.flatnonzero(known), prepend=-2) > 1
     steps = np.diff(counts, axis=0, prepend=0)
-    words, drawing = [], False
+    words = []
+    drawing = False
     for (across, down), (right, below), begin in zip(
         counts.tolist(), steps.tolist(), begins.tolist(), strict=True
     ):
@@ -442,12 +459,15 @@ def _one_of_each_cell(x: Floats, y: Floats) -> NDArray[np.int64]:
 # --- A picture of a figure, as a file of its own.
 
 PANELS_IN_A_ROW: Final = 3  # Panels next to each other in a picture.
-_LEGEND, _ENTRY = 28.0, 170.0  # Height of a line of the legend, and width of an entry.
+# Height of a line of the legend, and width of an entry.
+_LEGEND = 28.0
+_ENTRY = 170.0
 
 
 def sheet_svg(figure: Figure) -> bytes:
     """Draw the panels of a figure in one picture, in the colours of pages; the same figure gives the same bytes."""
-    panels, top = [], 0.0
+    panels = []
+    top = 0.0
     for first in range(0, len(figure.panels), PANELS_IN_A_ROW):
         row = figure.panels[first : first + PANELS_IN_A_ROW]
         for column, panel in enumerate(row):
@@ -460,10 +480,8 @@ def sheet_svg(figure: Figure) -> bytes:
     entries = int(width // _ENTRY)
     legend = []
     for number, (style, label) in enumerate(figure.legend):
-        x, y = (
-            _ENTRY * (number % entries) + 48.0,
-            top + _LEGEND / 2.0 + _LEGEND * (number // entries),
-        )
+        x = _ENTRY * (number % entries) + 48.0
+        y = top + _LEGEND / 2.0 + _LEGEND * (number // entries)
         legend.append(f'<path class="line {style}" d="M{x:g} {y - 4:g}h36"/>')
         legend.append(f'<text x="{x + 44:g}" y="{y:g}">{escape(visible(label))}</text>')
     height = top + _LEGEND * math.ceil(len(figure.legend) / entries)

@@ -234,7 +234,8 @@ def _trust_lines(report: Report) -> list[str]:
     """Say of each candidate whether it is consistent, and how large its innovations are if it is the only one."""
     if len(report.filters) > MOST_ANSWERS:
         return []
-    lines, is_far_off = [], is_noise_far_off(report.tables, report.baseline)
+    lines = []
+    is_far_off = is_noise_far_off(report.tables, report.baseline)
     for name in (
         name for name, found in report.filters.items() if found.verdict not in WITHOUT_VERDICT
     ):
@@ -253,7 +254,8 @@ def _trust_lines(report: Report) -> list[str]:
 
 def _facts(report: Report) -> str:
     """Return a line with what was replayed."""
-    tables, duration_s = report.tables, report.log.duration_s
+    tables = report.tables
+    duration_s = report.log.duration_s
     starts = max((row.starts for row in tables.evidence), default=0)
     # The first filter that takes velocities, or beams where none does.
     rows = [row for row in tables.consistency if row.measurement == "velocity"][:1]
@@ -279,7 +281,9 @@ def _facts(report: Report) -> str:
 # --- Several dives: the pooled evidence, then a row for each dive.
 
 MOST_DIVES: Final = 20  # With more dives, only the failed and the worst have rows.
-MOST_FAILED, WORST, MOST_CODES = 8, 3, 3
+MOST_FAILED = 8
+WORST = 3
+MOST_CODES = 3
 FAILED: Final = GateStatus.FAILED  # Printed instead of a verdict.
 
 

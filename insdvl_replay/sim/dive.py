@@ -162,15 +162,16 @@ def exact_dive(
         return trajectory.at(seconds(time_ns, START_NS))
 
     # The IMU, by blocks.
-    imu_ns, ping_ns = grid_ns(0.0, imu_rate_hz), grid_ns(FIRST_PING_S, dvl_rate_hz)
+    imu_ns = grid_ns(0.0, imu_rate_hz)
+    ping_ns = grid_ns(FIRST_PING_S, dvl_rate_hz)
     blocks = [motion_at(block) for block in np.array_split(imu_ns, 1 + len(imu_ns) // BLOCK)]
-    forces_b, rates_b = (
-        [block.specific_force_b for block in blocks],
-        [block.angular_rate_b for block in blocks],
-    )
+    forces_b = [block.specific_force_b for block in blocks]
+    rates_b = [block.angular_rate_b for block in blocks]
 
     # The DVL.
-    time_s, vectors_d, motion = seconds(ping_ns, START_NS), beam_vectors_d(), motion_at(ping_ns)
+    time_s = seconds(ping_ns, START_NS)
+    vectors_d = beam_vectors_d()
+    motion = motion_at(ping_ns)
     mat_db = mat_from_sines(*sine_and_cosine(np.array(mounting_rpy_deg) * DEG)).T
     velocity_b = turned(np.swapaxes(motion.mat_nb, -1, -2), motion.velocity_n)
     velocity_d = turned(mat_db, velocity_b + np.cross(motion.turn_rate_b, lever_arm_m))

@@ -109,7 +109,8 @@ def add_imu_errors(
         return np.asarray(np.cumsum(steps, axis=0))
 
     interval_s = float(exact.time_ns[-1] - exact.time_ns[0]) * 1e-9 / (len(exact.time_ns) - 1)
-    root_s, shape = math.sqrt(interval_s), exact.specific_force_b.shape
+    root_s = math.sqrt(interval_s)
+    shape = exact.specific_force_b.shape
     accel_bias = bias(errors.accel_bias_sd_mps2, errors.accel_bias_walk_mps2_rts, accel_rng)
     gyro_bias = bias(errors.gyro_bias_sd_radps, errors.gyro_bias_walk_radps_rts, gyro_rng)
     accel_noise = errors.accel_white_mps_rts / root_s * accel_rng.standard_normal(shape)

@@ -44,8 +44,10 @@ def sine_and_cosine(angle: Floats) -> tuple[Floats, Floats]:
     for part in QUARTER_TURN:
         rest = rest - quarters * part
     square = rest * rest
-    sine, cosine = rest * _series(square, _SINE_ORDERS), _series(square, _COSINE_ORDERS)
-    odd, second_half = quarters % 2.0 == 1.0, quarters % 4.0 >= 2.0
+    sine = rest * _series(square, _SINE_ORDERS)
+    cosine = _series(square, _COSINE_ORDERS)
+    odd = quarters % 2.0 == 1.0
+    second_half = quarters % 4.0 >= 2.0
     sine, cosine = np.where(odd, cosine, sine), np.where(odd, -sine, cosine)
     return np.where(second_half, -sine, sine), np.where(second_half, -cosine, cosine)
 
@@ -194,12 +196,10 @@ def _figure_eight() -> tuple[Segment, ...]:
 
     Four turns by 138.9 deg, two to each side, are 555 deg in 394 s: 1.41 deg/s in the mean.
     """
-    right, left, base, diagonal = (
-        turn(138.9, 17.0),
-        turn(-138.9, 17.0),
-        Segment(35.0),
-        Segment(46.0),
-    )
+    right = turn(138.9, 17.0)
+    left = turn(-138.9, 17.0)
+    base = Segment(35.0)
+    diagonal = Segment(46.0)
     return (Segment(100.0), right, base, right, diagonal, left, base, left)
 
 
@@ -316,12 +316,14 @@ class Trajectory:
 
         # The rates of the Earth, of n, and of b against n.
         sine_lat, cosine_lat = sine_and_cosine(position[:, 0])
-        sin2, height_m = sine_lat * sine_lat, position[:, 2]
+        sin2 = sine_lat * sine_lat
+        height_m = position[:, 2]
         rate_ie_n = np.stack(np.broadcast_arrays(*earth_rate_of(sine_lat, cosine_lat)), axis=-1)
         north = velocity_n[:, 1] / (transverse_radius_of(sin2) + height_m)
         east = -velocity_n[:, 0] / (meridian_radius_of(sin2) + height_m)
         rate_en_n = np.stack([north, east, -north * sine_lat / cosine_lat], axis=-1)
-        rate_ie_b, rate_en_b = turned(mat_bn, rate_ie_n), turned(mat_bn, rate_en_n)
+        rate_ie_b = turned(mat_bn, rate_ie_n)
+        rate_en_b = turned(mat_bn, rate_en_n)
         (sr, sp, _), (cr, cp, _) = sine.T, cosine.T
         roll_rate, pitch_rate, heading_rate = self._scenario.rpy_rate(time_s).T
         about_y = cp * heading_rate
@@ -348,7 +350,8 @@ class Trajectory:
 def _position_rate(position: Floats, velocity_n: Floats) -> Floats:
     """Return the rates of latitude, longitude and height."""
     sine, cosine = sine_and_cosine(position[:, 0])
-    sin2, height_m = sine * sine, position[:, 2]
+    sin2 = sine * sine
+    height_m = position[:, 2]
     north_mps, east_mps, down_mps = velocity_n.T
     latitude_rate = north_mps / (meridian_radius_of(sin2) + height_m)
     longitude_rate = east_mps / ((transverse_radius_of(sin2) + height_m) * cosine)

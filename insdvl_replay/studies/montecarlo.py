@@ -99,7 +99,8 @@ def make_setup(
 
 def matched_errors(config: Config) -> tuple[ImuErrors, DvlErrors]:
     """Return sensor errors by the first filter's Q, R and initial uncertainty."""
-    baseline, sd = resolve_filters(config)[0], initial_sd(config.initial)
+    baseline = resolve_filters(config)[0]
+    sd = initial_sd(config.initial)
     imu_errors = ImuErrors(
         accel_bias_sd_mps2=sd[BA][0],
         gyro_bias_sd_radps=sd[BG][0],
@@ -116,10 +117,12 @@ def run_seed(seed: int, run: int) -> int:
 
 def simulated_run(setup: MonteCarloSetup, seed: int) -> tuple[RunErrors, ...]:
     """Draw the errors of one run and replay it through every filter."""
-    config, dive = setup.config, add_errors(setup.exact, setup.imu_errors, setup.dvl_errors, seed)
+    config = setup.config
+    dive = add_errors(setup.exact, setup.imu_errors, setup.dvl_errors, seed)
     if dive.reference is None or dive.truth is None:
         raise ValueError("a simulated dive holds its truth")
-    start_ns, end_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
+    start_ns = int(dive.imu.time_ns[0])
+    end_ns = int(dive.imu.time_ns[-1])
     mounting = replace(dvl_mounting(config), scale=1.0)
     velocities = dvl_velocities(dive.dvl, mounting, config.dvl.max_beam_residual_mps or np.inf)
     filters = resolve_filters(config)
@@ -142,7 +145,8 @@ def drawn_start(setup: MonteCarloSetup, seed: int) -> Start:
         raise ValueError("the filters start from the exact motion")
     # The sensors of `add_errors` draw from the seed's streams 0 to 2.
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
-    exact, sd = setup.exact.reference, initial_sd(setup.config.initial)
+    exact = setup.exact.reference
+    sd = initial_sd(setup.config.initial)
     turn = np.array(rotation_from_vector(vector(sd[PHI] * rng.standard_normal(3))))
     velocity_n = exact.velocity_n[0] + sd[DV] * rng.standard_normal(3)
     return Start(exact.position[0], velocity_n, turn @ exact.mat_nb[0], np.diag(sd**2))
@@ -218,7 +222,8 @@ def repeat_run(
     outages: Outages = (),
 ) -> Result:
     """Repeat one run of a study, by its number, from 1."""
-    setup, own_seed = make_setup(scenario, config, imu, duration_s, outages), run_seed(seed, run)
+    setup = make_setup(scenario, config, imu, duration_s, outages)
+    own_seed = run_seed(seed, run)
     table, (asked, length, drawn) = (
         run_table(simulated_run(setup, own_seed)),
         _asked(setup, imu, seed, outages),
@@ -341,8 +346,10 @@ def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
 
 def nees_figure(title: str, nees: pd.DataFrame) -> Figure:
     """Draw the mean NEES of each filter over time, from `ensemble.nees_table`, with its interval."""
-    low, high = float(nees["low"][0]), float(nees["high"][0])
-    curves, legend = [], []
+    low = float(nees["low"][0])
+    high = float(nees["high"][0])
+    curves = []
+    legend = []
     for number, (name, rows) in enumerate(nees.groupby("filter", sort=False)):
         curves.append(
             Curve(rows["time_s"].to_numpy(), rows["mean_nees"].to_numpy(), filter_style(number))
@@ -371,10 +378,8 @@ def ensemble_figure(
         predicted, actual, mean = (
             column[:, state.index] / state.factor for column in (sd, error_sd, error_mean)
         )
-        lowest, highest = (
-            min(0.0, mean[settled].min()),
-            max(predicted[settled].max(), actual[settled].max()),
-        )
+        lowest = min(0.0, mean[settled].min())
+        highest = max(predicted[settled].max(), actual[settled].max())
         curves = (
             Curve(time_s, actual, REFERENCE),
             Curve(time_s, mean, filter_style(2)),

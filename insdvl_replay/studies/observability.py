@@ -80,9 +80,11 @@ def study_observability(
     pings = nominal_pings(
         timeline, nominal, baseline.noise_density[: len(STATES)], earth_rate=earth_rate
     )
-    measurements, arm_b = _measurements(start, config), start.mounting.lever_arm_b
+    measurements = _measurements(start, config)
+    arm_b = start.mounting.lever_arm_b
     prior_sd = start.alignment.start.sd
-    found, left_sd = {}, {}
+    found = {}
+    left_sd = {}
     for name, aiding in AIDING.items():
         stack = [measurements[single] for single in aiding]
         found[name] = analyse(
@@ -126,7 +128,8 @@ def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
             f"{dive_or_scenario}: is neither a log nor a scenario",
             f"scenarios: {', '.join(SCENARIOS)}",
         )
-    change, unbiased = msgspec.structs.replace, Initial()
+    change = msgspec.structs.replace
+    unbiased = Initial()
     dvl = change(config.dvl, scale=1.0)
     biases = {"accel_bias_mg": unbiased.accel_bias_mg, "gyro_bias_degph": unbiased.gyro_bias_degph}
     dive = exact_dive(
@@ -177,8 +180,12 @@ def observability_tables(
     ``states``: aiding, state, unit, prior_sd, left_sd and left_pct of the prior after the last ping, with process
     noise, and left_without_noise_pct, the remaining part of the start errors without process noise.
     """
-    factors, ids = np.array([state.factor for state in STATES]), [state.id for state in STATES]
-    ranks, seen, values, states = [], [], [], []
+    factors = np.array([state.factor for state in STATES])
+    ids = [state.id for state in STATES]
+    ranks = []
+    seen = []
+    values = []
+    states = []
     for aiding, analysis in found.items():
         unobservable = name_unobservable(analysis, directions, prior_sd)
         weak = int(np.sum(analysis.singular_values[: analysis.rank] < 1.0))
@@ -316,7 +323,8 @@ def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
 
 def _by_aiding(title: str, table: pd.DataFrame, key: str, footnote: str = "") -> DisplayTable:
     """Return a table of the column ``text`` with a row for each key and a column for each aiding."""
-    aidings, keys = table["aiding"].unique(), table[key].unique()
+    aidings = table["aiding"].unique()
+    keys = table[key].unique()
     cells = table.pivot(index=key, columns="aiding", values="text").loc[keys, aidings]
     header = ("" if key == "number" else key, *(aiding.replace("+ ", "+\n") for aiding in aidings))
     return DisplayTable(
@@ -326,7 +334,8 @@ def _by_aiding(title: str, table: pd.DataFrame, key: str, footnote: str = "") ->
 
 def singular_value_figure(title: str, values: pd.DataFrame, tolerance: float) -> Figure:
     """Draw the singular values of each aiding as shares of its largest, and the tolerance."""
-    curves, legend = [], []
+    curves = []
+    legend = []
     for count, (aiding, rows) in enumerate(values.groupby("aiding", sort=False)):
         largest = rows["singular_value"].max() or 1.0
         share = np.maximum(rows["singular_value"].to_numpy() / largest, _SMALLEST)

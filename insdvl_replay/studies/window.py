@@ -28,7 +28,9 @@ from insdvl_replay.preparation.run import prepare_with_heading
 from insdvl_replay.show.document import number, table_of
 from insdvl_replay.show.plot import limits
 
-COMPENSATED, IGNORED, NO_ARM = "compensated", "ignored", "none"
+COMPENSATED = "compensated"
+IGNORED = "ignored"
+NO_ARM = "none"
 """Treatment of the lever arm between IMU and DVL; `NO_ARM` if the configuration has none."""
 _ARM: Final = {
     COMPENSATED: ("With the lever arm compensated", "arm comp.", "lever arm compensated"),
@@ -36,7 +38,8 @@ _ARM: Final = {
     NO_ARM: ("Without a lever arm", "no arm", "no lever arm"),
 }
 """Start of a sentence, title of a column, and title of a panel."""
-MIDDLE, END = "middle", "end"
+MIDDLE = "middle"
+END = "end"
 """Time of the comparison with the reference: mean time of the window, or its last ping."""
 _STYLES: Final = {MIDDLE: filter_style(1), END: filter_style(0)}
 _ALONE: Final = "zero"
@@ -228,7 +231,8 @@ def _sentences(best: pd.DataFrame, differentiated_s: Sequence[float]) -> Iterato
             f"{_ARM[str(arm)][0]}, {middle['n']} velocities give the best acceleration at the middle of their window, "
             f"{number(middle['rmse_mps2'])} m/s^2 rms, and {end['n']} at its end, {number(end['rmse_mps2'])} m/s^2 rms."
         )
-    shortest_s, longest_s = min(differentiated_s), max(differentiated_s)
+    shortest_s = min(differentiated_s)
+    longest_s = max(differentiated_s)
     over = (
         f"{shortest_s:.3g} s"
         if longest_s - shortest_s < 0.01
@@ -265,17 +269,16 @@ def _display(windows: pd.DataFrame, best: pd.DataFrame) -> Iterator[DisplayTable
 
 def window_figure(windows: pd.DataFrame) -> Figure:
     """Draw the error at the middle and at the end of windows, one panel for each treatment of the lever arm."""
-    first_log, panels = windows["log"].iloc[0], []
+    first_log = windows["log"].iloc[0]
+    panels = []
     for arm, of_arm in windows.groupby("lever_arm", sort=False):
         curves = []
         for (log, at), rows in reversed(
             list(of_arm.groupby(["log", "at"], sort=False))
         ):  # the first log is on top
-            style, n, rmse = (
-                _STYLES[str(at)],
-                rows["n"].to_numpy(np.float64),
-                rows["rmse_mps2"].to_numpy(),
-            )
+            style = _STYLES[str(at)]
+            n = rows["n"].to_numpy(np.float64)
+            rmse = rows["rmse_mps2"].to_numpy()
             name = f"{at} of the window" + ("" if log == first_log else f", {log}")
             curves.append(
                 Curve(n, rmse, style if log == first_log else f"{style} {_ALONE}", name=name)

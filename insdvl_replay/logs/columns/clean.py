@@ -87,7 +87,8 @@ class Cleaner:
                 )
             if not is_few(order.wrong.size, self.time_ns.size):
                 raise LogError(text, hint, *table.where)
-            code, text = f"{table.source.code}_wrong_stamps", f"{self.role}: {text}; dropped"
+            code = f"{table.source.code}_wrong_stamps"
+            text = f"{self.role}: {text}; dropped"
             self.notes.append(Note(code, text, order.wrong.size, Severity.WARNING, hint))
         if order.late.size:
             text = f"messages are out of order (by up to {order.late_s:.3f} s); sorted"
@@ -255,7 +256,8 @@ def raise_if_two_dives(table: Table, time_ns: TimeNs) -> None:
     if table.files is None:
         return
     order = np.lexsort((table.files, time_ns))
-    files, time_ns = table.files[order], time_ns[order]
+    files = table.files[order]
+    time_ns = time_ns[order]
     whole = {path: column for path, column in table.columns.items() if len(column) == len(files)}
     values = {path: column[order] for path, column in whole.items() if path not in RECORDER_STAMPS}
     repeated = repeated_rows(values | {"log_time": time_ns[:, None]}, files)
@@ -298,7 +300,8 @@ def note_lost_samples(cleaner: Cleaner) -> None:
     if np.count_nonzero(pauses) < 6 or near.mean() < 0.8 or near[pauses].mean() < 0.9:
         return
     # Where a rate changes, pauses follow one another; alternating steps do so never; pauses in turn are evenly apart.
-    share, distances = pauses.mean(), np.diff(np.flatnonzero(pauses))
+    share = pauses.mean()
+    distances = np.diff(np.flatnonzero(pauses))
     correlated = abs(np.mean(pauses[1:] & pauses[:-1]) - share**2) > 0.4 * share * (1.0 - share)
     if correlated or distances.std() <= 0.4 * distances.mean():
         return
@@ -309,7 +312,8 @@ def note_lost_samples(cleaner: Cleaner) -> None:
         f"samples, {100.0 * share:.2g} % of all, are missing: pauses are "
         f"multiples of the usual step of {usual_s:.4g} s"
     )
-    severity, hint = Severity.INFO, ""
+    severity = Severity.INFO
+    hint = ""
     if share >= 0.05:  # more may change the results
         hint = "check whether the recorder or the network was too slow"
         severity = Severity.WARNING

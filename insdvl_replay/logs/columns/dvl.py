@@ -40,10 +40,9 @@ from insdvl_replay.logs.formats.fields import split_paths
 
 Rule = tuple[str, Callable[[Floats], Mask], str, str]
 _MOVING_MPS: Final = 0.05
-_SPEEDS, _AXES = (
-    "velocities along the beams",
-    "axes of the beams",
-)  # columns that no message holds as such
+# columns that no message holds as such
+_SPEEDS = "velocities along the beams"
+_AXES = "axes of the beams"
 _VALID_HINT: Final = 'to read a flag of valid pings: dvl.valid = "field.path", or dvl.beam_valid'
 _BEAM_HINT: Final = "set dvl.beam_tilt_deg and dvl.beam_azimuth_deg from the data sheet"
 
@@ -79,10 +78,8 @@ def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
         has_beams &= table.column("beams_valid") != 0.0
     is_beams = "beam_velocity" in table
     if settings.kind is not None:
-        is_beams, quantity = (
-            settings.kind == "beams",
-            "beam_velocity" if settings.kind == "beams" else "velocity",
-        )
+        is_beams = settings.kind == "beams"
+        quantity = "beam_velocity" if settings.kind == "beams" else "velocity"
         if quantity not in table:
             text = f"type {table.source.type_name} has no {quantity}, but dvl.kind is '{settings.kind}'"
             raise LogError(text, f'to read it: dvl.{quantity} = "field.path"', *table.where)
@@ -275,7 +272,8 @@ def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
         cleaner.keep(~zero, "zero", reason, Severity.WARNING, _VALID_HINT)
     cleaner.drop_repeated_times(values)
     # Values that stay the same for longer than any recorder repeats them: five pings and five seconds.
-    times, ordered = cleaner.times, values[cleaner.rows]
+    times = cleaner.times
+    ordered = values[cleaner.rows]
     starts, ends = find_runs(same_rows(ordered[1:], ordered[:-1]))
     lengths_s = seconds(times[ends], times[starts])
     long = np.flatnonzero((lengths_s > 5.0) & (ends - starts >= 5))
@@ -350,7 +348,8 @@ def _reported_vectors(table: Table, cleaner: Cleaner) -> Floats:
     if quantity == "beam_quaternions":
         # The UUV Simulator writes the axis of the turn whole, beside w: a quaternion whose vector part has length 1
         # can only be half a turn, with a w of 0.
-        axis, w = reported[..., :3], reported[..., 3:]
+        axis = reported[..., :3]
+        w = reported[..., 3:]
         whole = (np.abs(np.linalg.norm(axis, axis=-1, keepdims=True) - 1.0) < 1e-6) & (
             np.abs(w) <= 1.0
         )

@@ -63,9 +63,11 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
         ANGULAR_RATE_UNITS[settings.angular_rate_unit or "rad/s"] / settings.angular_rate_scale
     )
     axes = settings.axes or FRD
-    force_axes, force_key = axes, "imu.axes"
+    force_axes = axes
+    force_key = "imu.axes"
     if settings.specific_force_axes is not None:
-        force_axes, force_key = settings.specific_force_axes, "imu.specific_force_axes"
+        force_axes = settings.specific_force_axes
+        force_key = "imu.specific_force_axes"
     force = measured_vectors(table, "specific_force", "force", settings)
     rate = measured_vectors(table, "angular_rate", "rate", settings)
     specific_force_b = in_frd(force, force_axes, force_key, force_unit)
@@ -168,7 +170,8 @@ def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:
     if len(readings) < 3:
         return spikes
     step = np.diff(readings, axis=0)
-    there, back = step[:-1], step[1:]
+    there = step[:-1]
+    back = step[1:]
     # Where readings jump all the time, or are in another unit, none stands out.
     far = np.maximum(jump, 20.0 * np.median(np.abs(step), axis=0))
     smaller = np.minimum(np.abs(there), np.abs(back))
@@ -190,7 +193,8 @@ def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:
 
 def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:
     """Make the columns of the true sensor biases."""
-    accel_bias_b, gyro_bias_b = table.values("accel_bias", 3), table.values("gyro_bias", 3)
+    accel_bias_b = table.values("accel_bias", 3)
+    gyro_bias_b = table.values("gyro_bias", 3)
     cleaner = Cleaner(table)
     cleaner.drop_repeated_times()
     cleaner.note_missing("accelerometer biases", accel_bias_b)

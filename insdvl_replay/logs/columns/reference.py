@@ -50,7 +50,10 @@ from insdvl_replay.logs.columns.clean import Cleaner, note_lost_samples, stand_f
 from insdvl_replay.logs.columns.tables import Table, rows_among
 from insdvl_replay.logs.columns.topics import BOW_DOWN
 
-_NED, _BODY, _OLD_NED = 1, 3, 0  # PX4's frames, and that of the messages before 1.13
+# PX4's frames, and that of the messages before 1.13
+_NED = 1
+_BODY = 3
+_OLD_NED = 0
 _NORTHS: Final = (
     ("pose_frame", _NED),
     ("local_frame", _OLD_NED),
@@ -268,7 +271,9 @@ def _position(
         origin = np.where(is_given[:, None], table.values("origin", 3), origin)
     if np.isnan(origin).all():
         return None
-    latitude, longitude, height_m = origin[:, 0] * DEG, origin[:, 1] * DEG, origin[:, 2]
+    latitude = origin[:, 0] * DEG
+    longitude = origin[:, 1] * DEG
+    height_m = origin[:, 2]
     north_m, east_m, down_m = moved_n.T
     north = latitude + north_m / (meridian_radius_m(latitude) + height_m)
     east = longitude + east_m / ((transverse_radius_m(latitude) + height_m) * np.cos(latitude))
@@ -331,7 +336,8 @@ def is_by_quaternion(table: Table, settings: Navigation | Heading) -> bool:
 def _velocity_n(table: Table, settings: Navigation, mat_nb: Floats | None) -> Floats | None:
     if "velocity_frame" in table:
         # Each is in the frame that its message says; NaN in frames without a north.
-        velocity, frame = table.values("velocity_n", 3), table.column("velocity_frame")
+        velocity = table.values("velocity_n", 3)
+        frame = table.column("velocity_frame")
         in_n = np.where((frame == _NED)[:, None], velocity, np.nan)
         if mat_nb is None:
             return in_n
@@ -391,10 +397,8 @@ def decode_solution(
     for cleaner, _ in parts:
         cleaner.require_rows()
     motion, table, (cleaner, found) = union(parts), tables[0], parts[0]
-    completed, notes = (
-        table.source.completed(settings),
-        [note for other, _ in parts for note in other.notes],
-    )
+    completed = table.source.completed(settings)
+    notes = [note for other, _ in parts for note in other.notes]
     moved_n = None
     if "local_position" in table and not motion.has_position:
         moved_n = cleaner.kept(local_position_n(table, completed))
@@ -416,7 +420,8 @@ def _covariances(
     A velocity in the body errs by what its own covariance says, and in n by a misalignment, too: with
     ``v_n = C v_b`` the error is ``dv = C dv_b - v x phi``.
     """
-    cov, wrong = np.full((len(rows), SIZE, SIZE), np.nan), 0
+    cov = np.full((len(rows), SIZE, SIZE), np.nan)
+    wrong = 0
     ned_frd = settings.axes == "ned_frd"
     turn_n, turn_b = (np.eye(3), np.eye(3)) if ned_frd else (MAT_ENU_NED, MAT_FRD_FLU)
     if "pose_cov" in table:
@@ -437,7 +442,8 @@ def _covariances(
         wrong += more
         in_body = "velocity_b" in table and settings.velocity_n is None
         if in_body and "mat_nb" in found:
-            mat, velocity_x = found["mat_nb"][rows] @ turn_b, skew(found["velocity_n"][rows])
+            mat = found["mat_nb"][rows] @ turn_b
+            velocity_x = skew(found["velocity_n"][rows])
             by_phi = -velocity_x @ cov[:, PHI]
             cov[:, DV, DV] = mat @ twist @ mat.swapaxes(1, 2) - by_phi[
                 :, :, PHI
@@ -487,7 +493,8 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
         raise LogError(
             f"has changed since the settings were read: its SHA-256 is {sha256}", "run again", path
         )
-    times, poses = [], []
+    times = []
+    poses = []
     for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), 1):
         words = line.replace(",", " ").split()
         if not words or words[0].startswith("#"):
@@ -507,7 +514,8 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
         poses.append(pose)
     if not poses:
         raise LogError("has no line with a pose", _TUM_FORMAT, path)
-    time_ns, numbers = np.array(times, np.int64), np.array(poses, np.float64)
+    time_ns = np.array(times, np.int64)
+    numbers = np.array(poses, np.float64)
     finite = np.isfinite(numbers)
     if not finite.any():
         raise LogError(f"has no number in any of its {len(poses)} poses", _TUM_FORMAT, path)
@@ -522,9 +530,11 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
         notes.append(Note("solution_repeats", text, repeats))
     order = np.argsort(time_ns, kind="stable")
     rows = order[is_new(time_ns[order])]
-    way, mat = numbers[rows, :3], mat_from_quat(numbers[rows, 3:])
+    way = numbers[rows, :3]
+    mat = mat_from_quat(numbers[rows, 3:])
     if settings.axes != "ned_frd":
-        way, mat = way @ MAT_ENU_NED, np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
+        way = way @ MAT_ENU_NED
+        mat = np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
     nothing = np.full_like(way, np.nan)
     motion = ReferenceColumns(
         time_ns[rows] - round(settings.latency_s * NS_PER_S), nothing, nothing.copy(), mat

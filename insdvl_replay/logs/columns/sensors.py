@@ -51,7 +51,8 @@ def _attitude_sd(table: Table) -> Floats:
 
 def decode_log_topic(table: Table) -> tuple[SensorColumns, list[Note]]:
     """Make columns of a topic for user-defined measurements, as its messages have them."""
-    values, cleaner = table.values("values"), Cleaner(table)
+    values = table.values("values")
+    cleaner = Cleaner(table)
     cleaner.keep_finite(values)
     cleaner.drop_repeated_times(values)
     cleaner.require_rows()
@@ -73,7 +74,8 @@ def _depth(table: Table, settings: Depth, cleaner: Cleaner) -> Readings:
 
 def _heading(table: Table, settings: Heading, cleaner: Cleaner) -> Readings:
     """Return the true heading, (k, 1), and the attitude that it is part of; NaN where a message has none."""
-    declination, turned = settings.declination_deg * DEG, any(settings.mounting_rpy_deg)
+    declination = settings.declination_deg * DEG
+    turned = any(settings.mounting_rpy_deg)
     heading_alone = (
         settings.heading is not None and settings.quaternion is None and settings.roll is None
     )
@@ -121,7 +123,8 @@ def _position(table: Table, settings: Position, cleaner: Cleaner) -> Readings:
         angles_without_marks(cleaner, of_receiver(table, "longitude")[:, None], unit)[:, 0] * unit
     )
     polar = np.abs(latitude) > 0.5 * np.pi
-    count, known = int(polar.sum()), int(np.isfinite(latitude).sum())
+    count = int(polar.sum())
+    known = int(np.isfinite(latitude).sum())
     hint = 'to read another field: position.latitude = "field.path"'
     if 2 * count > known and (count == known or not stand_for_none(latitude[polar])):
         furthest = latitude[np.nanargmax(np.abs(latitude))] / unit

@@ -164,8 +164,11 @@ class Table:
 
         What is measured over an interval, at whose end it is stamped, is valid in the middle of it.
         """
-        role, stamp, path = self.source.role, self.source.stamp, stamp_path(self.source.stamp)
-        values, hint = self.columns[path], f'{role}.stamp = "log_time"'
+        role = self.source.role
+        stamp = self.source.stamp
+        path = stamp_path(self.source.stamp)
+        values = self.columns[path]
+        hint = f'{role}.stamp = "log_time"'
         time_ns: TimeNs = values[:, 0]
         if self.is_time_column(path):
             time_ns = self.columns["log_time"][:, 0]
@@ -211,7 +214,8 @@ class Table:
 
     def clock(self) -> Clock:
         """Compare the stamps with the times of recording; what is measured over an interval has the middle of it."""
-        source, log_time_ns = self.source, self.columns["log_time"][:, 0]
+        source = self.source
+        log_time_ns = self.columns["log_time"][:, 0]
         return measure_clock(
             source.role, source.topic, source.stamp, self.time_ns(), log_time_ns, source.latency_s
         )
@@ -264,9 +268,11 @@ class Column:
 
     def add(self, values: NDArray[Any]) -> None:
         """Add rows, (k, n); whole numbers stay whole until others come, and shorter rows are filled up with NaN."""
-        done, end = self._count, self._count + len(values)
+        done = self._count
+        end = self._count + len(values)
         self._first = self._first if done else values[:1].copy()
-        before, self._count = self.values(), end
+        before = self.values()
+        self._count = end
         is_even = before.shape[1] == values.shape[1]
         if self._rows is None and is_even and before.dtype == values.dtype:
             alike = np.broadcast_to(self._first, values.shape)
@@ -449,7 +455,8 @@ def merge_channels(
         return columns, np.empty(0, np.int64), None
     channel_ids = np.repeat(*np.transpose(runs))
     # Sorted by the latest log time of its channel yet, no message moves against others of its channel.
-    reached, log_time = np.empty(channel_ids.size, np.int64), columns["log_time"][:, 0]
+    reached = np.empty(channel_ids.size, np.int64)
+    log_time = columns["log_time"][:, 0]
     for channel_id in np.unique(channel_ids):
         own = channel_ids == channel_id
         reached[own] = np.maximum.accumulate(log_time[own])
@@ -467,7 +474,8 @@ def repeated_rows(columns: Columns, origin: Rows) -> Mask:
     rows = 1 + np.flatnonzero((log_time[1:] == log_time[:-1]) & (origin[1:] != origin[:-1]))
     same = np.ones(rows.size, np.bool_)
     for values in columns.values():
-        now, before = values[rows], values[rows - 1]
+        now = values[rows]
+        before = values[rows - 1]
         same &= np.all((now == before) | (np.isnan(now) & np.isnan(before)), axis=1)
     repeated = np.zeros(origin.size, np.bool_)
     repeated[rows] = same
@@ -508,7 +516,8 @@ def measure_clock(
     steps_ns = np.subtract(
         time_ns[1:], time_ns[:-1], out=behind_ns[1:]
     )  # in place: such arrays are large
-    back_steps, repeats = int(np.count_nonzero(steps_ns < 0)), int(np.count_nonzero(steps_ns == 0))
+    back_steps = int(np.count_nonzero(steps_ns < 0))
+    repeats = int(np.count_nonzero(steps_ns == 0))
     changes = len(distinct(time_ns)) - 1 if back_steps else steps_ns.size - repeats
     span_ns = int(time_ns.max()) - int(time_ns.min())
     return Clock(
@@ -544,7 +553,8 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
         )
 
     imu, *others = clocks
-    offsets, unsteady = [], []
+    offsets = []
+    unsteady = []
     for clock in clocks:
         code = code_of(clock.role)
         if min(map(abs, both_ways(clock))) > SAME_CLOCK_S + clock.spread_s:
@@ -599,10 +609,8 @@ def stamp_unit(values: NDArray[Any], log_time_ns: TimeNs) -> tuple[int, str]:
     the recorder's clock does not keep step with them, because the log was written later, their size decides: it is
     taken for the time since 1970.
     """
-    ran, recorded_s = (
-        float(values[-1]) - float(values[0]),
-        float(log_time_ns[-1] - log_time_ns[0]) * 1e-9,
-    )
+    ran = float(values[-1]) - float(values[0])
+    recorded_s = float(log_time_ns[-1] - log_time_ns[0]) * 1e-9
     for unit in _UNITS:
         if abs(ran * unit[0] * 1e-9 - recorded_s) < _IN_STEP * recorded_s:
             return unit
@@ -639,7 +647,8 @@ def find_order(time_ns: TimeNs, log_time_ns: TimeNs) -> Order:
         return Order(np.arange(time_ns.size), none, none, 0.0, 0.0)
     recorded = np.lexsort((time_ns, log_time_ns))
     bad, jump_s = _contradictions(time_ns[recorded], log_time_ns[recorded])
-    wrong, kept = recorded[bad], np.sort(recorded[~bad])
+    wrong = recorded[bad]
+    kept = np.sort(recorded[~bad])
     latest_ns = np.maximum.accumulate(time_ns[kept])
     is_late = time_ns[kept] < latest_ns
     return Order(
@@ -659,13 +668,12 @@ def _leaps(stamp_ns: TimeNs, log_time_ns: TimeNs) -> Mask:
 def _contradictions(stamp_ns: TimeNs, log_time_ns: TimeNs) -> tuple[Mask, float]:
     """Find, for messages as they were recorded, which stamps are wrong, and how far their clock jumps for good."""
     rising = _rising(stamp_ns)
-    others, bad = np.flatnonzero(~rising), ~rising
+    others = np.flatnonzero(~rising)
+    bad = ~rising
     # A run of others is wrong if one of it belongs far from its place among the rising ones.
-    rising_ns, other_ns, places = (
-        stamp_ns[rising],
-        stamp_ns[others],
-        np.cumsum(rising, dtype=np.int64)[others],
-    )
+    rising_ns = stamp_ns[rising]
+    other_ns = stamp_ns[others]
+    places = np.cumsum(rising, dtype=np.int64)[others]
     before_ns, after_ns = (rising_ns[np.clip(places + at, 0, rising_ns.size - 1)] for at in (-1, 0))
     off_s = np.maximum(seconds(before_ns, other_ns), seconds(other_ns, after_ns))
     far = (off_s > SAME_CLOCK_S) | (

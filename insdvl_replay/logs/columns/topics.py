@@ -251,7 +251,8 @@ class TopicRequirement:
         """Make a topic the source of the role."""
         for channel in channels:
             check_encoding(channel)
-        type_name, name = channels[0].type_name, type_of(channels[0])
+        type_name = channels[0].type_name
+        name = type_of(channels[0])
         with error_context(topic):
             paths = channel_paths(channels[0])
         known = self.types.get(name, KnownType())

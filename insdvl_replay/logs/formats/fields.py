@@ -252,7 +252,8 @@ def _layout_of(
     room: int = sys.maxsize,  # bytes of the message
 ) -> Layout:
     """Pass over the fields of a message in the order of the bytes."""
-    offset, passed = len(ENCAPSULATION) if is_cdr else 0, 0
+    offset = len(ENCAPSULATION) if is_cdr else 0
+    passed = 0
     names: list[str] = []
     formats: list[Any] = []
     offsets: list[int] = []
@@ -354,7 +355,9 @@ class _Plan:
                 tuple[np.dtype[Any], int, int]
             ] = []  # kind, offset and count of numbers that are side by side
             for dtype, offset in _leaves(layout.dtype, path):
-                base, start, number = dtype.base, offset, math.prod(dtype.shape)
+                base = dtype.base
+                start = offset
+                number = math.prod(dtype.shape)
                 total += number
                 if total > MOST_NUMBERS:
                     raise LogError(
@@ -413,11 +416,9 @@ def _leaves(dtype: np.dtype[np.void], path: str) -> Iterator[tuple[np.dtype[Any]
         return re.compile(re.escape(path).replace(r"\[\*\]", r"\[\d+\]") + r"(?![^.\[])")
 
     match = re.fullmatch(r"(.*)\[(\d+|\*)\]", path)
-    whole, element, index = (
-        pattern(path),
-        pattern(match[1]) if match else None,
-        match[2] if match else "",
-    )
+    whole = pattern(path)
+    element = pattern(match[1]) if match else None
+    index = match[2] if match else ""
     for name, (field, offset, *_) in (dtype.fields or {}).items():
         if field.base.kind not in "biuf":
             continue
@@ -501,7 +502,8 @@ class BinaryReader:
                 return rows, self._latest, values
         if self._is_cdr:
             self._require_little_endian(block)
-        start, size = int(block.offsets[left[0]]), int(block.sizes[left[0]])
+        start = int(block.offsets[left[0]])
+        size = int(block.sizes[left[0]])
         layout = message_layout(
             self._definitions,
             self._type_name,
@@ -581,7 +583,8 @@ def _joined(parts: Sequence[tuple[Rows, NDArray[Any]]]) -> NDArray[Any]:
     if len(parts) == 1:
         return parts[0][1]
     rows = np.concatenate([np.empty(0, np.int64), *(rows for rows, _ in parts)])
-    places, width = np.empty_like(rows), max((values.shape[1] for _, values in parts), default=0)
+    places = np.empty_like(rows)
+    width = max((values.shape[1] for _, values in parts), default=0)
     places[np.argsort(rows, kind="stable")] = np.arange(rows.size)
     same = all(values.shape[1] == width and values.dtype == np.int64 for _, values in parts)
     joined = np.zeros((rows.size, width), np.int64) if same else np.full((rows.size, width), np.nan)

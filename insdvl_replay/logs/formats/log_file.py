@@ -290,7 +290,8 @@ class FileBytes:
 
         It changes nothing here, so that another thread can do it.
         """
-        digest, crc = hashlib.sha256(), 0
+        digest = hashlib.sha256()
+        crc = 0
         for start in range(0, len(self), _PIECE):
             piece = self.read(start, start + _PIECE)
             digest.update(piece)
@@ -301,9 +302,11 @@ class FileBytes:
 
     def require_unchanged(self) -> None:
         """Refuse the file if it has changed since it was opened."""
-        before, change = self._before, ""
+        before = self._before
+        change = ""
         try:
-            now, named = os.fstat(self._descriptor), self.path.stat()
+            now = os.fstat(self._descriptor)
+            named = self.path.stat()
         except FileNotFoundError:
             change = "was removed"
         except OSError as error:
@@ -501,7 +504,8 @@ class ChunkedFile(LogFile):
 
     def _limit_size(self) -> None:
         """Leave out the chunks beyond what a file of this size may open to: a bomb would be read for hours."""
-        most, total = max(self.usually_opened, self.most_compressed * len(self.file)), 0
+        most = max(self.usually_opened, self.most_compressed * len(self.file))
+        total = 0
         for chunk in list(self._chunks):
             total += (
                 chunk.size if chunk.size <= most else 0
@@ -521,7 +525,8 @@ class ChunkedFile(LogFile):
 
     def _contents(self, chunks: Iterable[Chunk]) -> Iterator[Content]:
         """Open chunks, some ahead of the reader; those that cannot be opened are lost."""
-        left, ahead = deque(chunks), deque[tuple[Chunk, Future[tuple[memoryview, memoryview]]]]()
+        left = deque(chunks)
+        ahead = deque[tuple[Chunk, Future[tuple[memoryview, memoryview]]]]()
         sampled = {chunk.start for chunk in list(left)[:_SAMPLED]}
         opener = ThreadPoolExecutor(1)
         try:
@@ -556,7 +561,8 @@ class ChunkedFile(LogFile):
 
     def _open(self, chunk: Chunk) -> tuple[memoryview, memoryview]:
         """Return the bytes of an open chunk, and those of the indexes behind it."""
-        raw, end = self.file.read(chunk.start, chunk.index_end), chunk.end - chunk.start
+        raw = self.file.read(chunk.start, chunk.index_end)
+        end = chunk.end - chunk.start
         if chunk.is_loose:
             return raw, raw[end:]
         data = raw[chunk.data_start - chunk.start : end]
@@ -620,12 +626,12 @@ class ChunkedFile(LogFile):
         )
         first_ns, last_ns = self._announced_ns or (None, last_ns)
         # A topic is interrupted from its last message before damaged bytes to its first one behind them.
-        found, gap_ns, latest = Counter[str](), Counter[str](), dict[str, tuple[int, int]]()
+        found = Counter[str]()
+        gap_ns = Counter[str]()
+        latest = dict[str, tuple[int, int]]()
         for chunk, times in self._times_by_chunk():
-            holes_before, together = (
-                int(np.searchsorted(holes, chunk.start, "right")),
-                dict[str, list[TimeNs]](),
-            )
+            holes_before = int(np.searchsorted(holes, chunk.start, "right"))
+            together = dict[str, list[TimeNs]]()
             for channel_id in times.keys() & topics:
                 together.setdefault(topics[channel_id], []).append(times[channel_id])
             for topic, parts in together.items():
@@ -645,11 +651,10 @@ class ChunkedFile(LogFile):
             if passed < holes.size or self._is_open_ended:
                 gap_ns[topic] += max(last_ns - since_ns, 0)
         counts = self._announced
-        is_exact, is_open = counts is not None, self._is_open_ended and counts is None
-        announced, lost_counts = (
-            Counter[str](),
-            sum((chunk.counts for chunk in self._lost), Counter[int]()),
-        )
+        is_exact = counts is not None
+        is_open = self._is_open_ended and counts is None
+        announced = Counter[str]()
+        lost_counts = sum((chunk.counts for chunk in self._lost), Counter[int]())
         for channel_id, count in (counts if counts is not None else lost_counts).items():
             announced[topics.get(channel_id, "unknown channels")] += count
         lost = (announced - found if is_exact else announced).most_common()

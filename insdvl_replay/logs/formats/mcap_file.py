@@ -58,10 +58,9 @@ MESSAGE: Final = np.dtype(
 )  # in front of each payload
 _MESSAGE_FIELDS: Final = MESSAGE.itemsize - HEADER_SIZE
 _ENTRY: Final = np.dtype([("log", "<i8"), ("start", "<i8")])  # of a message index
-_WINDOW, _LARGE_WINDOW = (
-    4 << 10,
-    1 << 20,
-)  # bytes that the walk looks at at a time: among chunks, among messages
+# bytes that the walk looks at at a time: among chunks, among messages
+_WINDOW = 4 << 10
+_LARGE_WINDOW = 1 << 20
 _END_OF_TIME_NS: Final = 2**63  # times are signed in numpy as in ROS, and unsigned in the format
 _CUT: Final = "the closing bytes are missing; the file was cut or is still being written"
 _SUMMARY_ONLY: Final = (
@@ -96,18 +95,21 @@ def walk(buffer: memoryview, room: int) -> tuple[NDArray[np.int64], int, int, bo
     """
     parts: list[NDArray[np.int64]] = []
     found: list[tuple[int, int, int]] = []
-    place, others, before, patience, most = 0, 0, (0, 0), 0, 64
+    place = 0
+    others = 0
+    before = (0, 0)
+    patience = 0
+    most = 64
     # The head of each message must be in the buffer.
-    is_broken, last = (
-        False,
-        len(buffer) - (HEADER_SIZE if len(buffer) >= room else MESSAGE.itemsize),
-    )
+    is_broken = False
+    last = len(buffer) - (HEADER_SIZE if len(buffer) >= room else MESSAGE.itemsize)
     while place <= last:
         head = kind, length = HEADER.unpack_from(buffer, place)
         is_broken = length > room - place - HEADER_SIZE or not can_be_record(kind, length)
         if is_broken:
             break
-        size, count = HEADER_SIZE + length, 1
+        size = HEADER_SIZE + length
+        count = 1
         if head == before and patience == 0:
             # Messages of one sensor have one size: those that follow are looked at together.
             ahead = min((len(buffer) - place) // size, most)
@@ -127,7 +129,8 @@ def walk(buffer: memoryview, room: int) -> tuple[NDArray[np.int64], int, int, bo
             found = []
         else:
             found.append((kind, place, length))
-        before, patience = head, max(patience - 1, 0)
+        before = head
+        patience = max(patience - 1, 0)
         place += size * count
     records = np.array(found, np.int64).reshape(-1, 3)
     if parts:
@@ -223,7 +226,8 @@ class McapFile(ChunkedFile):
             self._check_summary(end)
             self._look_into_chunks()
         header = self._record(Opcode.HEADER) or records.Header("", "")
-        self.profile, self.library = header.profile, header.library
+        self.profile = header.profile
+        self.library = header.library
         self.has_summary = self._announced is not None or bool(self._chunk_indexes)
         compressed = [chunk.compression or "none" for chunk in self._chunks if not chunk.is_loose]
         self.chunk_count, self.compression = len(compressed), tuple(sorted(set(compressed)))
@@ -238,11 +242,10 @@ class McapFile(ChunkedFile):
 
     def _end(self) -> int:
         """Return where the records end, and refuse a file that is no MCAP file."""
-        size, magic = len(self.file), len(MAGIC)
-        opening, closing = (
-            bytes(self.file.read(0, magic + HEADER_SIZE)),
-            bytes(self.file.read(size - magic, size)),
-        )
+        size = len(self.file)
+        magic = len(MAGIC)
+        opening = bytes(self.file.read(0, magic + HEADER_SIZE))
+        closing = bytes(self.file.read(size - magic, size))
         self._is_closed = size >= 2 * magic and closing == MAGIC
         if opening[:magic] != MAGIC:
             kind, length = HEADER.unpack(opening[magic:].ljust(HEADER_SIZE, b"\0"))
@@ -261,7 +264,9 @@ class McapFile(ChunkedFile):
 
     def _walk(self, end: int) -> None:
         """Go from the first record to the last one."""
-        place, size, last = len(MAGIC), _WINDOW, end
+        place = len(MAGIC)
+        size = _WINDOW
+        last = end
         while place < end:
             window = self.file.read(place, min(place + size, end))
             found, others, stop, is_broken = walk(window, end - place)
@@ -274,10 +279,8 @@ class McapFile(ChunkedFile):
                     numbers, counts = (
                         values.tolist() for values in np.unique(ids, return_counts=True)
                     )
-                    start, stops = (
-                        int(found[first, 1]),
-                        int(found[behind - 1, 1:].sum()) + HEADER_SIZE,
-                    )
+                    start = int(found[first, 1])
+                    stops = int(found[behind - 1, 1:].sum()) + HEADER_SIZE
                     counted = Counter(dict(zip(numbers, counts, strict=True)))
                     self._chunks.append(
                         Chunk(place + start, place + stops, is_loose=True, counts=counted)
@@ -291,10 +294,8 @@ class McapFile(ChunkedFile):
                 place += stop
                 continue
             what = what_is_there(window[stop:], end - place - stop)
-            broken, place = (
-                place + stop,
-                place + (int(found[-1, 1:].sum()) + HEADER_SIZE if len(found) else 0),
-            )
+            broken = place + stop
+            place = place + (int(found[-1, 1:].sum()) + HEADER_SIZE if len(found) else 0)
             following = next_record(self.file, place + 1, end)
             if following == end and not self._is_closed:
                 last = place
@@ -319,7 +320,8 @@ class McapFile(ChunkedFile):
 
     def _take(self, kind: int, start: int, length: int, content: memoryview) -> None:
         """File a record; of its content as much is given as is in the window."""
-        begin, end = start + HEADER_SIZE, start + HEADER_SIZE + length
+        begin = start + HEADER_SIZE
+        end = start + HEADER_SIZE + length
         if kind == Opcode.CHUNK:
             self._chunks.append(self._chunk(start, end))
         elif kind == Opcode.MESSAGE_INDEX:
@@ -385,12 +387,11 @@ class McapFile(ChunkedFile):
             stream = ReadDataStream(
                 BytesIO(self.file.read(begin, begin + min(length, _LARGE_WINDOW)))
             )
-            log_ns, create_ns = stream.read8(), stream.read8()
-            name, media_type, size = (
-                stream.read_prefixed_string(),
-                stream.read_prefixed_string(),
-                stream.read8(),
-            )
+            log_ns = stream.read8()
+            create_ns = stream.read8()
+            name = stream.read_prefixed_string()
+            media_type = stream.read_prefixed_string()
+            size = stream.read8()
         except (McapError, struct.error, UnicodeDecodeError) as error:
             raise DamageError(begin, f"an attachment of {length} bytes cannot be parsed") from error
         if stream.count + size + 4 > length:
@@ -413,7 +414,8 @@ class McapFile(ChunkedFile):
             if self._is_closed:
                 self.damage(end, "the record that ends the messages is missing")
             return
-        summary_start, is_right = self._only[Opcode.DATA_END][0] + HEADER_SIZE + 4, True
+        summary_start = self._only[Opcode.DATA_END][0] + HEADER_SIZE + 4
+        is_right = True
         footer_start, footer = self._only.get(Opcode.FOOTER, (0, None))
         if footer is None:
             if self._is_closed:
@@ -428,7 +430,8 @@ class McapFile(ChunkedFile):
             covered = self.file.read(summary_start, footer_start + HEADER_SIZE + 16)
             if footer.summary_crc and zlib_ng.crc32(covered) != footer.summary_crc:
                 self.damage(summary_start, "the checksum of the summary is wrong")
-                is_right, self._chunk_indexes = False, {}
+                is_right = False
+                self._chunk_indexes = {}
         if is_right and (stated := self._record(Opcode.STATISTICS)) is not None:
             self._announced = Counter(stated.channel_message_counts)
             self._announced_ns = stated.message_start_time, stated.message_end_time
@@ -464,14 +467,17 @@ class McapFile(ChunkedFile):
         """Find the messages of an open chunk by its indexes, if the records agree with them, else record by record."""
         ids, log_ns, starts = self._entries(chunk, behind)
         order = np.argsort(starts, kind="stable")
-        ids, log_ns, starts = ids[order], log_ns[order], starts[order]
+        ids = ids[order]
+        log_ns = log_ns[order]
+        starts = starts[order]
         inside = (starts >= 0) & (starts <= len(buffer) - MESSAGE.itemsize)
         heads = (
             gather(buffer, np.where(inside, starts, 0), MESSAGE)
             if inside.any()
             else np.zeros(starts.size, MESSAGE)
         )
-        ends, follows = starts + HEADER_SIZE + heads["length"], np.append(starts, len(buffer))[1:]
+        ends = starts + HEADER_SIZE + heads["length"]
+        follows = np.append(starts, len(buffer))[1:]
         right = (
             inside
             & (heads["opcode"] == Opcode.MESSAGE)
@@ -490,7 +496,8 @@ class McapFile(ChunkedFile):
         found, _, stop, is_broken = walk(buffer, len(buffer))
         self._take_definitions(chunk, buffer, found)
         named = set(zip(ids.tolist(), starts.tolist(), strict=True))
-        known, starts = starts[right], found[found[:, 0] == Opcode.MESSAGE, 1]
+        known = starts[right]
+        starts = found[found[:, 0] == Opcode.MESSAGE, 1]
         if is_broken:
             what = what_is_there(buffer[stop:], len(buffer) - stop)
             if not len(found):
@@ -513,7 +520,8 @@ class McapFile(ChunkedFile):
                     f"the indexes of a chunk do not agree with its messages of channel {channels}",
                 )
             if wrong or is_broken:
-                chunk.counts, chunk.is_indexed = content.counts(), False
+                chunk.counts = content.counts()
+                chunk.is_indexed = False
         return content.messages
 
     def _entries(self, chunk: Chunk, behind: memoryview) -> Messages:

@@ -305,7 +305,8 @@ _PACKED: Final = ".zstd"  # ending of parts that rosbag2 compressed as a whole
 
 def bag_parts(path: Path) -> tuple[Path, ...]:
     """Return the files of a bag: those that its list names, which must be all that are there, or all logs."""
-    metadata, found = path / METADATA, _logs_in(path)
+    metadata = path / METADATA
+    found = _logs_in(path)
     by_name = f"{path / f'*{found[0].suffix if found else LOG_SUFFIXES[0]}'} --one-dive"
     parts = tuple(found)
     if metadata.is_file():

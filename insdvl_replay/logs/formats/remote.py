@@ -390,7 +390,8 @@ def read_summary(url: str) -> LogSummary:
         The server sends no ranges or other bytes than it says, or the file has no summary that can be used.
     """
     tail, size = _tail(url, _FIRST_TAIL)
-    tail_start, footer = size - len(tail), len(tail) - len(MAGIC) - _FOOTER.size
+    tail_start = size - len(tail)
+    footer = len(tail) - len(MAGIC) - _FOOTER.size
     if footer < HEADER_SIZE or not tail.endswith(MAGIC):
         raise LogError(
             "does not end as an MCAP file; only the summary of these is read from a server",
@@ -418,7 +419,8 @@ def read_summary(url: str) -> LogSummary:
                 _FETCH,
                 shown_url(url),
             )
-        summary, crc = _part(url, start, end, size), 0
+        summary = _part(url, start, end, size)
+        crc = 0
     if crc and zlib_ng.crc32(summary[: -len(MAGIC) - 4]) != crc:
         raise LogError("the checksum of the summary is wrong", _FETCH, shown_url(url))
     found = _records(url, summary[: end - start])

@@ -106,7 +106,8 @@ class BagFile(ChunkedFile):
 
     def _read(self) -> None:
         """Go through the records of the file, up to its end or to bytes that are none, and open its chunks."""
-        place, latest = len(_MAGIC), -1
+        place = len(_MAGIC)
+        latest = -1
         found: dict[int, list[_Record]] = {kind: [] for kind in range(_BAG, _CONNECTION + 1)}
         with self.collected():
             while place < len(self.file):
@@ -138,10 +139,8 @@ class BagFile(ChunkedFile):
                 self._take_connection(record, self.file.read(record.start, record.end))
         for record in found[_CHUNK]:
             with self.collected():
-                compression, size = (
-                    record.text(b"compression").removeprefix("none"),
-                    record.number(b"size", 4),
-                )
+                compression = record.text(b"compression").removeprefix("none")
+                size = record.number(b"size", 4)
                 length = record.end - record.start
                 self._chunks.append(
                     Chunk(record.offset, record.end, False, compression, record.start, length, size)
@@ -152,7 +151,8 @@ class BagFile(ChunkedFile):
         for info in found[_CHUNK_INFO] if self.has_summary else ():
             with self.collected():
                 entries = self._entries(info, _COUNT)
-                numbers, counts = entries["connection"].tolist(), entries["count"].tolist()
+                numbers = entries["connection"].tolist()
+                counts = entries["count"].tolist()
                 announced = Counter(dict(zip(self._ids(numbers), counts, strict=True)))
                 self._announced = (self._announced or Counter()) + announced
                 place = info.number(b"chunk_pos", 8)
@@ -208,7 +208,8 @@ class BagFile(ChunkedFile):
             offset, what = error.damage
             raise DamageError(chunk.start, f"in the chunk, {offset} bytes on, {what}") from error
         connection, time_ns, places, starts, sizes = messages
-        indexes, named = self._indexes[chunk.start], 0
+        indexes = self._indexes[chunk.start]
+        named = 0
         with self.collected():
             for index in indexes:
                 entries = np.sort(self._entries(index, _ENTRY), order="place", kind="stable")
@@ -247,10 +248,12 @@ def _record_at(read: Read, place: int, end: int) -> _Record:
     """Read the record that starts at a place."""
     if end - place < 8:
         raise DamageError(place, f"{end - place} bytes are left where a record needs at least 8")
-    size, left = int.from_bytes(read(place, place + 4), "little"), end - place - 8
+    size = int.from_bytes(read(place, place + 4), "little")
+    left = end - place - 8
     if size > min(left, _LONGEST_HEADER):
         raise DamageError(place, f"a record says its header has {size} bytes; {left} are left")
-    header, start = read(place + 4, place + 8 + size), place + 8 + size
+    header = read(place + 4, place + 8 + size)
+    start = place + 8 + size
     length = int.from_bytes(header[size:], "little")
     if length > end - start:
         raise DamageError(place, f"a record says it has {length} bytes; {end - start} are left")
@@ -259,7 +262,8 @@ def _record_at(read: Read, place: int, end: int) -> _Record:
 
 def _fields(header: memoryview, place: int) -> dict[bytes, bytes]:
     """Read the named fields at a place of the file."""
-    fields, start = {}, 0
+    fields = {}
+    start = 0
     while start < len(header):
         size = int.from_bytes(header[start : start + 4], "little")
         name, sign, value = bytes(header[start + 4 : start + 4 + size]).partition(b"=")
@@ -279,7 +283,9 @@ def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
 
     Of each message: connection, time, and where its record and its payload start and how long this is, (5, k).
     """
-    place, end, bounds = 0, len(buffer), array("q")
+    place = 0
+    end = len(buffer)
+    bounds = array("q")
     while place < end:
         # As `_record_at`, without the fields.
         size = int.from_bytes(buffer[place : place + 4], "little")
@@ -291,8 +297,10 @@ def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
         bounds.extend((place, start, behind))
         place = behind
     places, starts, ends = np.frombuffer(bounds, np.int64).reshape(-1, 3).T
-    connections, time_ns = np.full(places.size, -1, np.int64), np.zeros(places.size, np.int64)
-    others, is_tried = [], False
+    connections = np.full(places.size, -1, np.int64)
+    time_ns = np.zeros(places.size, np.int64)
+    others = []
+    is_tried = False
     for row in range(places.size):
         if connections[row] >= 0:
             continue
@@ -312,10 +320,8 @@ def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
             size = int(starts[row] - places[row]) - 8
             rows = np.flatnonzero(starts - places == size + 8)
             headers = gather(buffer, places[rows] + 4, np.dtype((np.bytes_, size)))
-            by_byte, first = (
-                headers.view(np.uint8).reshape(-1, size),
-                int(np.searchsorted(rows, row)),
-            )
+            by_byte = headers.view(np.uint8).reshape(-1, size)
+            first = int(np.searchsorted(rows, row))
             connection, time = (
                 bytes(by_byte[first]).index(name) + len(name) for name in (b"conn=", b"time=")
             )

@@ -71,7 +71,8 @@ class SqliteFile(LogFile):
     @property
     def notes(self) -> tuple[Note, ...]:
         """What is not there any more: messages that were there once."""
-        found, announced = self._ids.size, int(self._ids.max(initial=0))
+        found = self._ids.size
+        announced = int(self._ids.max(initial=0))
         if announced == found:
             return ()
         text = f"the messages of {self.path.name} are numbered up to {announced}, but {found} were found"
@@ -102,13 +103,15 @@ class SqliteFile(LogFile):
                 size += len(data)
                 if size >= _BLOCK:
                     yield from _blocks(found)
-                    found, size = {}, 0
+                    found = {}
+                    size = 0
             yield from _blocks(found)
 
     def _require_whole(self) -> None:
         """Refuse a file that is not as long as its header says, or of which the last messages are in another file."""
         header = bytes(self.file.read(0, 100))
-        page, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
+        page = int.from_bytes(header[16:18], "big")
+        pages = int.from_bytes(header[28:32], "big")
         size = (1 << 16 if page == 1 else page) * pages
         if len(header) < 100 or size != len(self.file):
             raise self._damaged(f"it has {len(self.file)} bytes where its header says {size}")

@@ -187,11 +187,13 @@ class TableFile(LogFile):
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the rows of some tables, thousands at a time."""
         for channel_id in sorted(channel_ids):
-            rows, time_ns = self._rows[channel_id], self._time_ns[channel_id]
+            rows = self._rows[channel_id]
+            time_ns = self._time_ns[channel_id]
             size = rows.strides[0]
             for start in range(0, len(rows), _ROWS):
                 part = np.ascontiguousarray(rows[start : start + _ROWS])
-                offsets, log_ns = size * np.arange(len(part)), time_ns[start : start + _ROWS]
+                offsets = size * np.arange(len(part))
+                log_ns = time_ns[start : start + _ROWS]
                 yield Block(
                     channel_id,
                     part.data.cast("B"),
@@ -417,7 +419,8 @@ class TableFile(LogFile):
             if values.dtype.kind not in "biufM":
                 values = self._read_text(table, name, title, values)
             if values.dtype.kind == "M":
-                is_date, whole = ~np.isnat(values), values.astype("M8[ns]").astype(np.int64)
+                is_date = ~np.isnat(values)
+                whole = values.astype("M8[ns]").astype(np.int64)
                 values = whole if is_date.all() else np.where(is_date, whole, np.nan)
                 table.units[name] = "ns"
             table.columns[name] = values
@@ -480,7 +483,8 @@ class TableFile(LogFile):
             numbers = pd.to_numeric(series.astype(str).str.replace(",", "."), errors="coerce")
             self._commas += len(texts)
             is_text = (series.notna() & numbers.isna()).to_numpy()
-        count, known = int(np.count_nonzero(is_text)), int(series.notna().sum())
+        count = int(np.count_nonzero(is_text))
+        known = int(series.notna().sum())
         if count and count == known:
             return np.full(len(cells), np.nan)
         if count > max(1.0, _FEW * known):
@@ -698,7 +702,9 @@ class RowReader:
 
     def __init__(self, channel: LogChannel, paths: Sequence[str]) -> None:
         widths: dict[str, int] = dict(msgspec.json.decode(channel.schema_data))
-        known, places, self._size = dict[str, str](), {ROW: [0]}, 1
+        known = dict[str, str]()
+        places = {ROW: [0]}
+        self._size = 1
         for name, width in widths.items():
             known[name], places[name] = NUMBER, list(range(self._size, self._size + width))
             if width > 1:

@@ -22,7 +22,9 @@ DAY_NS: Final = TIME_UNITS_NS["d"]
 _RATES_HZ: Final = (0.2, 4000.0)  # of a sensor: they tell the unit of times that has no name
 _SLOWEST_HZ: Final = 1.0 / 3600.0  # of fixes, where nothing else fits
 _SINCE_1970_S: Final = (1e9, 4e9)  # times of a clock that counts from then, from 2001 to 2096
-_FIRST_DAY, _LAST_DAY = 10_957, 29_220  # 2000 to 2050, days since 1970
+# 2000 to 2050, days since 1970
+_FIRST_DAY = 10_957
+_LAST_DAY = 29_220
 _FEW: Final = 0.05  # share of the cells that may be no times
 _COARSE: Final = 0.1  # share of the usual step by which rounded times may be wrong
 _MOST_DIGITS: Final = 12
@@ -93,7 +95,8 @@ def likely_unit(values: NDArray[Any]) -> str:
 
     Days are told by their calendar too. Empty where no unit gives a possible rate.
     """
-    step, size = usual_step(values), float(np.median(np.abs(values)))
+    step = usual_step(values)
+    size = float(np.median(np.abs(values)))
     if step == 0.0:
         return "s"
     seconds = {unit: factor / NS_PER_S for unit, factor in TIME_UNITS_NS.items()}
@@ -148,11 +151,10 @@ def text_times(cells: "pd.Series[Any]") -> TextTimes | None:
     if not len(texts) or not _CELL.fullmatch(str(texts.iloc[0])):
         return None
     parts = texts.str.extract(f"^{_CELL.pattern}$")
-    minute, second = (
-        pd.to_numeric(parts[2]),
-        pd.to_numeric(parts[3].str.replace(r"[,:]", ".", regex=True)),
-    )
-    hour, has_hour = pd.to_numeric(parts[1]), parts[1].notna()
+    minute = pd.to_numeric(parts[2])
+    second = pd.to_numeric(parts[3].str.replace(r"[,:]", ".", regex=True))
+    hour = pd.to_numeric(parts[1])
+    has_hour = parts[1].notna()
     good = (minute < 60) & (second < 60) & ~(hour > 24)
     if good.mean() <= 1.0 - _FEW:
         return None
@@ -160,7 +162,8 @@ def text_times(cells: "pd.Series[Any]") -> TextTimes | None:
     hour = hour.where(half.isna(), hour % 12) + 12.0 * (half == "pm")
     whole = hour.fillna(0.0) * 3600.0 + minute.fillna(0.0) * 60.0
     of_day = np.rint(whole.to_numpy() * 1e9) + np.rint(second.fillna(0.0).to_numpy() * 1e9)
-    time_ns, known = np.zeros(len(cells), np.int64), np.zeros(len(cells), np.bool_)
+    time_ns = np.zeros(len(cells), np.int64)
+    known = np.zeros(len(cells), np.bool_)
     places = np.flatnonzero(cells.notna().to_numpy())[good.to_numpy()]
     known[places] = True
     time_ns[places] = of_day[good.to_numpy()].astype(np.int64)
@@ -188,11 +191,17 @@ def dates_ns(texts: "pd.Series[Any]") -> TimeNs | None:
     known: dict[str, int] = {}
     for text, (first, second, third) in zip(written, numbers, strict=True):
         if first > 31:
-            year, month, day = first, second, third
+            year = first
+            month = second
+            day = third
         elif is_month_first:
-            year, month, day = third, first, second
+            year = third
+            month = first
+            day = second
         else:
-            year, month, day = third, second, first
+            year = third
+            month = second
+            day = first
         try:
             since = (
                 date(year + 2000 if year < 100 else year, month, day).toordinal()
