@@ -100,7 +100,9 @@ def _plain(key: str, value: object) -> object:
         value = value.tolist()
     if isinstance(value, list | tuple):
         return [_plain(key, item) for item in value]
-    return os.fspath(value) if isinstance(value, os.PathLike) else value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    return value
 
 
 class WrongArgumentError(ConfigError, TypeError):

@@ -45,7 +45,9 @@ class FoundDive:
     def name_giver(self) -> Path:
         """The path after which the dive is named: of a remote log, host and path of its URL."""
         place = shown_url(self.url).partition("://")[2].removesuffix("?...")
-        return Path("/", *place.split("/")) if self.url else self.path
+        if self.url:
+            return Path("/", *place.split("/"))
+        return self.path
 
 
 def shared_settings(dives: Sequence[FoundDive], command: str) -> Path | None:
@@ -54,7 +56,9 @@ def shared_settings(dives: Sequence[FoundDive], command: str) -> Path | None:
     if len(files) > 1:
         hint = "choose dives of one vehicle: dives.toml#TAG"
         raise ConfigError(f"{command}: the dives have different settings", hint)
-    return files.pop() if files else None
+    if files:
+        return files.pop()
+    return None
 
 
 def usable_paths(dives: Sequence[FoundDive]) -> list[Path]:
@@ -182,7 +186,9 @@ def _listed(path: Path) -> list[str] | None:
             f"{path}: cannot be read as a list of dives: {error}", "one path a line, UTF-8"
         ) from error
     names = [line for line in lines if line and not line.startswith("#")]
-    return names if not names or any(_can_be_path(name, path.parent) for name in names) else None
+    if not names or any(_can_be_path(name, path.parent) for name in names):
+        return names
+    return None
 
 
 def _can_be_path(line: str, folder: Path) -> bool:

@@ -150,7 +150,9 @@ def _stored_noise(job: ReplayJob) -> Config | None:
         return None
     # Span and evaluation are not part of what is known of a vehicle.
     found = msgspec.structs.replace(found, span=config.span, evaluation=config.evaluation)
-    return found if with_noise_of(config, found) == found else None
+    if with_noise_of(config, found) == found:
+        return found
+    return None
 
 
 def _report_with(job: ReplayJob, config: Config) -> Report | None:
@@ -158,4 +160,6 @@ def _report_with(job: ReplayJob, config: Config) -> Report | None:
     plain = replace(job.options, config=config, tracks=(), history_format="")
     report = known_reports([replace(job, options=plain)], force=True).get(job.target)
     is_fitted = report is not None and any(note.code == FITTED_NOTE for note in report.notes)
-    return report if is_fitted else None
+    if is_fitted:
+        return report
+    return None

@@ -247,7 +247,9 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
     if damaged:
         text = f"{job.target}: not as its replay wrote it: {listed(damaged)}"
         return Note(DAMAGED_RESULT, text, len(damaged), Severity.WARNING)
-    return report if same else None
+    if same:
+        return report
+    return None
 
 
 def _settings_before_the_fit(config: dict[str, Any], notes: Sequence[Note]) -> dict[str, Any]:
@@ -298,7 +300,9 @@ def _made_otherwise(job: ReplayJob) -> str:
         *(["by another version"] if is_other_version else []),
         *([f"with other settings: {listed(settings, _MOST_SETTINGS)}"] if settings else []),
     ]
-    return f"holds a result {', '.join(reasons)}" if reasons else ""
+    if reasons:
+        return f"holds a result {', '.join(reasons)}"
+    return ""
 
 
 def replay_jobs(

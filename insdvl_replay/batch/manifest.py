@@ -125,4 +125,6 @@ def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[Fo
 
 
 def _digest(path: Path) -> str:
-    return open_recording(path, allow_damaged=True).sha256() if path.is_dir() else file_digest(path)
+    if path.is_dir():
+        return open_recording(path, allow_damaged=True).sha256()
+    return file_digest(path)

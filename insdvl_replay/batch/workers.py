@@ -128,7 +128,9 @@ def local_pool(jobs: int, *, runs_code: bool = False) -> Pool | None:
 
     The user's code runs in a new process: if it ends that process, its dive fails, and the command goes on.
     """
-    return None if jobs == 1 and not runs_code else partial(_processes, jobs)
+    if jobs == 1 and not runs_code:
+        return None
+    return partial(_processes, jobs)
 
 
 @contextmanager

@@ -289,7 +289,9 @@ def parameter_rows(
 
 def finite_or_none(value: float) -> Number:
     """Return a number for a row."""
-    return float(value) if np.isfinite(value) else None
+    if np.isfinite(value):
+        return float(value)
+    return None
 
 
 def _warnings(

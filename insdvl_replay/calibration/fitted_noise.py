@@ -59,7 +59,9 @@ def fit_noise_of_logs(
                 require_described(dive)
             baseline_fit(dive, alone)
             dives.append(dive)
-    return fit_noise_of_dives(dives, config) if dives else FoundSettings(config, ())
+    if dives:
+        return fit_noise_of_dives(dives, config)
+    return FoundSettings(config, ())
 
 
 def fit_noise_of_dives(dives: Sequence[Dive], config: Config) -> FoundSettings:
@@ -175,7 +177,9 @@ def middle(dive: ReadDive) -> ReadDive:
     """Return the middle of a long dive."""
     from_s, to_s = _span_s(dive)
     aside_s = 0.5 * (to_s - from_s - LONGEST_S)
-    return dive if aside_s <= 0.0 else _within(dive, from_s + aside_s, to_s - aside_s)
+    if aside_s <= 0.0:
+        return dive
+    return _within(dive, from_s + aside_s, to_s - aside_s)
 
 
 def halves(read: Sequence[ReadDive]) -> list[ReadDive]:

@@ -95,4 +95,6 @@ def as_given(found: Config, given: Given) -> Config:
             found, section, **{key: value for key, value in values.items() if value is not None}
         )
     are_given = given.has("filters") or given.config.filters != Config().filters
-    return msgspec.structs.replace(found, filters=given.config.filters) if are_given else found
+    if are_given:
+        return msgspec.structs.replace(found, filters=given.config.filters)
+    return found

@@ -278,7 +278,9 @@ class _Integrals:
             equations = self._equations(window, ping_s[first:last], velocity_d[first:last])
             squares.append(equations.T @ equations)
             count += len(equations) - OWN
-        return MotionWindows(np.array(squares), count) if len(squares) >= FEWEST_WINDOWS else None
+        if len(squares) >= FEWEST_WINDOWS:
+            return MotionWindows(np.array(squares), count)
+        return None
 
     def _equations(self, window: int, at_s: Floats, velocity_d: Floats) -> Floats:
         """Return the equations of one window, (3 pings, 19), without its own unknowns."""
@@ -327,7 +329,9 @@ def free_mounting(
 
     def tried(delay_s: float, starts: Sequence[Floats]) -> FreeMounting | None:
         windows = integrals.windows(ping_ns, velocity_d, delay_s)
-        return None if windows is None else _fitted(windows, delay_s, starts)
+        if windows is None:
+            return None
+        return _fitted(windows, delay_s, starts)
 
     best = tried(0.0, starts)
     if best is None:
@@ -358,7 +362,9 @@ class LevelDvl:
     @property
     def look_d(self) -> Floats:
         """Where a DVL looks, a unit vector, (3,)."""
-        return np.array([0.0, 0.0, 1.0]) if self.known_look_d is None else _unit(self.known_look_d)
+        if self.known_look_d is None:
+            return np.array([0.0, 0.0, 1.0])
+        return _unit(self.known_look_d)
 
     def tilt(self, mat: Floats) -> float:
         """Return the cosine of the angle between the vehicle's down and the DVL's."""

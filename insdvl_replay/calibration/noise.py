@@ -177,7 +177,9 @@ class _Search:
     def likelihood(self, noise: Mapping[str, float]) -> float:
         """Return minus twice the log-likelihood, but for a constant."""
         total = sum(float(np.sum(_costs(innovations))) for innovations in self.innovations(noise))
-        return total if np.isfinite(total) else np.finfo(float).max
+        if np.isfinite(total):
+            return total
+        return np.finfo(float).max
 
     def cost(self, logarithms: Floats) -> float:
         prior = float(np.sum((logarithms / np.log(PRIOR_FACTOR)) ** 2))

@@ -233,9 +233,13 @@ def _axes(name: str, row: DiveRow) -> str:
 
 def _noise_after(row: NoiseRow) -> str:
     if row.status == Estimated.NOT_DETERMINED:
-        return f"at most {number(row.after)}" if row.is_proposed else Estimated.NOT_DETERMINED
+        if row.is_proposed:
+            return f"at most {number(row.after)}"
+        return Estimated.NOT_DETERMINED
     shown = (Estimated.ESTIMATED, Estimated.OF_CLASS, Estimated.NOT_ASKED)
-    return number(row.after) if row.status in shown else Estimated.HELD
+    if row.status in shown:
+        return number(row.after)
+    return Estimated.HELD
 
 
 # --- The settings.

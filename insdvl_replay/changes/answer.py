@@ -70,11 +70,9 @@ class Answer(answers.Answer, frozen=True, kw_only=True):
     def sameness(self) -> str:
         """How small the changes are, for the end of a sentence."""
         same = finite(self.largest_change) == 0.0
-        return (
-            "has the same evidence as before"
-            if same
-            else "changed by less than 1 % in all that may decide"
-        )
+        if same:
+            return "has the same evidence as before"
+        return "changed by less than 1 % in all that may decide"
 
     @property
     def is_harm(self) -> bool:
@@ -295,4 +293,6 @@ def _size_of_change(row: EvidenceRow) -> float:
         return 0.0
     if row.role not in (Role.PRIMARY, Role.SECONDARY):
         return _NO_CHANGE / 2.0
-    return math.inf if row.ratio is None else abs(row.ratio - 1.0)
+    if row.ratio is None:
+        return math.inf
+    return abs(row.ratio - 1.0)

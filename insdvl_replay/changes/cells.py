@@ -224,8 +224,12 @@ def _size(value: float, better: Better, dof: float) -> float:
     """Return the size of a number; infinite for a mean NIS of zero."""
     if better == "nearer dof":
         ratio = value / dof
-        return max(ratio, 1.0 / ratio) if ratio > 0.0 else math.inf
-    return abs(value) if better == "nearer zero" else value
+        if ratio > 0.0:
+            return max(ratio, 1.0 / ratio)
+        return math.inf
+    if better == "nearer zero":
+        return abs(value)
+    return value
 
 
 def rank_verdict(old: Cell, new: Cell, best_first: tuple[str, ...]) -> ChangeVerdict:
@@ -234,11 +238,9 @@ def rank_verdict(old: Cell, new: Cell, best_first: tuple[str, ...]) -> ChangeVer
         return ChangeVerdict.SAME
     if old not in best_first or new not in best_first:
         return ChangeVerdict.CHANGED
-    return (
-        ChangeVerdict.WORSE
-        if best_first.index(str(new)) > best_first.index(str(old))
-        else ChangeVerdict.BETTER
-    )
+    if best_first.index(str(new)) > best_first.index(str(old)):
+        return ChangeVerdict.WORSE
+    return ChangeVerdict.BETTER
 
 
 def is_number(value: Cell) -> TypeGuard[float | int]:

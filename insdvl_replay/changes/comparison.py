@@ -381,7 +381,9 @@ def _loss_pct(change: Change) -> float:
     if change.verdict not in {ChangeVerdict.BETTER, ChangeVerdict.WORSE, ChangeVerdict.GONE}:
         return 0.0
     amount = math.inf if change.change_pct is None else abs(change.change_pct)
-    return -amount if change.verdict == ChangeVerdict.BETTER else amount
+    if change.verdict == ChangeVerdict.BETTER:
+        return -amount
+    return amount
 
 
 def _largest(changes: Iterable[Change], sign: float) -> Change | None:

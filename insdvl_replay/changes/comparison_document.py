@@ -350,10 +350,14 @@ def _evidence_of_dive(changes: Iterable[Change], baseline: str) -> Iterator[Disp
     """Return the table of the changed evidence of one dive; for NIS and NEES the distance from 1."""
 
     def owner(cell: Change) -> str:
-        return baseline if cell.column == "baseline" else cell.filter
+        if cell.column == "baseline":
+            return baseline
+        return cell.filter
 
     def name(cell: Change) -> str:
-        return f"{cell.row.upper()} distance from 1" if cell.row in _OFF_ONE else label(cell.row)
+        if cell.row in _OFF_ONE:
+            return f"{cell.row.upper()} distance from 1"
+        return label(cell.row)
 
     # The rows of every candidate repeat the baseline's values; show them once.
     rows: dict[tuple[str, str], Change] = {}

@@ -144,7 +144,9 @@ def _trajectory_counts(found: CheckResult) -> list[str]:
     } - errors
     unchanged = {item.dive for item in compared} - errors - changed
     counts = f"{len(changed)} changed, {len(unchanged)} unchanged, {len(errors)} errors"
-    return [f"trajectories: {counts}"] if compared else []
+    if compared:
+        return [f"trajectories: {counts}"]
+    return []
 
 
 def _missed(found: CheckResult) -> list[GateOutcome]:

@@ -95,13 +95,11 @@ class CellGate(Gate, frozen=True, kw_only=True):
     @property
     def wanted(self) -> tuple[str | int | float, ...]:
         """The allowed values."""
-        return (
-            self.equals
-            if isinstance(self.equals, tuple)
-            else ()
-            if self.equals is None
-            else (self.equals,)
-        )
+        if isinstance(self.equals, tuple):
+            return self.equals
+        if self.equals is None:
+            return ()
+        return (self.equals,)
 
     def rows_of(self, old: StoredReport | None, new: StoredReport) -> Iterator[RowPair]:
         """Yield the rows that it checks, each with the expected one."""
@@ -297,7 +295,9 @@ class Checked(NamedTuple):
     @property
     def name(self) -> str:
         """Name of the dive."""
-        return self.result.log.name if isinstance(self.result, StoredReport) else self.folder.name
+        if isinstance(self.result, StoredReport):
+            return self.result.log.name
+        return self.folder.name
 
 
 def expected_path(gates: Gates, gate: Gate, dive: str) -> Path:
@@ -365,7 +365,9 @@ def _stored_settings(gate: Gate, path: Path) -> StoredReport | None:
     """Read the settings that are stored with expected values; a file of a trajectory has them in a file of its own."""
     if isinstance(gate, CellGate):
         values = stored_values(gate, path)
-        return values if isinstance(values, StoredReport) else None
+        if isinstance(values, StoredReport):
+            return values
+        return None
     try:
         with ZipFile(BytesIO(read_file(path))) as arrays:
             return msgspec.json.decode(arrays.read(_SETTINGS_FILE), type=StoredReport)
@@ -437,7 +439,9 @@ def _own_settings(report: StoredReport) -> dict[str, Any]:
     settings = dict(flattened(report.config))
     names = settings.pop(_FILTERS, ", ".join([report.baseline, *report.filters]))
     own = {key: value for key, value in settings.items() if value != _defaults().get(key)}
-    return {_FILTERS: names} | own if report.config else {}
+    if report.config:
+        return {_FILTERS: names} | own
+    return {}
 
 
 @cache

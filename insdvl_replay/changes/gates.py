@@ -415,7 +415,9 @@ def _broken_conditions(
 
 def value_text(value: Cell) -> str:
     """Write a value with enough digits to differ from its limit; words are unchanged."""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value)
 
 
 # --- Gates on the trajectory: no change, sample by sample, and conditions over time.

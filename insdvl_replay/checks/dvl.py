@@ -76,7 +76,9 @@ def _horizontal_fit(measured_b: Floats, true_b: Floats) -> Fit | None:
     measured = horizontal(measured_b)
     true = horizontal(true_b)
     moving = np.abs(true) > 0.2  # m/s, above a DVL's noise and a lever arm's swing
-    return fit(measured[moving], true[moving]) if np.count_nonzero(moving) >= ENOUGH else None
+    if np.count_nonzero(moving) >= ENOUGH:
+        return fit(measured[moving], true[moving])
+    return None
 
 
 def velocity_pairs(
@@ -115,7 +117,9 @@ def velocities_b(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:
 def measured_mps(dvl: DvlColumns) -> Floats:
     """Return the velocities as they were measured, along the axes or the beams, (m, n)."""
     values = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
-    return np.empty((0, 3)) if values is None else values
+    if values is None:
+        return np.empty((0, 3))
+    return values
 
 
 def median_speed_mps(dvl: DvlColumns) -> float:

@@ -58,7 +58,9 @@ def since_s(time_ns: TimeNs, row: int) -> float:
 
 def samples_in(imu: ImuColumns, length_s: float) -> int:
     """Return the number of samples, 1 at least, that an IMU takes in a time."""
-    return max(1, round(length_s / imu.usual_step_s)) if len(imu.time_ns) > 1 else 1
+    if len(imu.time_ns) > 1:
+        return max(1, round(length_s / imu.usual_step_s))
+    return 1
 
 
 def lies_within(time_ns: TimeNs, others_ns: TimeNs) -> NDArray[np.bool_]:
@@ -318,7 +320,9 @@ def gyro_by_gravity(imu: ImuColumns) -> float | None:
     product = float(np.sum(turned[good] * seen[good]))
     power = float(np.sum(turned[good] ** 2))
     correlated = product**2 > 0.7**2 * power * float(np.sum(seen[good] ** 2))
-    return power / product if correlated else None
+    if correlated:
+        return power / product
+    return None
 
 
 def turned_by(imu: ImuColumns, at_s: Floats, longest_s: float = np.inf) -> Floats:

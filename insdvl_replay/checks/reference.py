@@ -88,7 +88,9 @@ class GyroScale:
     @property
     def off(self) -> float:
         """Factor by which the scale is off, 1 or more; infinite where the sign is wrong."""
-        return max(self.scale, 1.0 / self.scale) if self.scale > 0.0 else np.inf
+        if self.scale > 0.0:
+            return max(self.scale, 1.0 / self.scale)
+        return np.inf
 
 
 def plausibility_remarks(
@@ -155,11 +157,9 @@ def _best_scale(
         )
     # In a moving vehicle, the direction of gravity swings with its own acceleration.
     by_gravity = gyro_by_gravity(imu)
-    return (
-        GyroScale(by_gravity, "gravity's change of direction", 1.7, by_reference=False)
-        if by_gravity is not None
-        else None
-    )
+    if by_gravity is not None:
+        return GyroScale(by_gravity, "gravity's change of direction", 1.7, by_reference=False)
+    return None
 
 
 def _turn_that_follows(
@@ -173,7 +173,9 @@ def _turn_that_follows(
         return None
     turned = ImuColumns(imu.time_ns, imu.specific_force_b @ turn.T, imu.angular_rate_b @ turn.T)
     again = gyro_by_attitude(turned, reference)
-    return turn if again is not None and again.correlation >= COHERENT else None
+    if again is not None and again.correlation >= COHERENT:
+        return turn
+    return None
 
 
 def _gyro_remarks(

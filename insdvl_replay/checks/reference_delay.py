@@ -188,7 +188,9 @@ def is_late(found: ReferenceDelay) -> bool:
 
 
 def _widened(found: Delay | None, of_step_s: float) -> Delay | None:
-    return None if found is None else Delay(found.delay_s, float(np.hypot(found.sd_s, of_step_s)))
+    if found is None:
+        return None
+    return Delay(found.delay_s, float(np.hypot(found.sd_s, of_step_s)))
 
 
 def _together(by_turns: Delay | None, by_accelerations: Delay | None) -> ReferenceDelay:
@@ -418,7 +420,9 @@ def _fitted(compared: Compared, legs: _Legs, start_s: float, signal: float) -> D
         if abs(change_s) < 0.1 * sd_s:
             break
     has_settled = abs(change_s) < sd_s and abs(delay_s - start_s) < 2.0 * COARSE_S
-    return Delay(delay_s, sd_s) if has_settled and left < (1.0 - EXPLAINED) * signal else None
+    if has_settled and left < (1.0 - EXPLAINED) * signal:
+        return Delay(delay_s, sd_s)
+    return None
 
 
 def _solved(difference: Difference, legs: _Legs) -> tuple[float, float, float] | None:

@@ -197,7 +197,9 @@ _SENTENCES: Final = {
 
 def ignore_hint(*, by_reference: bool) -> str:
     """Return the end of a hint that leads to a replay without the reference, where it is the one that may be wrong."""
-    return _IGNORE if by_reference else ""
+    if by_reference:
+        return _IGNORE
+    return ""
 
 
 def warning(key: str, count: int, **values: Any) -> Note:

@@ -116,7 +116,9 @@ def log_findings(notes: Iterable[Note], file: Path) -> None:
 
 def _hinted(hint: str) -> str:
     """Return the hint for the same line: scripts read the reason from the last line of stderr."""
-    return f"; hint: {hint}" if hint else ""
+    if hint:
+        return f"; hint: {hint}"
+    return ""
 
 
 def typed_verbosity(arguments: Iterable[str]) -> int:

@@ -234,7 +234,9 @@ def span_settings(start: float | None, end: float | None, starts: int | None = N
 
 def settings_files(own: Path | None, given: list[Path]) -> list[Path]:
     """Return the settings of a dive by its manifest, and those of ``-c``, which override them."""
-    return given if own is None else [own, *given]
+    if own is None:
+        return given
+    return [own, *given]
 
 
 def outage_spans(texts: list[str]) -> list[tuple[float, float]]:

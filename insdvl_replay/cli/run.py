@@ -431,7 +431,9 @@ def _tables_of_all(
         if isinstance(report, Report):
             parts += [Heading(report.log.name), *tables_named(report, *tables)]
     is_wanted = at_the_end or not set(tables).isdisjoint(TOGETHER)
-    return written(named_result(reports, tables, parts), format_) if is_wanted else ""
+    if is_wanted:
+        return written(named_result(reports, tables, parts), format_)
+    return ""
 
 
 def _require_overviews(

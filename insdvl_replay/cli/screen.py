@@ -34,9 +34,9 @@ PIPED_COLUMNS = 10_000
 
 def written(result: Result, format_: str) -> str:
     """Return a result in the ``--format`` asked for."""
-    return (
-        printed(for_terminal(parts_of(result))) if format_ == "table" else render(result, format_)
-    )
+    if format_ == "table":
+        return printed(for_terminal(parts_of(result)))
+    return render(result, format_)
 
 
 class Colors:
@@ -48,8 +48,12 @@ class Colors:
     def system(cls) -> Literal["auto", "standard"] | None:
         """Return the colour system for rich."""
         if cls.wanted is None:
-            return None if os.environ.get("NO_COLOR") else "auto"
-        return "standard" if cls.wanted else None
+            if os.environ.get("NO_COLOR"):
+                return None
+            return "auto"
+        if cls.wanted:
+            return "standard"
+        return None
 
 
 def printed(content: RenderableType) -> str:

@@ -386,14 +386,18 @@ MOST_BYTES: Final = 1 << 28  # Limit for a solution file; two hours at 200 Hz ar
 
 def key_of(name: str) -> str:
     """Return ``file`` or ``topic`` for a name, by its ending."""
-    return "file" if name.lower().endswith(FILE_ENDINGS) else "topic"
+    if name.lower().endswith(FILE_ENDINGS):
+        return "file"
+    return "topic"
 
 
 def spelled_out(solution: str | Solution) -> Solution:
     """Return the settings of a solution that is given by name only."""
     if isinstance(solution, Solution):
         return solution
-    return Solution(file=solution) if key_of(solution) == "file" else Solution(topic=solution)
+    if key_of(solution) == "file":
+        return Solution(file=solution)
+    return Solution(topic=solution)
 
 
 class Initial(Section, frozen=True):
@@ -757,7 +761,9 @@ class Config(Section, frozen=True):
 
     def of_vehicle(self, name: str) -> "Config":
         """Return the settings of a dive of this vehicle; an empty name leaves theirs."""
-        return msgspec.structs.replace(self, vehicle=Vehicle(name=name)) if name else self
+        if name:
+            return msgspec.structs.replace(self, vehicle=Vehicle(name=name))
+        return self
 
     def without_solutions(self) -> "Config":
         """Return the settings without filters that read a solution."""

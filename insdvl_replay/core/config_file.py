@@ -302,7 +302,9 @@ def _with_words(name: str, known: Collection[str], least: int) -> list[str]:
     shared = {other: len(wanted & words_of(other)) for other in known}
     most = max(shared.values(), default=0)
     similar = [other for other, count in shared.items() if count == most]
-    return most_like(name, similar, most=3) if most >= least else []
+    if most >= least:
+        return most_like(name, similar, most=3)
+    return []
 
 
 # --- Layers
@@ -397,7 +399,9 @@ def _free_noise(
         is_given = any(layer.has(*key.split(".")) for layer in layers for key in keys)
         if not is_given and not own.get(word, False):
             free.append(word)
-    return tuple(free) if preset is None and "imu" in free else ()
+    if preset is None and "imu" in free:
+        return tuple(free)
+    return ()
 
 
 def _changed(settings: Any, changes: Sequence[TomlSource]) -> Config:
@@ -562,11 +566,9 @@ def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _whole_path(word: Any, folder: Path) -> Any:
     """Make an argument absolute that begins with ``./`` or ``../``."""
-    return (
-        str((folder / word).absolute())
-        if isinstance(word, str) and word.startswith(("./", "../"))
-        else word
-    )
+    if isinstance(word, str) and word.startswith(("./", "../")):
+        return str((folder / word).absolute())
+    return word
 
 
 def _with_digests(config: Config) -> Config:
@@ -840,7 +842,9 @@ def _toml_lines(section: Struct, path: str, *, changed_only: bool) -> Iterator[s
 def toml_value(value: object) -> str:
     """Write a value as TOML."""
     if isinstance(value, bool):
-        return "true" if value else "false"
+        if value:
+            return "true"
+        return "false"
     if isinstance(value, str):
         # A JSON string is valid TOML, except for the one control character that JSON does not escape.
         return visible(msgspec.json.encode(value).decode().replace("\x7f", "\\u007f"))

@@ -103,7 +103,9 @@ def is_same_dive(one: DiveReport, other: DiveReport) -> bool:
 
 def _length_ns(report: DiveReport) -> int:
     found = report.imu_fingerprint
-    return 0 if found is None else found.last_ns - found.first_ns
+    if found is None:
+        return 0
+    return found.last_ns - found.first_ns
 
 
 def _same_note(group: Sequence[DiveReport], kept: DiveReport) -> Note:

@@ -152,7 +152,9 @@ class ImuColumns(Columns):
     def usual_step_s(self) -> float:
         """The median time from one sample to the next, s; NaN of a single sample."""
         steps_ns = np.diff(self.time_ns)
-        return float(np.median(steps_ns)) / NS_PER_S if steps_ns.size else np.nan
+        if steps_ns.size:
+            return float(np.median(steps_ns)) / NS_PER_S
+        return np.nan
 
     def times_only(self) -> "ImuColumns":
         """Return the times with no rows of readings, which are the better part of a long dive's memory."""

@@ -204,7 +204,9 @@ def require_known(kind: str, name: str, known: Collection[str], *, most: int = L
 def hint_for(name: str, known: Collection[str], *, most: int = LISTED) -> str:
     """Return the hint for a name that is not known: the nearest one, else those there are."""
     meant = nearest(name, known)
-    return f"did you mean {meant}?" if meant else f"known: {listed(known, most)}"
+    if meant:
+        return f"did you mean {meant}?"
+    return f"known: {listed(known, most)}"
 
 
 # --- Text from elsewhere
@@ -257,7 +259,9 @@ def visible(text: str) -> str:
     """
     if "##" in text:
         text = _OLD_COMMAND.sub(lambda _: "\\u0023", text)
-    return text if text.isprintable() else "".join(map(_shown, text))
+    if text.isprintable():
+        return text
+    return "".join(map(_shown, text))
 
 
 def _shown(character: str) -> str:
@@ -266,7 +270,9 @@ def _shown(character: str) -> str:
     code = ord(character)
     if code < 0x80:
         return f"\\x{code:02x}"
-    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+    if code < 0x10000:
+        return f"\\u{code:04x}"
+    return f"\\U{code:08x}"
 
 
 def visible_lines(text: str) -> str:

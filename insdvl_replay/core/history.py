@@ -111,7 +111,9 @@ class History:
     @property
     def dead_reckoned(self) -> Floats:
         """The position with all corrections taken back, shape (k, 3): it moves by the velocity alone."""
-        return self.position - self.corrected if len(self.corrected) else self.position
+        if len(self.corrected):
+            return self.position - self.corrected
+        return self.position
 
     @property
     def reopened_ns(self) -> TimeNs:
@@ -122,9 +124,9 @@ class History:
     def motion(self) -> ReferenceColumns:
         """Return where it is and how it moves; of a solution in the rows that have any of that."""
         motion = ReferenceColumns(self.time_ns, self.position, self.velocity_n, self.mat_nb)
-        return (
-            motion.rows(np.any(list(motion.known.values()), axis=0)) if self.is_partial else motion
-        )
+        if self.is_partial:
+            return motion.rows(np.any(list(motion.known.values()), axis=0))
+        return motion
 
     def without_cov(self) -> "History":
         """Let go of P, by far the largest part; its diagonal stays."""

@@ -43,7 +43,9 @@ def result_named(path: Path) -> Path | None:
     if (path / REPORT).is_file():
         return path
     is_file_of_result = path.name == REPORT or path.name in PAGES
-    return path.parent if is_file_of_result and path.is_file() else None
+    if is_file_of_result and path.is_file():
+        return path.parent
+    return None
 
 
 def replay_hint(path: str | Path) -> str:
@@ -85,4 +87,6 @@ def _kind_of_toml(content: Mapping[str, Any], sections: frozenset[str]) -> TomlK
     is_settings = bool(content) and all(
         key in sections and isinstance(content[key], dict) for key in content
     )
-    return "settings" if is_settings else None
+    if is_settings:
+        return "settings"
+    return None

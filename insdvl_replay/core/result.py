@@ -171,7 +171,9 @@ class Remark:
     @property
     def text(self) -> str:
         """Both on one line."""
-        return f"{self.sentence}; hint: {self.hint}" if self.hint else self.sentence
+        if self.hint:
+            return f"{self.sentence}; hint: {self.hint}"
+        return self.sentence
 
 
 @dataclass(frozen=True)

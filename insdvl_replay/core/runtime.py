@@ -70,7 +70,9 @@ def memory_limit() -> int | None:
     import resource
 
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return None if limit == resource.RLIM_INFINITY else limit
+    if limit == resource.RLIM_INFINITY:
+        return None
+    return limit
 
 
 def require_memory(least_bytes: int = LEAST_BYTES) -> None:
@@ -193,7 +195,9 @@ def cache_problem() -> str:
         folder.mkdir(mode=0o700, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except OSError:
-        return "" if is_warm() else f"{folder.parent} cannot be written"
+        if is_warm():
+            return ""
+        return f"{folder.parent} cannot be written"
     return ""
 
 

@@ -47,17 +47,23 @@ RATIO: Final = "ratio"  # Columns whose names begin with this have no unit.
 
 def finite(number: Number) -> float:
     """Return a number of a row, NaN where it is missing or not finite."""
-    return math.nan if number is None or not math.isfinite(number) else number
+    if number is None or not math.isfinite(number):
+        return math.nan
+    return number
 
 
 def two_digits(size: float) -> str:
     """Write a size with two digits; a large one in full, without an exponent."""
-    return f"{size:.2g}" if size < _TWO_DIGITS else f"{size:.0f}"
+    if size < _TWO_DIGITS:
+        return f"{size:.2g}"
+    return f"{size:.0f}"
 
 
 def share_text(share: Number) -> str:
     """Write a share in percent; a dash where it is unknown."""
-    return "-" if math.isnan(finite(share)) else f"{two_digits(100.0 * finite(share))} %"
+    if math.isnan(finite(share)):
+        return "-"
+    return f"{two_digits(100.0 * finite(share))} %"
 
 
 @dataclass(frozen=True)
@@ -124,7 +130,9 @@ class TableLayout:
         """Return a column's unit: by the end of its name, none for a ratio, else the row's unit."""
         if unit := next((unit for ending, unit in UNITS.items() if column.endswith(ending)), ""):
             return unit
-        return row_unit if column in self.better and not column.startswith(RATIO) else ""
+        if column in self.better and not column.startswith(RATIO):
+            return row_unit
+        return ""
 
 
 @cache

@@ -93,21 +93,27 @@ def spelled(text: str) -> str:
         unit = unit.replace(sign, other)
     unit = unit.replace(" ", "")
     unit = _SPELLINGS.get(unit, unit)
-    return unit if unit in _KNOWN else text.strip()
+    if unit in _KNOWN:
+        return unit
+    return text.strip()
 
 
 def unit_of(title: str) -> str:
     """Return the unit that the title of a column has, in brackets or at its end; empty without one."""
     if found := _BRACKETS.search(title):
         text = found[1].strip()
-        return "" if _NO_UNIT.fullmatch(text.lower()) else spelled(text)
+        if _NO_UNIT.fullmatch(text.lower()):
+            return ""
+        return spelled(text)
     return unit_at_end(title)
 
 
 def unit_at_end(name: str) -> str:
     """Return the unit with which a name ends, such as ``vel_x_mps``; empty without one."""
     ending = _ENDINGS.search(name.strip().lower())
-    return spelled(ending[1]) if ending else ""
+    if ending:
+        return spelled(ending[1])
+    return ""
 
 
 def title_without_unit(title: str) -> str:

@@ -21,11 +21,9 @@ def url_parts(url: str) -> SplitResult | None:
     is_chain = "::" in url.replace(parts.netloc, "", 1) or (
         "::" in parts.netloc and "[" not in parts.netloc
     )
-    return (
-        None
-        if is_chain or parts.scheme not in FETCHED or not (parts.netloc or parts.path)
-        else parts
-    )
+    if is_chain or parts.scheme not in FETCHED or not (parts.netloc or parts.path):
+        return None
+    return parts
 
 
 def shown_url(url: str) -> str:
@@ -48,7 +46,9 @@ def without_access(text: str, url: str = "") -> str:
         text = text.replace(url, shown_url(url)).replace(quote(url), shown_url(url))
         for secret in _secrets(url):
             text = text.replace(secret, "...")
-    return _URL.sub(_shown, text) if "://" in text else text
+    if "://" in text:
+        return _URL.sub(_shown, text)
+    return text
 
 
 def _shown(found: re.Match[str]) -> str:

@@ -316,13 +316,17 @@ def _pooled_row(
 def _largest(numbers: Iterable[Number]) -> float:
     """Return the largest number, NaN if one is missing."""
     known = [finite(number) for number in numbers]
-    return float(np.max(known)) if known else math.nan
+    if known:
+        return float(np.max(known))
+    return math.nan
 
 
 def median_of(numbers: Iterable[float]) -> float:
     """Return the median of the finite numbers, NaN for none."""
     known = [number for number in numbers if math.isfinite(number)]
-    return float(np.median(known)) if known else math.nan
+    if known:
+        return float(np.median(known))
+    return math.nan
 
 
 # --- What the dives could have shown.
@@ -431,7 +435,9 @@ def _denies(row: PooledRow, other: PooledRow) -> bool:
 def _of_quantity(verdict: Verdict, primary: PooledRow | None) -> Verdict:
     """Give the words of an outage their object: how well a filter navigates with the DVL was not measured."""
     is_outage = primary is not None and primary.evidence == "outage"
-    return _WITHOUT_DVL[verdict] if is_outage else verdict
+    if is_outage:
+        return _WITHOUT_DVL[verdict]
+    return verdict
 
 
 def _why_undecided(primary: PooledRow) -> Undecided:

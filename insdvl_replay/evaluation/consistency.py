@@ -37,7 +37,9 @@ NORMAL_95: Final = 1.96  # 95 % of a normal variable are within this number of s
 
 def chi_square_quantile(probability: float, dof: float) -> float:
     """Return the chi-square quantile of a probability; infinite for probability 1."""
-    return float("inf") if probability >= 1.0 else float(chdtri(dof, 1.0 - probability))
+    if probability >= 1.0:
+        return float("inf")
+    return float(chdtri(dof, 1.0 - probability))
 
 
 def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
@@ -74,11 +76,9 @@ def probability_beyond_3_sd(share: float, independent: float) -> float:
     """
     expected = 1.0 - float(chdtr(1, 9.0))
     count = share * independent
-    return (
-        expected / share
-        if count < 1.0
-        else float(betainc(count, independent - count + 1.0, expected))
-    )
+    if count < 1.0:
+        return expected / share
+    return float(betainc(count, independent - count + 1.0, expected))
 
 
 class MeanVerdict(NamedTuple):
@@ -235,9 +235,9 @@ def whiteness(value: float, limit: float) -> Whiteness:
         return Whiteness.INSUFFICIENT
     if not np.isfinite(value):
         return Whiteness.NOT_FINITE
-    return (
-        Whiteness.CORRELATED if abs(value) > max(limit, SMALL_AUTOCORRELATION) else Whiteness.WHITE
-    )
+    if abs(value) > max(limit, SMALL_AUTOCORRELATION):
+        return Whiteness.CORRELATED
+    return Whiteness.WHITE
 
 
 def log_likelihood(innovations: Innovations) -> float:
@@ -248,4 +248,6 @@ def log_likelihood(innovations: Innovations) -> float:
     """
     constant = innovations.dof * np.log(2.0 * np.pi)
     total = -0.5 * float(np.sum(innovations.log_det + innovations.nis + constant))
-    return total if np.isfinite(total) else float("-inf")
+    if np.isfinite(total):
+        return total
+    return float("-inf")

@@ -129,7 +129,9 @@ def limit_of(rms: Floats, starts: int) -> Floats:
 def _status(reached_s: float) -> ConvergenceStatus:
     if reached_s == 0.0:
         return ConvergenceStatus.AT_START
-    return ConvergenceStatus.REACHED if np.isfinite(reached_s) else ConvergenceStatus.NEVER
+    if np.isfinite(reached_s):
+        return ConvergenceStatus.REACHED
+    return ConvergenceStatus.NEVER
 
 
 class ConvergenceCurves(NamedTuple):
@@ -248,7 +250,9 @@ def nearest_over_nine(table: Sequence[ConvergenceRow], candidate: str) -> float:
 
 def _mean(improvements_pct: Iterable[float]) -> float:
     found = np.nan_to_num(list(improvements_pct))
-    return float(np.mean(found)) if len(found) == len(NINE) else float("nan")
+    if len(found) == len(NINE):
+        return float(np.mean(found))
+    return float("nan")
 
 
 def convergence_table(
@@ -319,7 +323,9 @@ def nearest_approach_s(time_s: Floats, sd: Floats, target: float) -> float:
     This is the convergence time of Levy and Klein. The standard deviation may grow again after it.
     """
     distance = np.abs(sd - target)
-    return float(time_s[np.nanargmin(distance)]) if np.isfinite(distance).any() else float("nan")
+    if np.isfinite(distance).any():
+        return float(time_s[np.nanargmin(distance)])
+    return float("nan")
 
 
 def time_to_stay_below(

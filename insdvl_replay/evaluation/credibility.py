@@ -212,11 +212,9 @@ def _standardised(errors: StateErrors, states: States) -> tuple[Floats, Floats]:
 def _samples_of(errors: StateErrors, state: int) -> float:
     """Return the effective samples of the errors of a state; NaN where unknown."""
     standardised, _ = _standardised(errors, np.array([state]))
-    return (
-        samples_in_mean_square(standardised)
-        if len(standardised) and np.isfinite(standardised).all()
-        else np.nan
-    )
+    if len(standardised) and np.isfinite(standardised).all():
+        return samples_in_mean_square(standardised)
+    return np.nan
 
 
 def _row(

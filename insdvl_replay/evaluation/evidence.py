@@ -145,7 +145,9 @@ def covered_errors(errors: ReferenceErrors, start_ns: int, end_ns: int) -> Refer
     def kept(columns: Floats) -> Floats:
         known = np.asarray(np.isfinite(columns).all(axis=1))
         share = covered_share(errors.time_ns, known, start_ns, end_ns) if known.any() else 0.0
-        return columns if share >= WELL_COVERED else np.full_like(columns, np.nan)
+        if share >= WELL_COVERED:
+            return columns
+        return np.full_like(columns, np.nan)
 
     horizontal_m = kept(errors.drifting_ned_m[:, :2])
     down_m = kept(errors.drifting_ned_m[:, 2:])
@@ -367,7 +369,9 @@ def _without_late_vote(row: EvidenceRow, late_mps: float | None) -> EvidenceRow:
 def _ratio(baseline: float, value: float) -> float:
     if baseline == value and math.isfinite(value):
         return 1.0
-    return value / baseline if baseline > 0.0 else math.nan
+    if baseline > 0.0:
+        return value / baseline
+    return math.nan
 
 
 def _rows_of_pair(new: Callable[..., EvidenceRow], kind: str, pair: Pair) -> Iterator[EvidenceRow]:

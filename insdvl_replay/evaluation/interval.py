@@ -109,7 +109,11 @@ def _mean_and_error(groups: Sequence[Floats]) -> tuple[float, float, float, floa
 
 def _exp(value: float) -> float:
     """Return the exponential; infinite for a filter that diverged."""
-    return math.exp(value) if value < 700.0 else math.inf if value == value else NAN
+    if value < 700.0:
+        return math.exp(value)
+    if value == value:
+        return math.inf
+    return NAN
 
 
 def _p(mean: float, error: float, freedom: float) -> float:

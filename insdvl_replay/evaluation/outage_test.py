@@ -264,7 +264,9 @@ def outage_test_table(log: str, outages: OutageRuns) -> list[OutageRow]:
     """Return the drift of each filter in windows of each length that fits the dive."""
 
     def quantile(values: Floats, q: float) -> float:
-        return float(np.quantile(values, q)) if len(values) and np.isfinite(values).all() else NAN
+        if len(values) and np.isfinite(values).all():
+            return float(np.quantile(values, q))
+        return NAN
 
     rows = []
     for windows in outages.plan.by_length:

@@ -32,13 +32,11 @@ class Score(NamedTuple):
     def ratio(self) -> float:
         """The ratio of the mean densities, baseline over candidate: the smaller, the better the candidate predicts."""
         difference = self.value - self.baseline
-        return (
-            math.exp(difference)
-            if difference < 700.0
-            else math.inf
-            if difference == difference
-            else math.nan
-        )
+        if difference < 700.0:
+            return math.exp(difference)
+        if difference == difference:
+            return math.inf
+        return math.nan
 
 
 class _Pings(NamedTuple):

@@ -76,7 +76,9 @@ def compared_distance_m(reference: ReferenceColumns, baseline: History, time_ns:
     if not (by_speed or by_positions):
         return estimated_m
     referred_m = float(reference_distance_m(within, np.union1d(start_ns, within.time_ns))[-1])
-    return referred_m if by_speed else min(referred_m, estimated_m)
+    if by_speed:
+        return referred_m
+    return min(referred_m, estimated_m)
 
 
 def distance_travelled_m(history: History, time_ns: TimeNs) -> float:
@@ -395,7 +397,9 @@ def _shown(errors: ReferenceErrors, distance_m: float) -> dict[str, Floats]:
 
 def _rms_and_final(error: Floats) -> tuple[float, float]:
     known = error[np.isfinite(error)]
-    return (float(np.sqrt(np.mean(known**2))), float(known[-1])) if len(known) else (np.nan, np.nan)
+    if len(known):
+        return (float(np.sqrt(np.mean(known**2))), float(known[-1]))
+    return (np.nan, np.nan)
 
 
 # --- The acceleration of the reference.

@@ -71,7 +71,9 @@ class Repeat:
 
 def metres(value: float) -> str:
     """Write a distance, a small one in mm."""
-    return f"{value:.2g} m" if value >= 1.0 or value == 0.0 else f"{1000.0 * value:.2g} mm"
+    if value >= 1.0 or value == 0.0:
+        return f"{value:.2g} m"
+    return f"{1000.0 * value:.2g} mm"
 
 
 def apart_m(first: History, second: History) -> float:
@@ -79,7 +81,9 @@ def apart_m(first: History, second: History) -> float:
     north_m, east_m = north_east_m(second.position, first.position, first.position)
     square_m2 = north_m**2 + east_m**2
     known = np.isfinite(square_m2)
-    return math.sqrt(float(np.mean(square_m2[known]))) if known.any() else math.nan
+    if known.any():
+        return math.sqrt(float(np.mean(square_m2[known])))
+    return math.nan
 
 
 def share_moved(baseline: ErrorSeries, first: ErrorSeries, second: ErrorSeries) -> float:
@@ -115,4 +119,6 @@ def errors_of_runs(
     is_known = all(
         quantity in series and np.isfinite(series[quantity].errors).any() for series in found
     )
-    return [series[quantity] for series in found] if is_known else []
+    if is_known:
+        return [series[quantity] for series in found]
+    return []

@@ -41,7 +41,9 @@ def shouted(verdict: str) -> str:
 
 def word_of(answer: Answer) -> str:
     """Return the verdict in capitals; one dive has none."""
-    return "one dive" if answer.undecided == Undecided.ONE_DIVE else shouted(answer.verdict)
+    if answer.undecided == Undecided.ONE_DIVE:
+        return "one dive"
+    return shouted(answer.verdict)
 
 
 # --- A row.
@@ -51,7 +53,9 @@ def ratio_text(value: Number) -> str:
     """Write a ratio with two decimals, a large one with three digits; a dash where it is unknown."""
     if value is None or math.isnan(value):
         return "-"
-    return f"{value:.2f}" if abs(value) < THREE_DIGITS else f"{value:.3g}"
+    if abs(value) < THREE_DIGITS:
+        return f"{value:.2f}"
+    return f"{value:.3g}"
 
 
 def interval_text(row: PooledRow) -> str:
@@ -67,7 +71,9 @@ def ratio_with_interval(row: PooledRow) -> str:
     """Write ratio and interval, such as ``position 1.13 (0.95 .. 1.33)``."""
     interval = interval_text(row)
     found = f"{label(row.quantity)} {ratio_text(row.ratio)}"
-    return found if interval == "-" else f"{found} ({interval})"
+    if interval == "-":
+        return found
+    return f"{found} ({interval})"
 
 
 def changed(row: PooledRow) -> str:
@@ -95,7 +101,9 @@ def headline(answer: Answer) -> str:
     if answer.verdict == Verdict.NO_EFFECT:
         return f"{word}, {_acting(answer)}"
     if primary is None or not math.isfinite(finite(primary.ratio)):
-        return f"{word}, no evidence: {answer.reason}" if answer.reason else f"{word}, no evidence"
+        if answer.reason:
+            return f"{word}, no evidence: {answer.reason}"
+        return f"{word}, no evidence"
     if answer.undecided == Undecided.ONE_DIVE:
         return f"on this dive {changed(primary)}; {answer.undecided}"
     pieces = [ratio_with_interval(primary)]
@@ -123,7 +131,9 @@ def _warning(answer: Answer, row: PooledRow) -> str:
 
 def acts_line(answer: Answer) -> str:
     """Say how far the candidate moves the track, or another error; empty where it is not known."""
-    return f"acts: {_acting(answer)}" if answer.acting is not None else ""
+    if answer.acting is not None:
+        return f"acts: {_acting(answer)}"
+    return ""
 
 
 def _acting(answer: Answer) -> str:
@@ -151,11 +161,9 @@ def _named(row: PooledRow) -> str:
         return "the track"
     if row.quantity == DRAWN_HEADING:
         return "the track from a drawn heading"
-    return (
-        f"the drift in a {label(row.quantity)}"
-        if row.evidence == "outage"
-        else f"the {label(row.quantity)}"
-    )
+    if row.evidence == "outage":
+        return f"the drift in a {label(row.quantity)}"
+    return f"the {label(row.quantity)}"
 
 
 def _moves(row: PooledRow) -> str:
@@ -184,7 +192,9 @@ def start_line(answer: Answer, start: str = "") -> str:
     """Name the start, with the position from a heading that was drawn instead; empty where neither is known."""
     row = answer.from_drawn_heading
     if row is None or not math.isfinite(finite(row.ratio)):
-        return f"start: {start}" if start else ""
+        if start:
+            return f"start: {start}"
+        return ""
     found = (
         changed(row)
         if answer.evaluated < FEWEST_DIVES
@@ -289,7 +299,9 @@ def answer_lines(answer: CandidateAnswer, initial: str = "", start: str = "") ->
 def _begun(text: str, answer: Answer) -> str:
     """Begin a sentence with a capital letter; a name keeps its first letter."""
     is_name = text.startswith((answer.filter, answer.baseline))
-    return text if is_name else f"{text[:1].upper()}{text[1:]}"
+    if is_name:
+        return text
+    return f"{text[:1].upper()}{text[1:]}"
 
 
 def paragraph(answer: CandidateAnswer, start: str = "") -> str:

@@ -273,11 +273,9 @@ def far_off(
             steps_m[silent] = 0.0
     square_m2 = np.sum(np.cumsum(steps_m, axis=0) ** 2) / max(len(steps_m), 1)
     error_pct = 100.0 * np.sqrt(square_m2) / found.distance_m if found.distance_m > 0.0 else 0.0
-    return (
-        f"the position error of {history.filter} is {error_pct:.3g} % of the distance"
-        if error_pct > FARTHEST_PCT
-        else ""
-    )
+    if error_pct > FARTHEST_PCT:
+        return f"the position error of {history.filter} is {error_pct:.3g} % of the distance"
+    return ""
 
 
 # --- The verdict on one dive.
@@ -426,9 +424,7 @@ def _trust(tables: Tables, name: str) -> str:
     if consistency in (Consistency.NOT_AVAILABLE, Consistency.INSUFFICIENT):
         return f"{credibility}{where} against the reference"
     if consistency == credibility:
-        return (
-            f"{consistency} by the innovations, and{where} against the reference"
-            if where
-            else consistency
-        )
+        if where:
+            return f"{consistency} by the innovations, and{where} against the reference"
+        return consistency
     return f"{consistency} by the innovations and {credibility}{where} against the reference"

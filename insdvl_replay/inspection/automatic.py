@@ -257,7 +257,9 @@ def _late_reference_s(dive: Dive, given: Given) -> float:
     found = dive.reference_delay
     if found is None or found.delay_s is None or not found.is_checked or not is_late(found):
         return 0.0
-    return 0.0 if given.has(REFERENCE_LATENCY) else found.delay_s
+    if given.has(REFERENCE_LATENCY):
+        return 0.0
+    return found.delay_s
 
 
 def _with_reference_latency(
@@ -403,11 +405,9 @@ def stored_settings(folder: Path, given: Given) -> Config | None:
     )
     config = given.config
     same = is_same and as_given(found, given) == found and found.topics == config.topics
-    return (
-        found
-        if same and (found.span, found.evaluation) == (config.span, config.evaluation)
-        else None
-    )
+    if same and (found.span, found.evaluation) == (config.span, config.evaluation):
+        return found
+    return None
 
 
 # --- The start.

@@ -223,7 +223,9 @@ class DryRun:
 
     def _hint(self, hint: str) -> str:
         """Return no value to copy that only the whole log shows well enough."""
-        return hint if self.deep or not _MEASURED.search(hint) else _LOOK_DEEPER
+        if self.deep or not _MEASURED.search(hint):
+            return hint
+        return _LOOK_DEEPER
 
     def _warn_of(self, topic: str, error: UserError) -> None:
         self.warned.add(topic)
@@ -302,7 +304,8 @@ def without_marks(values: Floats) -> Floats:
     is_mark = sizes == sizes.max(initial=0.0)
     others = sizes[~is_mark]
     is_far = others.size > 0 and sizes.max() > _FAR_AWAY * others.max()
-    return values[~is_mark] if is_far and np.count_nonzero(is_mark) > 1 else values
+    is_repeated = np.count_nonzero(is_mark) > 1
+    return values[~is_mark] if is_far and is_repeated else values
 
 
 def vector_paths(known: Kinds) -> list[str]:
@@ -375,7 +378,9 @@ class FieldMatch:
             if self.is_beams
             else fitting_units(self.size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
         )
-        return units[0] if units else ""
+        if units:
+            return units[0]
+        return ""
 
     def __str__(self) -> str:
         """State what was seen."""

@@ -69,7 +69,9 @@ class FreeTurn:
         """The likeliest rotation, (3, 3), or the quarter turn next to it."""
         mat = self.level.likeliest
         quarter = min(AXES, key=lambda quarter: angle_between(quarter, mat))
-        return quarter if angle_between(quarter, mat) < NEAR_QUARTER_RAD else mat
+        if angle_between(quarter, mat) < NEAR_QUARTER_RAD:
+            return quarter
+        return mat
 
     def excludes(self, best: Hypothesis) -> bool:
         """Return whether the fit is better than a hypothesis, also on windows to which it was not fitted."""
@@ -137,7 +139,9 @@ def _free_turn(trials: Trials, relation: object, pings: DvlColumns) -> FreeTurn 
     imu = first.applied(trials.dive.imu)
     dvl = pings.within(int(imu.time_ns[0]), int(imu.time_ns[-1]))
     fit = free_mounting(imu, *velocities_of(dvl), AXES)
-    return None if fit is None else FreeTurn(first, LevelDvl(fit, down_of(imu), dvl.look_d))
+    if fit is None:
+        return None
+    return FreeTurn(first, LevelDvl(fit, down_of(imu), dvl.look_d))
 
 
 # --- The IMU in the body.
@@ -175,7 +179,9 @@ def in_body(
         return travelling, None
     # Two instruments whose axes agree about forward are believed against the travel: the vehicle may sway.
     agree = angle_between(mat_from_rpy(np.array(best.rpy_deg) * DEG), np.eye(3)) < NEAR_QUARTER_RAD
-    return (best, travelling) if agree else (travelling, best)
+    if agree:
+        return (best, travelling)
+    return (travelling, best)
 
 
 def _turn_of_axis(axis: Floats, target: Floats) -> Floats:
@@ -184,7 +190,9 @@ def _turn_of_axis(axis: Floats, target: Floats) -> Floats:
     sine = float(np.linalg.norm(across))
     cosine = float(axis @ target)
     if sine < 1e-9:
-        return np.eye(3) if cosine > 0.0 else np.diag([1.0, -1.0, -1.0])
+        if cosine > 0.0:
+            return np.eye(3)
+        return np.diag([1.0, -1.0, -1.0])
     return np.asarray(mat_from_vector(across / sine * np.arctan2(sine, cosine)))
 
 

@@ -289,7 +289,9 @@ def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: 
     fitting = fitting_units(size, VELOCITY_BY_SIZE, known_mps / SAME_SPEED, known_mps * SAME_SPEED)
     if not fitting and speed_mps > FASTEST_MPS:
         fitting = fitting_units(size, VELOCITY_BY_SIZE, *SPEEDS_MPS)
-    return fitting[0] if fitting else read_in
+    if fitting:
+        return fitting[0]
+    return read_in
 
 
 _Tried = tuple[Trials, _ImuTopic, str]  # an IMU and the topic of a DVL that were tried together
@@ -456,7 +458,9 @@ def _increment_s(table: Table, size: float, known: Imu) -> float | None:
         and step_s > 0.0
         and abs(size / (GRAVITY_MPS2 * step_s) - 1.0) < _NEAR
     )
-    return float(f"{step_s:.4g}") if is_increment else None
+    if is_increment:
+        return float(f"{step_s:.4g}")
+    return None
 
 
 def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
@@ -501,7 +505,9 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
 def _median(values: Floats) -> float:
     """Return the median of the finite values; NaN without any."""
     finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else np.nan
+    if len(finite):
+        return float(np.median(finite))
+    return np.nan
 
 
 def _force_scale(table: Table, size: float, known: Imu) -> dict[str, Any]:
@@ -521,7 +527,9 @@ def _force_scale(table: Table, size: float, known: Imu) -> dict[str, Any]:
     )
     ratio = size * SPECIFIC_FORCE_UNITS[near] / GRAVITY_MPS2
     scale = {"specific_force_scale": float(f"{ratio:.4g}")}
-    return scale if near == unit else {"specific_force_unit": near, **scale}
+    if near == unit:
+        return scale
+    return {"specific_force_unit": near, **scale}
 
 
 def _role_notes(

@@ -54,9 +54,10 @@ def stretched_rate_hz(time_ns: TimeNs) -> float | None:
         any(abs(x - float(f"{x:.2g}")) < 1e-8 * x for x in (hz, 1.0 / hz))
         for hz in (rate_hz, written_hz)
     ]
-    return (
-        float(f"{rate_hz:.9g}") if is_round == [True, False] else None
-    )  # of two digits, as rate or as period
+    # of two digits, as rate or as period
+    if is_round == [True, False]:
+        return float(f"{rate_hz:.9g}")
+    return None
 
 
 def table_clock_settings(log: Recording, config: Config) -> Iterator[Setting]:

@@ -416,7 +416,9 @@ def _quarters_to_reference(dive: Dive, config: Config) -> int:
         return 0
     moving = np.abs(true) >= max(float(np.median(np.abs(true))), LEAST_MPS)
     found = fit(measured[moving], true[moving])
-    return 0 if found.coherence < COHERENT else -round(found.turn / (90.0 * DEG))
+    if found.coherence < COHERENT:
+        return 0
+    return -round(found.turn / (90.0 * DEG))
 
 
 def rates_compared(imu: ImuColumns, other: ImuColumns) -> tuple[float, float]:

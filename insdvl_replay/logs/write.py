@@ -591,9 +591,9 @@ def _motion_batches(topic: str, motion: ReferenceColumns, origin: Floats) -> lis
         stamped(f"{topic}/state", "insdvl_msgs/msg/NavSolution", motion.time_ns, NED, columns)
     ]
     whole = np.logical_and.reduce(list(motion.known.values()))
-    return (
-        [*batches, _odometry_batch(topic, motion.rows(whole), origin)] if whole.any() else batches
-    )
+    if whole.any():
+        return [*batches, _odometry_batch(topic, motion.rows(whole), origin)]
+    return batches
 
 
 def _odometry_batch(topic: str, motion: ReferenceColumns, origin: Floats) -> Batch:

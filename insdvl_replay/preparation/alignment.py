@@ -77,7 +77,9 @@ class Alignment:
     @property
     def spread_start(self) -> Start:
         """The start with the uncertainty that random starts are drawn from."""
-        return self.start if self.spread_cov is None else replace(self.start, cov=self.spread_cov)
+        if self.spread_cov is None:
+            return self.start
+        return replace(self.start, cov=self.spread_cov)
 
     @property
     def row(self) -> ReferenceColumns:
@@ -331,7 +333,9 @@ def _velocity_by_dvl(
 def _attitude_source(*, posed: bool, sensed: bool) -> AttitudeSource:
     if posed:
         return AttitudeSource.REFERENCE
-    return AttitudeSource.AHRS if sensed else AttitudeSource.GRAVITY
+    if sensed:
+        return AttitudeSource.AHRS
+    return AttitudeSource.GRAVITY
 
 
 def _heading_source(*, posed: bool, sensed: bool, fitted: bool) -> HeadingSource:
@@ -339,13 +343,17 @@ def _heading_source(*, posed: bool, sensed: bool, fitted: bool) -> HeadingSource
         return HeadingSource.REFERENCE
     if sensed:
         return HeadingSource.SENSOR
-    return HeadingSource.FIT if fitted else HeadingSource.SETTINGS
+    if fitted:
+        return HeadingSource.FIT
+    return HeadingSource.SETTINGS
 
 
 def _position_source(*, located: bool, fixed: bool) -> PositionSource:
     if located:
         return PositionSource.REFERENCE
-    return PositionSource.SENSOR if fixed else PositionSource.SETTINGS
+    if fixed:
+        return PositionSource.SENSOR
+    return PositionSource.SETTINGS
 
 
 def _sensor_attitude(
@@ -476,4 +484,6 @@ def _level_notes(level: Level, mat_nb: Floats, cov: Floats, *, is_sensed: bool) 
     level_axes = mat_from_rpy(np.array([0.0, 0.0, rpy_deg[2] * DEG]))
     sd_deg = np.sqrt(np.diagonal(level_axes.T @ cov[PHI, PHI] @ level_axes)) / DEG
     notes = [note("start_levelled", rpy=rpy_deg, sd=sd_deg, level=level)]
-    return notes if level.pings else [*notes, note("start_level_unaided", level=level)]
+    if level.pings:
+        return notes
+    return [*notes, note("start_level_unaided", level=level)]

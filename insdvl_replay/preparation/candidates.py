@@ -166,7 +166,9 @@ def _require_this_dive(history: History, baseline: History, imu: ImuColumns, fir
 def _apart_deg(own: Floats, other: Floats) -> float:
     """Return the rms angle between turns, shape (k, 3, 3); 0 of none."""
     off_deg = np.linalg.norm(vector_from_mat(np.swapaxes(other, 1, 2) @ own), axis=1) / DEG
-    return float(np.sqrt(np.mean(off_deg**2))) if len(off_deg) else 0.0
+    if len(off_deg):
+        return float(np.sqrt(np.mean(off_deg**2)))
+    return 0.0
 
 
 def _innovations(solution: Solution, velocities: DvlVelocities) -> Innovations | None:

@@ -171,7 +171,9 @@ def reference_at_imu(
             - np.einsum("kij,kj->ki", mat_nb, np.cross(rate_eb_b, lever_arm_b)),
         )
     known = np.any(list(reference.known.values()), axis=0)
-    return reference if known.all() else reference.rows(known)
+    if known.all():
+        return reference
+    return reference.rows(known)
 
 
 def coverage_notes(sample_ns: TimeNs, ping_ns: TimeNs) -> list[Note]:

@@ -257,7 +257,9 @@ def _tail(path: Path) -> str:
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - LONGEST_OUTPUT))
         text = file.read().decode("utf-8", "replace")
-    return text if text.endswith("\n") or not text else f"{text}\n"
+    if text.endswith("\n") or not text:
+        return text
+    return f"{text}\n"
 
 
 # --- In the process of a class.

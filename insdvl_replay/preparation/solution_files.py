@@ -199,7 +199,9 @@ def _read_csv(data: bytes) -> Solution:
             raise CandidateError(
                 f"wrote a solution with {given}, but without {' and '.join(lacking)}"
             )
-        return None if lacking else table[wanted].to_numpy(np.float64)
+        if lacking:
+            return None
+        return table[wanted].to_numpy(np.float64)
 
     time_ns = table["time_ns"].to_numpy(np.int64)
     position = group(POSITION)

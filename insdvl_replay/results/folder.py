@@ -100,7 +100,9 @@ def damaged_files(folder: Path) -> list[str]:
     of_report = files.pop(COMPLETE, "")
     damaged = [name for name, digest in files.items() if _digest(folder / name) != digest]
     content["files"] = files
-    return damaged if _digest_of_report(content) == of_report else [COMPLETE, *damaged]
+    if _digest_of_report(content) == of_report:
+        return damaged
+    return [COMPLETE, *damaged]
 
 
 def _digest(path: Path) -> str:
@@ -291,7 +293,9 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
         return {COMPLETE, *(label.files or DIVE_FILES)}
     # Checks do not write these.
     needed = set(DIVE_FILES) - {REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE}
-    return DIVE_FILES if all((folder / name).is_file() for name in needed) else None
+    if all((folder / name).is_file() for name in needed):
+        return DIVE_FILES
+    return None
 
 
 # --- The lake: the evidence of many replays as one Parquet dataset, a file for each replay

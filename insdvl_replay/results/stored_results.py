@@ -77,7 +77,9 @@ def earlier_results(folder: Path, dives: Collection[str]) -> list[Note]:
         for file in files
         if not file.parent.name.startswith(".") and file.is_file()
     )
-    return [_earlier(folder, left)] if left else []
+    if left:
+        return [_earlier(folder, left)]
+    return []
 
 
 def _earlier(folder: Path, names: Sequence[str]) -> Note:

@@ -83,7 +83,9 @@ def map_of_tracks(
     lines = [
         (name, kind, line) for name, kind, frame in named if len(line := _positions(frame)) > 1
     ]
-    return _geojson(dive, lines) if format_ == "geojson" else _kml(dive, lines)
+    if format_ == "geojson":
+        return _geojson(dive, lines)
+    return _kml(dive, lines)
 
 
 def _positions(frame: "pd.DataFrame") -> list[list[float]]:

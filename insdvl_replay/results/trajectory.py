@@ -306,7 +306,9 @@ def _consistent(column: str, time_s: Floats, tables: Mapping[str, Sequence[Row]]
 
 
 def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else math.nan
+    if isinstance(value, int | float):
+        return float(value)
+    return math.nan
 
 
 def chosen_states(text: str) -> tuple[str, ...]:

@@ -90,8 +90,12 @@ def has_reference(report: Report) -> bool:
 def verdict_in_table(row: PooledRow) -> str:
     """Return the word of a row, in brackets if it neither decides nor warns; a dash on one dive, which has none."""
     if row.role == Role.SHOWN and row.verdict:
-        return f"({row.verdict})" if row.dives > 1 else ""
-    return row.verdict if row.dives > 1 else ""
+        if row.dives > 1:
+            return f"({row.verdict})"
+        return ""
+    if row.dives > 1:
+        return row.verdict
+    return ""
 
 
 def as_shown(row: PooledRow) -> PooledRow:
@@ -138,7 +142,9 @@ def prediction_word(predicted_pct: Number, prediction: str) -> str:
     """Say in a word whether a predicted improvement is confirmed; empty if it is too small to be checked."""
     if not finite(predicted_pct) >= NOTABLE_PCT:
         return ""
-    return Prediction.CONFIRMED if prediction == Prediction.CONFIRMED else Prediction.NOT_CONFIRMED
+    if prediction == Prediction.CONFIRMED:
+        return Prediction.CONFIRMED
+    return Prediction.NOT_CONFIRMED
 
 
 def predicted_change(answer: CandidateAnswer) -> tuple[str, str]:
@@ -160,7 +166,9 @@ def initial_text(config: Mapping[str, Any]) -> str:
     *level_deg, heading_deg = misalignment_deg
     text = f"level {max(level_deg):g} deg, heading {heading_deg:g} deg"
     bias_mg = initial.get("accel_bias_sd_mg")
-    return f"{text}, {bias_mg:g} mg" if isinstance(bias_mg, float | int) else text
+    if isinstance(bias_mg, float | int):
+        return f"{text}, {bias_mg:g} mg"
+    return text
 
 
 def start_text(reports: Sequence[Report]) -> str:

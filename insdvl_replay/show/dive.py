@@ -83,9 +83,11 @@ def headline_table(report: Report, title: str = "", footnote: str = "") -> Itera
     header += [f"{window_s} s{'' if i else ' without DVL'}" for i, window_s in enumerate(windows_s)]
 
     def metres(value: Number) -> str:
-        return (
-            MISSING if value is None else f"{value:.3g} m" if value < 1000.0 else f"{value:.0f} m"
-        )
+        if value is None:
+            return MISSING
+        if value < 1000.0:
+            return f"{value:.3g} m"
+        return f"{value:.0f} m"
 
     rows = []
     for name in (report.baseline, *report.filters):
@@ -279,7 +281,9 @@ def _in_spite(named: Iterable[tuple[str, str]]) -> str:
     reasons = _grouped(named)
     reasons.pop("", None)
     texts = "; ".join(f"{', '.join(found)} ({why})" for why, found in reasons.items())
-    return f"Verdicts that differ from their interval: {texts}." if texts else ""
+    if texts:
+        return f"Verdicts that differ from their interval: {texts}."
+    return ""
 
 
 # --- The tables that `--table` names: for people, as CSV, as JSON.

@@ -42,17 +42,23 @@ def number(value: float | None) -> str:
     if value == 0.0 or math.isinf(value):
         return f"{value:g}"
     exponent = math.floor(math.log10(abs(value)))
-    return f"{value:.{max(3 - exponent, 0)}f}" if -4 <= exponent < 7 else f"{value:.2e}"
+    if -4 <= exponent < 7:
+        return f"{value:.{max(3 - exponent, 0)}f}"
+    return f"{value:.2e}"
 
 
 def decimal(value: float | None, digits: int) -> str:
     """Write a number with a fixed number of digits after the point."""
-    return MISSING if value is None or math.isnan(value) else f"{value:.{digits}f}"
+    if value is None or math.isnan(value):
+        return MISSING
+    return f"{value:.{digits}f}"
 
 
 def significant(value: float | None, digits: int = 2) -> str:
     """Write a number with a fixed number of significant digits."""
-    return MISSING if value is None or math.isnan(value) else f"{value:.{digits}g}"
+    if value is None or math.isnan(value):
+        return MISSING
+    return f"{value:.{digits}g}"
 
 
 def numbers_apart(old: float, new: float) -> tuple[str, str]:
@@ -63,19 +69,27 @@ def numbers_apart(old: float, new: float) -> tuple[str, str]:
 
 def percent(value: float | None) -> str:
     """Write a percentage with one digit."""
-    return MISSING if value is None or math.isnan(value) else f"{value:z.1f} %"
+    if value is None or math.isnan(value):
+        return MISSING
+    return f"{value:z.1f} %"
 
 
 def ratio(value: float | None) -> str:
     """Write a ratio with three decimals, one of ten and more with four digits."""
-    return decimal(value, 3) if value is None or abs(value) < TENFOLD else number(value)
+    if value is None or abs(value) < TENFOLD:
+        return decimal(value, 3)
+    return number(value)
 
 
 def signed_percent(value: float | None) -> str:
     """Write a change in percent with its sign: one decimal, two if it is small, none near zero."""
     if value is None or abs(value) < 0.005:
-        return MISSING if value is None else "0"
-    return f"{value:+.1f}" if abs(value) >= 0.95 else f"{value:+.2f}"
+        if value is None:
+            return MISSING
+        return "0"
+    if abs(value) >= 0.95:
+        return f"{value:+.1f}"
+    return f"{value:+.2f}"
 
 
 # The format of a column's values, by the name in its row type.
@@ -194,7 +208,9 @@ def rows_csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 def _csv_cell(value: object) -> object:
     if isinstance(value, float):
-        return None if math.isnan(value) else value
+        if math.isnan(value):
+            return None
+        return value
     if isinstance(value, dict):
         value = [f"{key}={part}" for key, part in value.items()]
     if isinstance(value, list | tuple):

@@ -216,7 +216,9 @@ def _settled(time_ns: TimeNs, clock: Clock) -> NDArray[np.bool_]:
 def _settled_height(values: Floats) -> float:
     """Return the height that a panel needs for values after the settling, 0 for none: short peaks may rise above."""
     known = values[np.isfinite(values)]
-    return _AIR * float(np.quantile(known, _SHOWN)) if len(known) else 0.0
+    if len(known):
+        return _AIR * float(np.quantile(known, _SHOWN))
+    return 0.0
 
 
 # --- The outage test and measured convergence.
@@ -597,7 +599,9 @@ def shades_of(replay: Replay) -> tuple[Shade, ...]:
 def _over_time(panel: Panel, shades: tuple[Shade, ...], clock: Clock) -> Panel:
     """Give a panel over time the shades, and the axis of all such panels."""
     is_linear = panel.x_label == clock.label and panel.x_scale == "linear"
-    return replace(panel, shades=shades, x_limits=clock.limits) if is_linear else panel
+    if is_linear:
+        return replace(panel, shades=shades, x_limits=clock.limits)
+    return panel
 
 
 # --- Strips: coverage of the dive by each sensor.

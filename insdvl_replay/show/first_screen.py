@@ -212,7 +212,9 @@ def _stressed(sentence: str) -> str:
     """Write a sentence as HTML, with whether a prediction is confirmed in bold."""
     text = unbroken(sentence)
     word = next((word for word in ("Not confirmed", "Confirmed") if word in text), "")
-    return text.replace(word, f"<b>{word}</b>", 1) if word else text
+    if word:
+        return text.replace(word, f"<b>{word}</b>", 1)
+    return text
 
 
 def evidence_forest(title: str, answer: Answer, most: int) -> str:
@@ -235,7 +237,9 @@ def interval_ends(row: PooledRow) -> tuple[float, float] | None:
     """Return the ends of the interval of a row; None without one."""
     low = finite(row.low)
     high = finite(row.high)
-    return None if math.isnan(low + high) else (low, high)
+    if math.isnan(low + high):
+        return None
+    return (low, high)
 
 
 def dives_forest(answer: Answer, reports: Iterable[Report], *, linked: bool) -> str:
@@ -278,4 +282,6 @@ def _effect(row: ForestRow) -> float:
     """Return the size of the effect of a row: how far its ratio is from 1."""
     if row.ratio is None:
         return -1.0
-    return abs(math.log(row.ratio)) if row.ratio > 0.0 else math.inf
+    if row.ratio > 0.0:
+        return abs(math.log(row.ratio))
+    return math.inf

@@ -140,7 +140,9 @@ def _in_grids(parts: Sequence[Part]) -> list[str]:
         if in_grid and isinstance(part, DisplayTable) and isinstance(after, DisplayTable):
             part = replace(part, footnote=part.footnote if part.footnote != after.footnote else "")
         lines.append(_html(part))
-    return [*lines, "</div>"] if in_grid else lines
+    if in_grid:
+        return [*lines, "</div>"]
+    return lines
 
 
 def _html(part: Part) -> str:

@@ -79,7 +79,9 @@ class Axis:
         if self.whole:
             return 0
         decimals = self.digits - math.floor(math.log10(span))
-        return 0 if -self.digits <= decimals < 0 else decimals
+        if -self.digits <= decimals < 0:
+            return 0
+        return decimals
 
     def counts(self, values: Floats) -> Floats:
         """Return values as whole numbers of counts; NaN where a logarithmic axis has none."""
@@ -109,7 +111,9 @@ class Axis:
     @property
     def reading(self) -> str:
         """How ``cursor.js`` writes a count: decimals and unit, or ``log``."""
-        return "log" if self.scale == "log" else f"{self.decimals} {self.unit:g}"
+        if self.scale == "log":
+            return "log"
+        return f"{self.decimals} {self.unit:g}"
 
     def place(self, values: Floats) -> Floats:
         """Return the places of values; NaN where a logarithmic axis has none."""
@@ -145,7 +149,9 @@ def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
     """Return the limits of an axis with a margin; 0 and 1, or 1 and 10, without values."""
     known = values[(np.abs(values) < _LARGEST) & ((values > 1.0 / _LARGEST) | (scale == "linear"))]
     if not len(known):
-        return (0.0, 1.0) if scale == "linear" else (1.0, 10.0)
+        if scale == "linear":
+            return (0.0, 1.0)
+        return (1.0, 10.0)
     low = float(known.min())
     high = float(known.max())
     if scale == "log":
@@ -229,7 +235,9 @@ def panel_svg(panel: Panel, legend: Legend = ()) -> str:
 
 
 def _height(panel: Panel) -> float:
-    return WIDTH if panel.equal and not panel.low else HEIGHT
+    if panel.equal and not panel.low:
+        return WIDTH
+    return HEIGHT
 
 
 def _panel(panel: Panel, place: str, names: Mapping[str, str]) -> str:
@@ -441,7 +449,9 @@ def _line(x: Floats, y: Floats) -> str:
 
 def _behind(number: int) -> str:
     """Write a number after another: a minus separates them, too."""
-    return f"{number}" if number < 0 else f" {number}"
+    if number < 0:
+        return f"{number}"
+    return f" {number}"
 
 
 def _steps_of_time(time_s: Floats) -> str:

@@ -41,11 +41,9 @@ def render(result: Result, format_: str) -> str:
             return result_json(result).decode()
         case "csv":
             blocks = {name: header_and_rows(table) for name, table in result.tables.items()}
-            return (
-                blocks_csv(result.block, blocks)
-                if result.block
-                else rows_csv(*next(iter(blocks.values())))
-            )
+            if result.block:
+                return blocks_csv(result.block, blocks)
+            return rows_csv(*next(iter(blocks.values())))
         case "md":
             return as_markdown(document(result))
         case "latex":

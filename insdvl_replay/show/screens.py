@@ -455,4 +455,6 @@ def _ratio_on(outcome: Outcome, name: str, row: EvidenceRow | None) -> str:
         return FAILED
     if name in outcome.filters and outcome.filters[name].verdict in WITHOUT_VERDICT:
         return shouted(outcome.filters[name].verdict)
-    return MISSING if row is None else ratio_text(row.ratio)
+    if row is None:
+        return MISSING
+    return ratio_text(row.ratio)

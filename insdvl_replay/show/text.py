@@ -168,10 +168,8 @@ def _markdown_cell(line: str) -> str:
 
 def sentence_of(part: Part) -> str:
     """Return the text of a part that is one sentence; empty for other parts."""
-    return (
-        part
-        if isinstance(part, str)
-        else part.text
-        if isinstance(part, Title | Callout | Remark)
-        else ""
-    )
+    if isinstance(part, str):
+        return part
+    if isinstance(part, Title | Callout | Remark):
+        return part.text
+    return ""

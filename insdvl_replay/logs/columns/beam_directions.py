@@ -134,7 +134,9 @@ def agreeing_directions(
     best.sort(key=lambda found: found[0])
     (misfit, vectors_d), (second, _) = best[0], best[1]
     is_clear = second > max(AGREES, _CLEARLY * misfit)
-    return vectors_d if is_clear and pings.agree(vectors_d) else None
+    if is_clear and pings.agree(vectors_d):
+        return vectors_d
+    return None
 
 
 def _tilts_deg(slant: float | None) -> Sequence[float]:

@@ -106,9 +106,10 @@ class Cleaner:
 
     def kept(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Return the rows of values that stay, in the order of time; the same array where all stay in place."""
-        return (
-            values[self.rows] if self.notes else values
-        )  # no row is dropped or moved without a note
+        # no row is dropped or moved without a note
+        if self.notes:
+            return values[self.rows]
+        return values
 
     def keep(
         self, good: Mask, code: str, reason: str, severity: Severity = Severity.INFO, hint: str = ""

@@ -202,7 +202,9 @@ def _without_none(values: Floats, unit: float) -> Floats:
     """Return velocities in the log's unit, NaN where they are the number that stands for none."""
     # The least 16 bits in mm/s, by which instruments of Nortek and Teledyne report no velocity.
     is_none = np.abs(values * unit + 32.768) < 1e-3
-    return np.where(is_none, np.nan, values) if is_none.any() else values
+    if is_none.any():
+        return np.where(is_none, np.nan, values)
+    return values
 
 
 def _beam_velocity(table: Table, cleaner: Cleaner) -> Floats:
@@ -505,7 +507,9 @@ def _compared_pings(
     pings = BeamVelocities.of_pings(
         cleaner.kept(beams_mps), cleaner.kept(_velocity_d(table, settings))
     )
-    return pings if len(pings) else None
+    if len(pings):
+        return pings
+    return None
 
 
 def _contradiction(pings: BeamVelocities, vectors_d: Floats) -> str:

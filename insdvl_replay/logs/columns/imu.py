@@ -122,7 +122,9 @@ def measured_vectors(table: Table, quantity: str, short: str, settings: Imu) -> 
     if f"{quantity}_var" not in table:
         return values
     unmeasured = table.column(f"{quantity}_var") < 0.0
-    return np.where(unmeasured[:, None], np.nan, values) if unmeasured.any() else values
+    if unmeasured.any():
+        return np.where(unmeasured[:, None], np.nan, values)
+    return values
 
 
 def _drop_impossible(

@@ -307,9 +307,9 @@ def attitude(table: Table, settings: Navigation | Heading, cleaner: Cleaner) -> 
 
         def to_north(quat: Floats) -> Floats:
             mat = mat_from_quat(quat)
-            return (
-                mat if settings.axes == "ned_frd" else np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
-            )
+            if settings.axes == "ned_frd":
+                return mat
+            return np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
 
         mat = in_blocks(to_north, table.values("quaternion", 4), np.empty((len(table), 3, 3)))
         for frame, north in _NORTHS:

@@ -70,7 +70,11 @@ def stamp_path(stamp: str) -> str:
     if _RATE.fullmatch(stamp):
         return ROW
     with_unit = _WITH_UNIT.fullmatch(stamp)
-    return with_unit[1] if with_unit else "header.stamp" if stamp == "header" else stamp
+    if with_unit:
+        return with_unit[1]
+    if stamp == "header":
+        return "header.stamp"
+    return stamp
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,9 @@ class Table:
         """Return the numbers at a path, (k, n), in the usual unit where the title of a column has another."""
         numbers = self.columns[path].astype(np.float64, copy=False)
         factor = self.source.factors.get(path, 1.0)
-        return numbers if factor == 1.0 else numbers * factor
+        if factor == 1.0:
+            return numbers
+        return numbers * factor
 
     def column(self, quantity: str) -> Floats:
         """Return a quantity that must be one number in each message, shape (k,)."""
@@ -145,7 +151,9 @@ class Table:
         is_time |= any(
             form.fullmatch(self.source.stamp) is not None for form in (_RATE, _WITH_UNIT)
         )
-        return None if is_time else values[:, 0]
+        if is_time:
+            return None
+        return values[:, 0]
 
     def is_time_column(self, path: str) -> bool:
         """Return whether a stamp without unit is the column of a table by which its rows have their log times."""
@@ -210,7 +218,9 @@ class Table:
                 np.int64
             )
         latency_ns = nanoseconds(self.source.latency_s)
-        return time_ns - latency_ns if latency_ns else time_ns
+        if latency_ns:
+            return time_ns - latency_ns
+        return time_ns
 
     def clock(self) -> Clock:
         """Compare the stamps with the times of recording; what is measured over an interval has the middle of it."""
@@ -232,7 +242,9 @@ def with_one_clock(time_ns: TimeNs, log_time_ns: TimeNs) -> TimeNs:
     usual_ns = int(np.median(behind_ns))
     is_old = np.abs(behind_ns - usual_ns) > nanoseconds(LEAP_S)
     few = np.count_nonzero(is_old) <= _UNDER_WAY
-    return np.where(is_old, log_time_ns - usual_ns, time_ns) if few else time_ns
+    if few:
+        return np.where(is_old, log_time_ns - usual_ns, time_ns)
+    return time_ns
 
 
 def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:

@@ -168,7 +168,9 @@ Section = TypeVar("Section", bound=msgspec.Struct)
 
 def code_of(role: str) -> str:
     """Return the beginning of the codes of notes on a role; all onboard solutions share one."""
-    return "solution" if role.startswith("filters.") else role
+    if role.startswith("filters."):
+        return "solution"
+    return role
 
 
 def solution_role(name: str) -> str:
@@ -178,11 +180,9 @@ def solution_role(name: str) -> str:
 
 def solution_name(role: str) -> str | None:
     """Return which filter's solution plays a role; None where none does."""
-    return (
-        role.removeprefix("filters.").removesuffix(".solution")
-        if role.startswith("filters.")
-        else None
-    )
+    if role.startswith("filters."):
+        return role.removeprefix("filters.").removesuffix(".solution")
+    return None
 
 
 @dataclass(frozen=True)
@@ -391,7 +391,9 @@ def requirement(role: str, section: Any, kind: str = "", key: str = "topic") -> 
 def type_of(channel: LogChannel) -> str:
     """Return the type of a channel's messages as it is known: ROS 1's as ROS 2's, MAVLink's in JSON by its topic."""
     mavlink = _MAVLINK.search(channel.topic) if channel.encoding == "json" else None
-    return f"mavlink.{mavlink[1]}" if mavlink else full_name(channel.type_name)
+    if mavlink:
+        return f"mavlink.{mavlink[1]}"
+    return full_name(channel.type_name)
 
 
 class Topics:
@@ -450,7 +452,9 @@ class Topics:
                 f"{' and '.join(candidates)} could each be the {required.key or required.role}",
                 hint,
             )
-        return self.source(required, candidates[0]) if candidates else None
+        if candidates:
+            return self.source(required, candidates[0])
+        return None
 
     def need(self, required: TopicRequirement) -> Source:
         """Find the topic of a role that a replay needs."""

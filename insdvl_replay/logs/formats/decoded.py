@@ -174,17 +174,19 @@ def _field(
 
     def elements(value: Any) -> list[float]:
         items = access(value, name, shape)
-        return (
-            [number for item in items[chosen] for number in inside(item)]
-            if items is not None
-            else []
-        )
+        if items is not None:
+            return [number for item in items[chosen] for number in inside(item)]
+        return []
 
     def single(value: Any) -> Sequence[float]:
         inner = access(value, name, shape)
-        return missing if inner is None else inside(inner)
+        if inner is None:
+            return missing
+        return inside(inner)
 
-    return elements if shape.is_list else single
+    if shape.is_list:
+        return elements
+    return single
 
 
 # --- Protobuf.
@@ -221,9 +223,9 @@ def protobuf_reader(type_name: str, schema_data: bytes, paths: Sequence[str]) ->
             ) from error
 
     def access(message: Any, name: str, shape: Shape) -> Any:
-        return (
-            None if shape.may_be_absent and not message.HasField(name) else getattr(message, name)
-        )
+        if shape.may_be_absent and not message.HasField(name):
+            return None
+        return getattr(message, name)
 
     return DecodedFields(
         type_name, paths, decode, access, _protobuf_shape(kind.DESCRIPTOR, (), count())
@@ -305,7 +307,9 @@ def _decoded(message: memoryview) -> Any:
 
 def _member(structure: Any, name: str, shape: Shape) -> Any:
     inner = structure.get(name) if isinstance(structure, dict) else None
-    return None if shape.is_list and not isinstance(inner, list) else inner
+    if shape.is_list and not isinstance(inner, list):
+        return None
+    return inner
 
 
 def _schema_shape(schema_data: bytes) -> Shape:
@@ -333,7 +337,9 @@ def _schema_shape(schema_data: bytes) -> Shape:
         )
 
     shape = described(schema, 0)
-    return shape if shape.kind == _STRUCTURE else Shape(_STRUCTURE)
+    if shape.kind == _STRUCTURE:
+        return shape
+    return Shape(_STRUCTURE)
 
 
 def _shape_of(value: Any, level: int = 0) -> Shape:
@@ -362,7 +368,9 @@ def _object(fields: Mapping[str, Shape]) -> Shape:
 def _merged(shape: Shape, example: Shape) -> Shape:
     """Add what an example shows; text, null and an empty list give way to it."""
     if shape.kind != _STRUCTURE or example.kind != _STRUCTURE:
-        return example if shape.kind == TEXT else shape
+        if shape.kind == TEXT:
+            return example
+        return shape
     fields = dict(shape.fields)
     for name, inner in example.fields.items():
         fields[name] = _merged(fields.get(name, Shape(TEXT)), inner)

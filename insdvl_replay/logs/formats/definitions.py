@@ -62,7 +62,9 @@ _EMPTY: Final = (
 
 def full_name(type_name: str) -> str:
     """Return a type's name as ``package/msg/Type``."""
-    return type_name if type_name.count("/") != 1 else type_name.replace("/", "/msg/")
+    if type_name.count("/") != 1:
+        return type_name
+    return type_name.replace("/", "/msg/")
 
 
 def record_again(language: str) -> str:

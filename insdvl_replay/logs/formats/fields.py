@@ -401,11 +401,9 @@ class _Plan:
             if part.dtype.kind == "b":
                 part = part.view(np.uint8) != 0
             parts.append(part.astype(np.float64 if part.dtype.kind == "f" else np.int64))
-        return (
-            parts[0]
-            if len(parts) == 1
-            else np.concatenate([np.empty((len(values), 0), np.int64), *parts], axis=1)
-        )
+        if len(parts) == 1:
+            return parts[0]
+        return np.concatenate([np.empty((len(values), 0), np.int64), *parts], axis=1)
 
 
 def _leaves(dtype: np.dtype[np.void], path: str) -> Iterator[tuple[np.dtype[Any], int]]:
@@ -533,7 +531,9 @@ class BinaryReader:
         fits = np.ones(rows.size, np.bool_)
         for name, word in plan.checks.items():
             fits &= values[name] == word
-        return (rows, values) if fits.all() else (rows[fits], values[fits])
+        if fits.all():
+            return (rows, values)
+        return (rows[fits], values[fits])
 
     def _require_little_endian(self, block: Block) -> None:
         if np.any(block.sizes < len(ENCAPSULATION)):

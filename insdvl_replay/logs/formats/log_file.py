@@ -350,11 +350,9 @@ class LogFile(ABC):
     def span_ns(self) -> Span | None:
         """First and last log time; None without messages."""
         times = [times for times in self.log_times().values() if times.size]
-        return (
-            (min(int(part.min()) for part in times), max(int(part.max()) for part in times))
-            if times
-            else None
-        )
+        if times:
+            return (min(int(part.min()) for part in times), max(int(part.max()) for part in times))
+        return None
 
     @property
     @abstractmethod
@@ -448,7 +446,9 @@ class Chunk:
     @property
     def index_end(self) -> int:
         """Where the last of the indexes ends."""
-        return self.indexes[-1][1] if self.indexes else self.end
+        if self.indexes:
+            return self.indexes[-1][1]
+        return self.end
 
 
 class Content(NamedTuple):

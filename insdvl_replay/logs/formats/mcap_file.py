@@ -83,7 +83,9 @@ _RECORDS: Final[dict[int, Any]] = {
 
 def can_be_record(kind: int, length: int) -> bool:
     """Return whether a record of a kind can have a length."""
-    return length >= _LEAST[kind] if kind < len(_LEAST) else kind >= _FIRST_PRIVATE
+    if kind < len(_LEAST):
+        return length >= _LEAST[kind]
+    return kind >= _FIRST_PRIVATE
 
 
 def walk(buffer: memoryview, room: int) -> tuple[NDArray[np.int64], int, int, bool]:
@@ -160,9 +162,8 @@ def next_record(file: FileBytes, place: int, end: int) -> int:
             return 0
         kind, length = HEADER.unpack_from(head)
         is_known = kind <= _LAST_KNOWN and can_be_record(kind, length)
-        return (
-            place + HEADER_SIZE + length if is_known and length <= end - place - HEADER_SIZE else 0
-        )
+        fits = length <= end - place - HEADER_SIZE
+        return place + HEADER_SIZE + int(length) if is_known and fits else 0
 
     for start in range(place, end, _LARGE_WINDOW):
         piece = file.read(start, min(start + _LARGE_WINDOW + HEADER_SIZE - 1, end))
@@ -260,7 +261,9 @@ class McapFile(ChunkedFile):
             self.damage(
                 0, f"the opening bytes are '{opening[:magic].hex(' ')}', not those of an MCAP file"
             )
-        return size - magic if self._is_closed else size
+        if self._is_closed:
+            return size - magic
+        return size
 
     def _walk(self, end: int) -> None:
         """Go from the first record to the last one."""

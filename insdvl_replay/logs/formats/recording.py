@@ -225,7 +225,9 @@ class Recording:
             *self._unusable.values(),
         ]
         saved = (times for part in self.parts for times in part.saved_times())
-        return damaged_file_error(faults, saved) if faults else None
+        if faults:
+            return damaged_file_error(faults, saved)
+        return None
 
     def _raise_if_damaged(self) -> None:
         if not self.allow_damaged and (error := self.damage_error()) is not None:
@@ -378,11 +380,9 @@ def _unquoted(name: str) -> str:
     """Return a name as YAML means it."""
     if name[:1] == name[-1:] == "'" and len(name) > 1:
         return name[1:-1].replace("''", "'")
-    return (
-        re.sub(r"\\(.)", r"\1", name[1:-1])
-        if name[:1] == name[-1:] == '"' and len(name) > 1
-        else name
-    )
+    if name[:1] == name[-1:] == '"' and len(name) > 1:
+        return re.sub(r"\\(.)", r"\1", name[1:-1])
+    return name
 
 
 # --- Files of other formats: what they are, by their first bytes, and the step that makes a log of them.

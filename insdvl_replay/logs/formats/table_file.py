@@ -752,7 +752,9 @@ def _read_times(table: _Table, name: str, series: Any, texts: Any) -> NDArray[An
         table.units[name] = "ns"
         if times.period_ns:
             table.periods_ns[name] = times.period_ns
-        return times.time_ns if times.known.all() else np.where(times.known, times.time_ns, np.nan)
+        if times.known.all():
+            return times.time_ns
+        return np.where(times.known, times.time_ns, np.nan)
     if not len(texts) or pd.to_numeric(texts, errors="coerce").notna().mean() > _FEW:
         return None
     dates = pd.to_datetime(series, errors="coerce", utc=True, format="ISO8601")

@@ -66,7 +66,9 @@ def _header(cells: Sequence[Sequence[str]], above: Sequence[int], rows_at: int) 
 
 
 def _with_unit(title: str, unit: str) -> str:
-    return f"{title} [{unit.strip('[]()')}]" if unit and not unit_of(title) else title
+    if unit and not unit_of(title):
+        return f"{title} [{unit.strip('[]()')}]"
+    return title
 
 
 def _cells(line: bytes, separator: bytes | None) -> list[str]:

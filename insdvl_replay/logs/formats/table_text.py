@@ -52,7 +52,9 @@ def separator_of(lines: Sequence[bytes]) -> bytes | None:
 
 def usual(counts: Sequence[int]) -> int:
     """Return the most common count; 0 for none."""
-    return Counter(counts).most_common(1)[0][0] if counts else 0
+    if counts:
+        return Counter(counts).most_common(1)[0][0]
+    return 0
 
 
 def first_row(lines: Sequence[bytes], separator: bytes | None) -> int:

@@ -73,7 +73,9 @@ def calendar_of(values: NDArray[Any]) -> Calendar | None:
 def zero_of(values: NDArray[Any], unit: str) -> float:
     """Return the number from which times in a unit are counted: of days that of 1970 in their calendar."""
     calendar = calendar_of(values) if unit == "d" and values.size else None
-    return calendar.zero if calendar else 0.0
+    if calendar:
+        return calendar.zero
+    return 0.0
 
 
 def in_ns(values: NDArray[Any], unit: str) -> TimeNs:
@@ -87,7 +89,9 @@ def in_ns(values: NDArray[Any], unit: str) -> TimeNs:
 def usual_step(values: NDArray[Any]) -> float:
     """Return the median step between times that rise; 0 where none does."""
     steps = np.diff(values.astype(np.float64))
-    return float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    if (steps > 0.0).any():
+        return float(np.median(steps[steps > 0.0]))
+    return 0.0
 
 
 def likely_unit(values: NDArray[Any]) -> str:
@@ -121,7 +125,9 @@ def guessed_units(step: float) -> str:
         step_s = step * TIME_UNITS_NS[unit] / NS_PER_S
         if step_s > 0.0 and _RATES_HZ[0] < 1.0 / step_s < _RATES_HZ[1]:
             guesses.append(f"{step_s:.3g} s in {unit}")
-    return f"; it would be {' or '.join(guesses)}" if guesses else ""
+    if guesses:
+        return f"; it would be {' or '.join(guesses)}"
+    return ""
 
 
 def exact_to_s(days: NDArray[np.float64]) -> float:
@@ -242,7 +248,9 @@ def shift_ns(times: Bounds, period_ns: int, others: Bounds) -> int | None:
         (nearest + step * period_ns for step in (-1, 0, 1)), key=overlap_ns, reverse=True
     )
     best, second = (overlap_ns(shift) for shift in shifts[:2])
-    return None if second > 0 and second > 0.98 * best else shifts[0]
+    if second > 0 and second > 0.98 * best:
+        return None
+    return shifts[0]
 
 
 def joined_bounds(bounds: Sequence[Bounds]) -> Bounds:
