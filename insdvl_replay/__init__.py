@@ -32,7 +32,7 @@ Biases are what remains in the readings: ``reading = true + bias``.
 What is missing is NaN with a word that says why, never 0.
 """
 
-__version__ = "0.1.0"
+from insdvl_replay.core.version import __version__
 
 TYPE_CHECKING = False  # as in `typing`, whose import would delay the handling of signals
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 from msgspec.structs import replace as changed
 
-from insdvl_replay import __version__
 from insdvl_replay.batch.dive_paths import FoundDive, shared_settings
 from insdvl_replay.batch.workers import Pool, WorkerLostError, do_each
 from insdvl_replay.core.config import FREE, Config, flattened
@@ -29,6 +28,7 @@ from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError, li
 from insdvl_replay.core.result import Report, StoredReport, decode_report, package_versions
 from insdvl_replay.core.result import as_json as encode_report
 from insdvl_replay.core.runtime import parallel_map, sources_digest, track_progress
+from insdvl_replay.core.version import __version__
 from insdvl_replay.core.words import Severity
 from insdvl_replay.results.folder import (
     COMPLETE,

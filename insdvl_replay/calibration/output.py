@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay import __version__
 from insdvl_replay.calibration.calibration import AXES, Calibration
 from insdvl_replay.calibration.certainty import correlation_matrix, mean_change, one_by_one
 from insdvl_replay.calibration.dives import answer_of
@@ -53,6 +52,7 @@ from insdvl_replay.core.result import (
     Title,
     filter_style,
 )
+from insdvl_replay.core.version import __version__
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.preparation.run import FIT
 from insdvl_replay.show.document import number, shown, table_of

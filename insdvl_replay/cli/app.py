@@ -4,13 +4,13 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay import __version__
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.analyses import calibrate, inspect, study
 from insdvl_replay.cli.changes import check, compare, plan
 from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.run import run
 from insdvl_replay.cli.utilities import compile_, config, explain, figure, schema, simulate
+from insdvl_replay.core.version import __version__
 
 # Plain help: rich would add 0.1 s and cut lines in a pipe.
 app = typer.Typer(

@@ -33,12 +33,12 @@ import msgspec
 from msgspec import Meta, Struct
 from msgspec.structs import astuple
 
-from insdvl_replay import __version__
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_record import Channel, ImuFingerprint, ReferenceDelay, StartHeading
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.runtime import sources_digest
 from insdvl_replay.core.tables import CandidateVerdict, Tables
+from insdvl_replay.core.version import __version__
 
 if TYPE_CHECKING:
     # Only types are needed: reading a stored result must not wait for these imports.

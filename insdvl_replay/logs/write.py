@@ -21,7 +21,6 @@ from mcap.records import MessageIndex
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from insdvl_replay import __version__
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Dive,
@@ -35,6 +34,7 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG_PER_HOUR, MG, STANDARD_GRAVITY_MPS2, STATES
 from insdvl_replay.core.tables import Tables, each_table
+from insdvl_replay.core.version import __version__
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import MAT_FRD_FLU, east_north_up_m, quat_enu_flu
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, turned

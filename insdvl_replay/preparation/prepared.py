@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 from msgspec.structs import replace as changed
 
-from insdvl_replay import logs
 from insdvl_replay.checks.imu import length_refusal
 from insdvl_replay.checks.reference import plausibility_notes, without_frozen
 from insdvl_replay.checks.reference_delay import with_reference_delay
@@ -34,6 +33,7 @@ from insdvl_replay.core.states import DEG, DV, PHI, STATES
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import DvlMounting, moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy
+from insdvl_replay.logs import name_giver, read_dive
 from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities, dvl_beams, dvl_velocities
 from insdvl_replay.nav.earth_model import HOLD_AFTER_S
 from insdvl_replay.nav.measurements import Measurement
@@ -98,8 +98,8 @@ def read_checked_dive(
     name: str | None = None,
 ) -> Dive:
     """Read a dive, and note what cannot be true in its columns; LogError where the tables would be wrong."""
-    dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
-    place = str(logs.name_giver((path,) if isinstance(path, Path) else path))
+    dive = read_dive(path, config, allow_damaged=allow_damaged)
+    place = str(name_giver((path,) if isinstance(path, Path) else path))
     if (error := length_refusal(place, dive.imu)) is not None:
         raise error
     if len(dive.dvl.time_ns) < FEWEST_PINGS:

@@ -24,9 +24,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay import logs
 from insdvl_replay.core.config import Config, Evaluation, Filter
 from insdvl_replay.core.errors import ConfigError, visible
+from insdvl_replay.logs import read_dive
 from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
 from insdvl_replay.nav.user_measurement import failure_text, load_class
 from insdvl_replay.preparation.solution_files import LONGEST_LINE, checked_solution, read_solution
@@ -315,11 +315,11 @@ def run_as_program(
 ) -> None:
     """Run a class over the files that a program is given."""
     start = CandidateStart.from_json(start_file.read_bytes())
-    dive = logs.read_dive(dive_file, Config())
+    dive = read_dive(dive_file, Config())
     if sensors := tuple(
         _TOPICS[channel.topic] for channel in dive.channels if channel.topic in _TOPICS
     ):
-        dive = logs.read_dive(dive_file, Config(evaluation=Evaluation(held_out=sensors)))
+        dive = read_dive(dive_file, Config(evaluation=Evaluation(held_out=sensors)))
     solution = checked_solution(kind().run(dive, start))
     with solution_file.open("wb") as file:
         np.savez(

@@ -12,7 +12,6 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from insdvl_replay import logs
 from insdvl_replay.core.config import MOST_BYTES
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.errors import LogError, hint_for, read_regular, visible
@@ -20,6 +19,8 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m
 from insdvl_replay.geometry.rotation import mat_from_rpy
+from insdvl_replay.logs import MAGIC
+from insdvl_replay.logs import read_solution as read_solution_of_log
 from insdvl_replay.nav.user_candidate import (
     CandidateError,
     CandidateStart,
@@ -125,10 +126,10 @@ def read_solution(path: Path, start: CandidateStart) -> Solution:
             raise CandidateError(
                 f"wrote a solution that is not of run_as_program: {error}"
             ) from error
-    if not data.startswith(logs.MAGIC) and data.lstrip()[:1] not in b"#+-.0123456789":
+    if not data.startswith(MAGIC) and data.lstrip()[:1] not in b"#+-.0123456789":
         return checked_solution(_read_csv(data))
     try:
-        read, notes = logs.read_solution(path)
+        read, notes = read_solution_of_log(path)
     except LogError as error:
         raise CandidateError(
             f"wrote a solution that cannot be read: {visible(error.inside(path))}"

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
-from insdvl_replay import __version__, logs
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.errors import visible
@@ -14,6 +13,8 @@ from insdvl_replay.core.result import Block, Report, as_json, build_report, this
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DVL_AIDING
 from insdvl_replay.core.tables import each_table
+from insdvl_replay.core.version import __version__
+from insdvl_replay.logs import write_replay
 from insdvl_replay.replay import Replay
 from insdvl_replay.results.folder import (
     COMPLETE,
@@ -60,7 +61,7 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
                 measured.setdefault(
                     innovations.measurement, (innovations.valid_ns, innovations.measured)
                 )
-        logs.write_replay(
+        write_replay(
             folder / REPLAY_LOG,
             dive=replay.dive,
             histories=replay.histories,

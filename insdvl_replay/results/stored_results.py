@@ -8,11 +8,11 @@ from typing import NoReturn, TypeVar
 
 import msgspec
 
-from insdvl_replay import __version__
 from insdvl_replay.core.errors import ConfigError, Note, ResultError, counted, listed, looked_for
 from insdvl_replay.core.path_kinds import SUMMARY, looks_like_log, replay_hint
 from insdvl_replay.core.result import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES
+from insdvl_replay.core.version import __version__
 from insdvl_replay.core.words import Severity
 from insdvl_replay.results.folder import COMPLETE, LABELS, NOT_JSON, Label, read_file
 
