@@ -69,6 +69,7 @@ lint: .venv/test.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m pytest --quiet -rP tests/project/test_house.py
 
 # Makes logs of up to 3 GB in the temporary folder and removes them; takes some half an hour.
 bench: .venv/bench.stamp
