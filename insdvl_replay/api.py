@@ -17,8 +17,16 @@ from insdvl_replay.core.config_file import load_config as _load_config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import ConfigError, ResultError, UserError, hint_for
 from insdvl_replay.core.path_kinds import result_hint, result_named
-from insdvl_replay.core.result import Block, Callout, Code, Part, Report, Title
-from insdvl_replay.core.result import Result as Content
+from insdvl_replay.core.report import Report
+from insdvl_replay.document.parts import (
+    Block,
+    Callout,
+    Code,
+    Part,
+    Title,
+)
+from insdvl_replay.document.parts import Result as Content
+from insdvl_replay.document.tables import header_and_rows
 from insdvl_replay.nav.user_candidate import Candidate as Candidate
 from insdvl_replay.nav.user_candidate import Solution as Solution
 from insdvl_replay.nav.user_measurement import UserMeasurement as UserMeasurement
@@ -33,7 +41,6 @@ from insdvl_replay.results.folder import (
     result_folder,
 )
 from insdvl_replay.results.stored_results import read_one_result, read_reports
-from insdvl_replay.show.document import header_and_rows
 from insdvl_replay.show.screens import dive_screen, dives_screen
 
 if TYPE_CHECKING:
@@ -587,7 +594,7 @@ class Result:
 
         from rich.console import Console
 
-        from insdvl_replay.show.text import for_terminal
+        from insdvl_replay.document.text import for_terminal
 
         console = Console(width=100, file=io.StringIO(), record=True)
         console.print(for_terminal(self._screen()))
@@ -596,7 +603,7 @@ class Result:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        from insdvl_replay.show.page import fragment
+        from insdvl_replay.document.page import fragment
 
         return fragment(self._screen())
 
@@ -619,14 +626,14 @@ class CommandResult(Result):
 
     def save(self, folder: Text, *, force: bool = False) -> Path:
         """Write page, tables, report.json and, as proposed.toml, the settings into a new folder; return its path."""
-        from insdvl_replay.show.render import save_result
+        from insdvl_replay.document.render import save_result
 
         with result_folder(_path("folder", folder), force=force) as made:
             save_result(replace(self.content, data=None), made)
         return Path(folder)
 
     def _screen(self) -> Sequence[Part]:
-        from insdvl_replay.show.render import document
+        from insdvl_replay.document.render import document
 
         return document(self.content)
 
@@ -725,8 +732,8 @@ class DiveResult(Result):
         """
         import msgspec
 
+        from insdvl_replay.document.paper import paper_canvas, require_width
         from insdvl_replay.results.trajectory import paper_figure
-        from insdvl_replay.show.paper import paper_canvas, require_width
 
         require_width(width_mm, f"width_mm={width_mm}")
         reference = self.reference if kind == "track" else None

@@ -9,7 +9,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.result import Report, build_report
+from insdvl_replay.core.report import Report, build_report
 from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.core.tables import (
     CandidateVerdict,

@@ -31,9 +31,10 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_record import LOG_SUFFIXES
 from insdvl_replay.core.errors import ConfigError, LogError, UserError, counted, listed
 from insdvl_replay.core.quantities import label
-from insdvl_replay.core.result import Report
+from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import PooledRow, finite, share_text
 from insdvl_replay.core.words import Verdict
+from insdvl_replay.document.plot import style_sheet
 from insdvl_replay.evaluation.answers import BAD, GOOD, CandidateAnswer, Undecided
 from insdvl_replay.evaluation.sentences import (
     headline,
@@ -45,7 +46,6 @@ from insdvl_replay.evaluation.sentences import (
 from insdvl_replay.show import answers
 from insdvl_replay.show.dives import NO_EVIDENCE
 from insdvl_replay.show.first_screen import ForestRow, forest, interval_ends
-from insdvl_replay.show.plot import style_sheet
 
 PAGE = PROJECT / "docs" / "benchmark.md"
 PICTURE = PAGE.with_suffix(".svg")

@@ -14,8 +14,8 @@ from msgspec import Struct
 
 from insdvl_replay.core.dive_columns import seconds
 from insdvl_replay.core.history import History
-from insdvl_replay.core.result import Result
 from insdvl_replay.core.states import NINE, STATES
+from insdvl_replay.document.parts import Result
 from insdvl_replay.evaluation.convergence import mean_over_nine
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.replay import Replay

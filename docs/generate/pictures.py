@@ -11,11 +11,11 @@ from verdict_picture import verdict_picture
 from written import PROJECT
 
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.result import Figure, Result
+from insdvl_replay.document.parts import Figure, Result
+from insdvl_replay.document.plot import sheet_svg
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.show.figures import replay_figures
-from insdvl_replay.show.plot import sheet_svg
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.studies.montecarlo import PICTURES as ENSEMBLE_PICTURES
 from insdvl_replay.studies.montecarlo import ensemble_figure

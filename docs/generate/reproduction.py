@@ -22,9 +22,9 @@ from written import PROJECT, markdown_table, renewed
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.quantities import label
-from insdvl_replay.core.result import Result
 from insdvl_replay.core.states import NINE
 from insdvl_replay.core.tables import PooledRow, finite
+from insdvl_replay.document.parts import Result
 from insdvl_replay.evaluation.answers import pooled_evidence
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.evaluation.sentences import ratio_text

@@ -14,7 +14,7 @@ from insdvl_replay.batch.jobs import ReplayJob, known_reports
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import UserError
-from insdvl_replay.core.result import Report
+from insdvl_replay.core.report import Report
 from insdvl_replay.results.folder import VEHICLE_FILE
 
 FITTED_NOTE: Final = "found_noise"

@@ -25,8 +25,13 @@ from insdvl_replay.batch.workers import Pool, WorkerLostError, do_each
 from insdvl_replay.core.config import FREE, Config, flattened
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError, listed
-from insdvl_replay.core.result import Report, StoredReport, decode_report, package_versions
-from insdvl_replay.core.result import as_json as encode_report
+from insdvl_replay.core.report import (
+    Report,
+    StoredReport,
+    decode_report,
+    package_versions,
+)
+from insdvl_replay.core.report import as_json as encode_report
 from insdvl_replay.core.runtime import parallel_map, sources_digest, track_progress
 from insdvl_replay.core.version import __version__
 from insdvl_replay.core.words import Severity

@@ -22,11 +22,11 @@ from insdvl_replay.calibration.reference import with_reference
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, counted, require_known
-from insdvl_replay.core.result import Callout
 from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.tables import finite
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.show.document import numbers_apart
+from insdvl_replay.document.parts import Callout
+from insdvl_replay.document.tables import numbers_apart
 
 LITTLE_DRIFT: Final = 0.01  # so small a change of the drift on held-out dives is none
 MORE_DRIFT: Final = "it increases the drift on held-out dives"

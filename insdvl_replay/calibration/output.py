@@ -35,7 +35,9 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import counted, visible
-from insdvl_replay.core.result import (
+from insdvl_replay.core.version import __version__
+from insdvl_replay.core.words import Estimated
+from insdvl_replay.document.parts import (
     LIMIT,
     PAGE,
     REFERENCE,
@@ -52,10 +54,8 @@ from insdvl_replay.core.result import (
     Title,
     filter_style,
 )
-from insdvl_replay.core.version import __version__
-from insdvl_replay.core.words import Estimated
+from insdvl_replay.document.tables import number, shown, table_of
 from insdvl_replay.preparation.run import FIT
-from insdvl_replay.show.document import number, shown, table_of
 from insdvl_replay.show.figures import Clock
 
 DIGITS: Final = 6  # decimals of proposed values, finer than any sd

@@ -20,7 +20,7 @@ from insdvl_replay.core.quantities import (
     FEWEST_DIVES,
     WITHOUT_VERDICT,
 )
-from insdvl_replay.core.result import StoredReport, StoredResult
+from insdvl_replay.core.report import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES, EvidenceRow, Number, finite
 from insdvl_replay.core.words import Role, Verdict
 from insdvl_replay.evaluation import answers

@@ -14,10 +14,10 @@ from typing import Any, Final, NamedTuple, TypeGuard
 from msgspec import Struct
 
 from insdvl_replay.core.quantities import CONSISTENCY, label
-from insdvl_replay.core.result import Cell, Row, StoredReport
+from insdvl_replay.core.report import Cell, Row, StoredReport
 from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, UNITS, Better, Number, TableLayout
 from insdvl_replay.core.words import ChangeVerdict
-from insdvl_replay.show.document import FORMS
+from insdvl_replay.document.tables import FORMS
 
 PRINTED_DIGITS: Final = 4
 PRINTED_PERCENT_UNIT: Final = 0.1

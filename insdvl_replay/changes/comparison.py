@@ -18,11 +18,11 @@ from insdvl_replay.changes.cells import ROUNDING, Change, RowPair, changes_of, p
 from insdvl_replay.core.config import flattened
 from insdvl_replay.core.errors import ConfigError, Note, counted, listed, require_known
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
-from insdvl_replay.core.result import StoredReport, StoredResult
+from insdvl_replay.core.report import StoredReport, StoredResult
 from insdvl_replay.core.tables import LAYOUTS, Number
 from insdvl_replay.core.words import ChangeVerdict, MatchedBy, Severity, Verdict
+from insdvl_replay.document.tables import FORMS
 from insdvl_replay.results.stored_results import read_results
-from insdvl_replay.show.document import FORMS
 
 # What may differ outside the tables, in the order of interest.
 BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")

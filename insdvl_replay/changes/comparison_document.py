@@ -17,7 +17,9 @@ from insdvl_replay.changes.comparison import (
 )
 from insdvl_replay.core.errors import counted, listed, natural_key
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
-from insdvl_replay.core.result import (
+from insdvl_replay.core.tables import CANDIDATES, RATIO, PooledRow, finite
+from insdvl_replay.core.words import ChangeVerdict, Verdict
+from insdvl_replay.document.parts import (
     PAGE,
     PRINTED,
     Block,
@@ -29,8 +31,7 @@ from insdvl_replay.core.result import (
     Sentences,
     Title,
 )
-from insdvl_replay.core.tables import CANDIDATES, RATIO, PooledRow, finite
-from insdvl_replay.core.words import ChangeVerdict, Verdict
+from insdvl_replay.document.tables import MISSING, ShownColumn, table_of
 from insdvl_replay.evaluation.answers import Undecided
 from insdvl_replay.evaluation.sentences import (
     headline,
@@ -41,7 +42,6 @@ from insdvl_replay.evaluation.sentences import (
     word_of,
 )
 from insdvl_replay.show.answers import TONES, verdict_in_table
-from insdvl_replay.show.document import MISSING, ShownColumn, table_of
 from insdvl_replay.show.first_screen import (
     ForestRow,
     by_dive_forest,

@@ -11,18 +11,17 @@ from insdvl_replay.changes.cells import cell_name
 from insdvl_replay.changes.gate_file import TRAJECTORY
 from insdvl_replay.changes.gates import EVERY_DIVE, NOT_EXPECTED, CheckResult, Finding, GateOutcome
 from insdvl_replay.core.errors import counted, visible, visible_lines
-from insdvl_replay.core.result import (
+from insdvl_replay.core.report import Tool, this_tool
+from insdvl_replay.core.words import GateStatus
+from insdvl_replay.document.parts import (
     Block,
     Callout,
     DisplayTable,
     Part,
     Result,
     Title,
-    Tool,
-    this_tool,
 )
-from insdvl_replay.core.words import GateStatus
-from insdvl_replay.show.render import render
+from insdvl_replay.document.render import render
 
 # By status: word before a gate, word after a count, element of JUnit XML.
 WORDS: Final[dict[GateStatus, tuple[str, str, str]]] = {

@@ -30,7 +30,12 @@ from insdvl_replay.core.errors import (
     require_known,
 )
 from insdvl_replay.core.path_kinds import require_kind_of_toml
-from insdvl_replay.core.result import Row, StoredLog, StoredReport, as_json
+from insdvl_replay.core.report import (
+    Row,
+    StoredLog,
+    StoredReport,
+    as_json,
+)
 from insdvl_replay.core.states import COLUMNS, GROUPS
 from insdvl_replay.core.tables import CANDIDATES, TABLES, PooledRow, layout_of
 from insdvl_replay.core.words import GateLevel

@@ -42,13 +42,13 @@ from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ResultError, UserError
 from insdvl_replay.core.quantities import WITHOUT_VERDICT
-from insdvl_replay.core.result import Cell, StoredLog, StoredReport
+from insdvl_replay.core.report import Cell, StoredLog, StoredReport
 from insdvl_replay.core.states import ANGLES, COLUMNS, GROUPS
 from insdvl_replay.core.tables import PERCENTAGE, EvidenceRow, PooledRow
 from insdvl_replay.core.words import ChangeVerdict, GateLevel, GateStatus, ReferenceStatus
+from insdvl_replay.document.tables import numbers_apart
 from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE
 from insdvl_replay.results.stored_results import read_results
-from insdvl_replay.show.document import numbers_apart
 
 if TYPE_CHECKING:
     # Trajectories need numpy, and a check of tables alone must not wait for it.

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.calibration.innovations import ReadDive
     from insdvl_replay.core.config import Config
-    from insdvl_replay.core.result import Result
+    from insdvl_replay.document.parts import Result
     from insdvl_replay.inspection.inventory import Inventory
 
 
@@ -82,7 +82,7 @@ def inspect(
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.cli.screen import fetch_with_progress, progress, written
     from insdvl_replay.core.config_file import given_keys, load_config
-    from insdvl_replay.core.result import as_json
+    from insdvl_replay.core.report import as_json
     from insdvl_replay.inspection.inventory import inspection_result
     from insdvl_replay.inspection.survey import inspect_log, inspect_summary
     from insdvl_replay.results.folder import require_replaceable_file
@@ -284,8 +284,8 @@ def calibrate(
         written,
     )
     from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.document.render import render
     from insdvl_replay.results.folder import require_replaceable_file, result_file
-    from insdvl_replay.show.render import render
 
     logs_found = find_dives(logs)
     own = shared_settings(logs_found, "calibrate")
@@ -573,9 +573,9 @@ def _keep(
 ) -> "Result":
     """Run a study, write its files, and print the result, its notes and its folder."""
     from insdvl_replay.cli.screen import compiling, progress, written
+    from insdvl_replay.document.paper import require_matplotlib
+    from insdvl_replay.document.render import save_result
     from insdvl_replay.results.folder import require_replaceable_folder, result_folder
-    from insdvl_replay.show.paper import require_matplotlib
-    from insdvl_replay.show.render import save_result
 
     require_replaceable_folder(target, force=force)
     if png:

@@ -142,7 +142,7 @@ def plan(
       insdvl-replay plan replay --format csv > plan.csv
     """
     from insdvl_replay.cli.screen import written
-    from insdvl_replay.core.result import Report
+    from insdvl_replay.core.report import Report
     from insdvl_replay.results.stored_results import read_reports
     from insdvl_replay.show.plan import plan_result
 

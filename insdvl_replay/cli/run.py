@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.core.config import Config
-    from insdvl_replay.core.result import Report
+    from insdvl_replay.core.report import Report
     from insdvl_replay.show.answers import Failure
 
 _BEGINNING = 1000  # bytes at the start of a file that identify an overview of this tool
@@ -172,7 +172,8 @@ def run(
     from insdvl_replay.cli.screen import fetch_with_progress, written
     from insdvl_replay.core.config_file import changed_by, given_keys
     from insdvl_replay.core.errors import Note, visible
-    from insdvl_replay.core.result import Part, Report
+    from insdvl_replay.core.report import Report
+    from insdvl_replay.document.parts import Part
     from insdvl_replay.results.folder import PAGE, VEHICLE_FILE, require_parquet, result_file
     from insdvl_replay.results.stored_results import earlier_results
     from insdvl_replay.show.answers import Failure
@@ -422,7 +423,8 @@ def _tables_of_all(
 ) -> str:
     """Return the named tables over all dives, after those of each dive if these are printed at the end, too."""
     from insdvl_replay.cli.screen import written
-    from insdvl_replay.core.result import Heading, Part, Report
+    from insdvl_replay.core.report import Report
+    from insdvl_replay.document.parts import Heading, Part
     from insdvl_replay.show.dive import TOGETHER, tables_named
     from insdvl_replay.show.dives import named_result
 
@@ -610,7 +612,7 @@ def _outcomes_by_groups(
 
 def _contradicts(outcome: "Outcome", first: "Outcome") -> bool:
     """Return whether the settings that fit the first dive of a vehicle do not fit another one."""
-    from insdvl_replay.core.result import Report
+    from insdvl_replay.core.report import Report
     from insdvl_replay.preparation.run import MISREAD, MOST_NIS
     from insdvl_replay.show.dive import values_of
 
@@ -644,7 +646,7 @@ def _needs_settings(outcome: "Outcome") -> bool:
 def _with_search_hint(outcome: "Outcome", hint: str) -> "tuple[Outcome, str]":
     """Return an outcome whose error has a hint if other settings may help, and a line if its settings may not fit."""
     from insdvl_replay.core.errors import UserError
-    from insdvl_replay.core.result import Report
+    from insdvl_replay.core.report import Report
     from insdvl_replay.logs.formats.recording import open_recording
     from insdvl_replay.preparation.run import MISREAD, MOST_NIS
     from insdvl_replay.show.dive import values_of

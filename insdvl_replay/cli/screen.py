@@ -13,7 +13,6 @@ from rich.text import Text
 
 from insdvl_replay.cli.messages import log_to_stderr
 from insdvl_replay.core.errors import visible
-from insdvl_replay.core.result import Result
 from insdvl_replay.core.runtime import (
     LEAST_TO_COMPILE_BYTES,
     cache_problem,
@@ -21,9 +20,10 @@ from insdvl_replay.core.runtime import (
     progress_listener,
     require_memory,
 )
-from insdvl_replay.show.render import document as parts_of
-from insdvl_replay.show.render import render
-from insdvl_replay.show.text import for_terminal
+from insdvl_replay.document.parts import Result
+from insdvl_replay.document.render import document as parts_of
+from insdvl_replay.document.render import render
+from insdvl_replay.document.text import for_terminal
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.dive_paths import FoundDive

@@ -244,9 +244,10 @@ def json_schema(name: str) -> bytes:
     from insdvl_replay.calibration.rows import TABLES as CALIBRATION
     from insdvl_replay.changes.formats import CheckReport
     from insdvl_replay.core.config import Config
-    from insdvl_replay.core.result import Report, ResultJson, as_json
+    from insdvl_replay.core.report import Report, as_json
+    from insdvl_replay.document.parts import ResultJson
+    from insdvl_replay.document.render import result_schema
     from insdvl_replay.inspection.inventory import Inventory
-    from insdvl_replay.show.render import result_schema
 
     kinds: dict[str, type] = {
         "config": Config,
@@ -418,11 +419,11 @@ def figure(
       insdvl-replay figure replay/dive sigma --states ba,bg --width 180mm --format svg -o biases.svg
     """
     from insdvl_replay.cli.messages import log_to_stderr
-    from insdvl_replay.core.result import StoredReport
+    from insdvl_replay.core.report import StoredReport
+    from insdvl_replay.document.paper import drawn
     from insdvl_replay.results.folder import REPLAY_LOG, TRAJECTORY_FILE, result_file
     from insdvl_replay.results.stored_results import read_one_result
     from insdvl_replay.results.trajectory import chosen_states, paper_figure, read_trajectory
-    from insdvl_replay.show.paper import drawn
 
     if states and kind != "sigma":
         raise ConfigError(
@@ -456,7 +457,7 @@ def figure(
 
 
 def _width_mm(text: str) -> float:
-    from insdvl_replay.show.paper import require_width
+    from insdvl_replay.document.paper import require_width
 
     found = re.fullmatch(r"(\d+(?:\.\d+)?) ?(?:mm)?", text)
     width_mm = float(found[1]) if found else math.nan

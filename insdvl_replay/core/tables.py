@@ -80,7 +80,7 @@ class Col:
     head: str = (
         ""  # heading of the shown column, with ``{filter}`` and ``{baseline}``; empty: not shown
     )
-    form: str = ""  # format, a key of `show.document.FORMS`
+    form: str = ""  # format, a key of `document.tables.FORMS`
 
 
 class TableLayout:

@@ -13,7 +13,8 @@ import msgspec
 
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import Note, counted, listed
-from insdvl_replay.core.result import (
+from insdvl_replay.core.words import Reading
+from insdvl_replay.document.parts import (
     Block,
     Callout,
     CellText,
@@ -26,8 +27,7 @@ from insdvl_replay.core.result import (
     Sentences,
     Title,
 )
-from insdvl_replay.core.words import Reading
-from insdvl_replay.show.document import MISSING, number, table_of
+from insdvl_replay.document.tables import MISSING, number, table_of
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from msgspec.structs import asdict
 
 from insdvl_replay.core.errors import ConfigError, read_regular
 from insdvl_replay.core.extras import install_hint
-from insdvl_replay.core.result import Report
+from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import LAKE, TABLES, LakeRow
 
 COMPLETE: Final = "report.json"  # The file that identifies a result folder. It is written last and lists the others.

@@ -9,11 +9,18 @@ from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.errors import visible
 from insdvl_replay.core.quantities import HELD_OUT, is_whole
-from insdvl_replay.core.result import Block, Report, as_json, build_report, this_tool
+from insdvl_replay.core.report import (
+    Report,
+    as_json,
+    build_report,
+    this_tool,
+)
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DVL_AIDING
 from insdvl_replay.core.tables import each_table
 from insdvl_replay.core.version import __version__
+from insdvl_replay.document.parts import Block
+from insdvl_replay.document.tables import table_csv
 from insdvl_replay.logs import write_replay
 from insdvl_replay.replay import Replay
 from insdvl_replay.results.folder import (
@@ -29,7 +36,6 @@ from insdvl_replay.results.folder import (
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
 from insdvl_replay.show.answers import has_reference
 from insdvl_replay.show.dive import NO_REFERENCE, dive_page
-from insdvl_replay.show.document import table_csv
 from insdvl_replay.show.figures import coverage_strips, first_panels, replay_figures
 
 

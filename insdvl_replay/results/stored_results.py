@@ -10,7 +10,7 @@ import msgspec
 
 from insdvl_replay.core.errors import ConfigError, Note, ResultError, counted, listed, looked_for
 from insdvl_replay.core.path_kinds import SUMMARY, looks_like_log, replay_hint
-from insdvl_replay.core.result import StoredReport, StoredResult
+from insdvl_replay.core.report import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES
 from insdvl_replay.core.version import __version__
 from insdvl_replay.core.words import Severity

@@ -10,12 +10,12 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.errors import visible
-from insdvl_replay.core.result import REFERENCE, filter_style
+from insdvl_replay.document.paper import LOOKS
+from insdvl_replay.document.parts import REFERENCE, filter_style
 from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
 from insdvl_replay.replay import Replay
 from insdvl_replay.results.folder import MAPS, REFERENCE_TRAJECTORY, trajectory_file
 from insdvl_replay.results.frames import history_frame, reference_frame
-from insdvl_replay.show.paper import LOOKS
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.errors import ConfigError, require_known
 from insdvl_replay.core.quantities import AXES
-from insdvl_replay.core.result import (
+from insdvl_replay.core.report import Row
+from insdvl_replay.core.states import COLUMNS, DEG, DEG_PER_HOUR, GROUPS, MG, STATES
+from insdvl_replay.document.parts import (
     LIMIT,
     PREDICTED,
     REFERENCE,
     Curve,
     Figure,
     Panel,
-    Row,
     filter_style,
 )
-from insdvl_replay.core.states import COLUMNS, DEG, DEG_PER_HOUR, GROUPS, MG, STATES
 from insdvl_replay.evaluation.consistency import mean_interval
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat

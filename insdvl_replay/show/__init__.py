@@ -1,5 +1,5 @@
-"""Output of results, for people and programs. This package neither computes results nor prints.
+"""What is shown of replays: the parts of a screen and of a page, in words and figures. `document` writes them.
 
-`render` writes a `core.result.Result` in any format and into a folder. `document` has tables and numbers, `text` the
-terminal, Markdown, LaTeX and CSV, `page` HTML, `plot` figures as SVG. `dive` and `dives` say what is shown of replays.
+`screens` has the screens, `dive` and `dives` the results of one dive and of several, `first_screen` how their pages
+begin, `plan` what would be run, `figures` curves over time, and `answers` the words on verdict and evidence.
 """

@@ -16,9 +16,10 @@ from insdvl_replay.core.quantities import (
     WITHOUT_VERDICT,
     label,
 )
-from insdvl_replay.core.result import Report
+from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
 from insdvl_replay.core.words import Prediction, ReferenceStatus, Role, Verdict
+from insdvl_replay.document.tables import MISSING, percent
 from insdvl_replay.evaluation.answers import (
     BAD,
     CONTROL,
@@ -37,7 +38,6 @@ from insdvl_replay.evaluation.interval import LEVEL
 from insdvl_replay.evaluation.outage_test import SHORTEST_S
 from insdvl_replay.evaluation.sentences import interval_text, ratio_text, start_of
 from insdvl_replay.evaluation.verdicts import misfit
-from insdvl_replay.show.document import MISSING, percent
 
 # By verdict: its colour.
 TONES: Final[dict[str, str]] = {

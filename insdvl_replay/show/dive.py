@@ -12,7 +12,18 @@ from msgspec import Struct
 from insdvl_replay.core.config import Config, flattened
 from insdvl_replay.core.errors import counted, require_known
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_used, is_whole, label
-from insdvl_replay.core.result import (
+from insdvl_replay.core.report import Report
+from insdvl_replay.core.tables import TABLES, Number, each_table, finite
+from insdvl_replay.core.words import ReferenceStatus
+from insdvl_replay.document.page import (
+    HOW_TO_READ,
+    captioned,
+    facts,
+    page,
+    pictures,
+    settings_details,
+)
+from insdvl_replay.document.parts import (
     PAGE,
     PRINTED,
     PRINTED_LONG,
@@ -26,12 +37,19 @@ from insdvl_replay.core.result import (
     Only,
     Panel,
     Part,
-    Report,
     Result,
     Title,
 )
-from insdvl_replay.core.tables import TABLES, Number, each_table, finite
-from insdvl_replay.core.words import ReferenceStatus
+from insdvl_replay.document.tables import (
+    MISSING,
+    ShownColumn,
+    notes_table,
+    number,
+    percent,
+    shown,
+    significant,
+    table_of,
+)
 from insdvl_replay.evaluation.sentences import answer_lines, headline
 from insdvl_replay.evaluation.verdicts import SHARED, consistency_of, trust_sentence
 from insdvl_replay.show.answers import (
@@ -42,18 +60,7 @@ from insdvl_replay.show.answers import (
     of_filter,
     start_text,
 )
-from insdvl_replay.show.document import (
-    MISSING,
-    ShownColumn,
-    notes_table,
-    number,
-    percent,
-    shown,
-    significant,
-    table_of,
-)
 from insdvl_replay.show.first_screen import evidence_forest, first_screen, section
-from insdvl_replay.show.page import HOW_TO_READ, captioned, facts, page, pictures, settings_details
 
 NO_REFERENCE: Final = (
     "There is no reference, so true errors are unknown: accuracy, measured convergence, credibility and the predicted "

@@ -11,7 +11,11 @@ from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.errors import counted
 from insdvl_replay.core.path_kinds import SUMMARY
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_whole, label
-from insdvl_replay.core.result import (
+from insdvl_replay.core.report import Report
+from insdvl_replay.core.tables import Number, PooledRow
+from insdvl_replay.core.words import GateStatus, Severity
+from insdvl_replay.document.page import SIGNATURE, page
+from insdvl_replay.document.parts import (
     PAGE,
     PRINTED,
     Block,
@@ -19,12 +23,17 @@ from insdvl_replay.core.result import (
     DisplayTable,
     Only,
     Part,
-    Report,
     Result,
     Title,
 )
-from insdvl_replay.core.tables import Number, PooledRow
-from insdvl_replay.core.words import GateStatus, Severity
+from insdvl_replay.document.tables import (
+    MISSING,
+    ShownColumn,
+    number,
+    shown,
+    table_csv,
+    table_of,
+)
 from insdvl_replay.evaluation.answers import EVERY_DIVE, CandidateAnswer
 from insdvl_replay.evaluation.sentences import answer_lines, headline, paragraph, ratio_text
 from insdvl_replay.evaluation.verdicts import consistency_of
@@ -45,7 +54,6 @@ from insdvl_replay.show.answers import (
     start_text,
 )
 from insdvl_replay.show.dive import TOGETHER, VALUES, dive_section, replay_result, values_of
-from insdvl_replay.show.document import MISSING, ShownColumn, number, shown, table_csv, table_of
 from insdvl_replay.show.first_screen import (
     DIVE_PAGE,
     dives_forest,
@@ -53,7 +61,6 @@ from insdvl_replay.show.first_screen import (
     first_screen,
     section,
 )
-from insdvl_replay.show.page import SIGNATURE, page
 
 INDEX: Final = "index.html"
 

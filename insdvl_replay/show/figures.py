@@ -17,7 +17,9 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.history import History
-from insdvl_replay.core.result import (
+from insdvl_replay.core.states import DEG, STATES
+from insdvl_replay.core.tables import EvidenceRow, OutageRow, finite
+from insdvl_replay.document.parts import (
     LIMIT,
     PREDICTED,
     REFERENCE,
@@ -29,8 +31,7 @@ from insdvl_replay.core.result import (
     dashes_on_top,
     filter_style,
 )
-from insdvl_replay.core.states import DEG, STATES
-from insdvl_replay.core.tables import EvidenceRow, OutageRow, finite
+from insdvl_replay.document.plot import Axis, limits
 from insdvl_replay.evaluation.consistency import mean_interval
 from insdvl_replay.evaluation.convergence import ConvergenceCurves
 from insdvl_replay.evaluation.outage_test import SHOWN_EVERY_S, SHOWN_S, OutageCurve
@@ -38,7 +39,6 @@ from insdvl_replay.evaluation.reference_errors import acceleration_at, reference
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat, wrap_angle
 from insdvl_replay.replay import Replay
-from insdvl_replay.show.plot import Axis, limits
 
 DERIVED: Final = "derived"
 REACHED: Final = "reached"

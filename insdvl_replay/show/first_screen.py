@@ -13,15 +13,16 @@ from urllib.parse import quote
 
 from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
-from insdvl_replay.core.result import DisplayTable, Html, Report
+from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import Number, PooledRow, finite
 from insdvl_replay.core.words import Role, Verdict
+from insdvl_replay.document.page import table_html
+from insdvl_replay.document.parts import DisplayTable, Html
+from insdvl_replay.document.tables import significant
 from insdvl_replay.evaluation.answers import Answer
 from insdvl_replay.evaluation.interval import BAND
 from insdvl_replay.evaluation.sentences import ratio_text, shouted, word_of
 from insdvl_replay.show.answers import chosen_rows, verdict_in_table
-from insdvl_replay.show.document import significant
-from insdvl_replay.show.page import table_html
 
 # --- Forest plots as SVG.
 

@@ -6,14 +6,20 @@ from typing import Annotated, ClassVar, Final
 from msgspec import Struct
 
 from insdvl_replay.core.quantities import FEWEST_DIVES
-from insdvl_replay.core.result import Block, Part, Report, Result, Title
+from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import Col, Number, PooledRow, finite
 from insdvl_replay.core.words import Role
+from insdvl_replay.document.parts import (
+    Block,
+    Part,
+    Result,
+    Title,
+)
+from insdvl_replay.document.tables import shown
 from insdvl_replay.evaluation.answers import CandidateAnswer
 from insdvl_replay.evaluation.interval import change_found, dives_needed
 from insdvl_replay.evaluation.sentences import SCATTER_OF_ACTS
 from insdvl_replay.show.answers import answers_of
-from insdvl_replay.show.document import shown
 
 SOUGHT_PCT: Final = (20.0, 10.0, 7.0)  # Changes for which a number of dives is given.
 

@@ -7,9 +7,23 @@ from typing import Final
 from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.errors import counted, natural_key
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_beam, label
-from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
+from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite, share_text
 from insdvl_replay.core.words import GateStatus, Role, Severity, Verdict
+from insdvl_replay.document.parts import (
+    Callout,
+    Code,
+    DisplayTable,
+    Part,
+    Sentences,
+    Title,
+)
+from insdvl_replay.document.tables import (
+    MISSING,
+    ShownColumn,
+    significant,
+    table_of,
+)
 from insdvl_replay.evaluation.answers import EVERY_DIVE, CandidateAnswer
 from insdvl_replay.evaluation.notes import is_noise_far_off
 from insdvl_replay.evaluation.sentences import (
@@ -43,7 +57,6 @@ from insdvl_replay.show.answers import (
 )
 from insdvl_replay.show.dive import NO_REFERENCE, headline_table, line_alone, track_fit_line
 from insdvl_replay.show.dives import table_alone
-from insdvl_replay.show.document import MISSING, ShownColumn, significant, table_of
 
 
 def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:

@@ -12,7 +12,10 @@ import pandas as pd
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats
-from insdvl_replay.core.result import (
+from insdvl_replay.core.runtime import parallel_map, track_progress
+from insdvl_replay.core.states import BA, BG, DV, NINE, PHI, STATES, State
+from insdvl_replay.core.words import Consistency
+from insdvl_replay.document.parts import (
     LIMIT,
     REFERENCE,
     Curve,
@@ -22,9 +25,7 @@ from insdvl_replay.core.result import (
     Result,
     filter_style,
 )
-from insdvl_replay.core.runtime import parallel_map, track_progress
-from insdvl_replay.core.states import BA, BG, DV, NINE, PHI, STATES, State
-from insdvl_replay.core.words import Consistency
+from insdvl_replay.document.tables import table_of
 from insdvl_replay.evaluation.ensemble import (
     Ensemble,
     RunErrors,
@@ -47,7 +48,6 @@ from insdvl_replay.preparation.filters import dvl_mounting, prepare_sensors, res
 from insdvl_replay.preparation.prepared import Prepared
 from insdvl_replay.preparation.run import prepared_timeline, run_one
 from insdvl_replay.preparation.start_sources import initial_sd
-from insdvl_replay.show.document import table_of
 from insdvl_replay.sim.dive import add_errors, exact_dive, named
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 

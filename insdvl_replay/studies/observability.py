@@ -14,7 +14,9 @@ from insdvl_replay.core.config import Acceleration, Config, Filter, Initial
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.quantities import label
-from insdvl_replay.core.result import (
+from insdvl_replay.core.states import STATES
+from insdvl_replay.core.words import DirectionStatus
+from insdvl_replay.document.parts import (
     LIMIT,
     Curve,
     DisplayTable,
@@ -23,8 +25,12 @@ from insdvl_replay.core.result import (
     Result,
     filter_style,
 )
-from insdvl_replay.core.states import STATES
-from insdvl_replay.core.words import DirectionStatus
+from insdvl_replay.document.tables import (
+    MISSING,
+    number,
+    percent,
+    table_of,
+)
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.observability import (
     TOLERANCE,
@@ -40,7 +46,6 @@ from insdvl_replay.nav.observability import (
 from insdvl_replay.preparation.filters import resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import prepare_with_heading, prepared_timeline, run_one
-from insdvl_replay.show.document import MISSING, number, percent, table_of
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS
 

@@ -12,9 +12,18 @@ from insdvl_replay.core.config import Acceleration, Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.dive_record import dive_name
 from insdvl_replay.core.errors import ConfigError, LogError, Note
-from insdvl_replay.core.result import Curve, DisplayTable, Figure, Panel, Result, filter_style
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.words import Severity
+from insdvl_replay.document.parts import (
+    Curve,
+    DisplayTable,
+    Figure,
+    Panel,
+    Result,
+    filter_style,
+)
+from insdvl_replay.document.plot import limits
+from insdvl_replay.document.tables import number, table_of
 from insdvl_replay.evaluation.reference_errors import (
     acceleration_at,
     differentiated_over_s,
@@ -25,8 +34,6 @@ from insdvl_replay.geometry.frames import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
 from insdvl_replay.preparation.prepared import read_checked_dive, reference_as_configured
 from insdvl_replay.preparation.run import prepare_with_heading
-from insdvl_replay.show.document import number, table_of
-from insdvl_replay.show.plot import limits
 
 COMPENSATED = "compensated"
 IGNORED = "ignored"

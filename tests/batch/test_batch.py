@@ -44,8 +44,8 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError
-from insdvl_replay.core.result import as_json as encode_report
-from insdvl_replay.core.result import decode_report
+from insdvl_replay.core.report import as_json as encode_report
+from insdvl_replay.core.report import decode_report
 from insdvl_replay.core.runtime import sources_digest
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.sim.dive import simulate_dive

@@ -25,9 +25,9 @@ from insdvl_replay.calibration.output import (
 )
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.result import DisplayTable, Figure
 from insdvl_replay.core.tables import finite
-from insdvl_replay.show.render import document, render
+from insdvl_replay.document.parts import DisplayTable, Figure
+from insdvl_replay.document.render import document, render
 
 
 @pytest.fixture(scope="module")

@@ -31,10 +31,10 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.tables import finite
 from insdvl_replay.core.words import Estimated
+from insdvl_replay.document.render import document, render
+from insdvl_replay.document.text import for_terminal
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.preparation.prepared import reference_at_imu, with_reference_at_imu
-from insdvl_replay.show.render import document, render
-from insdvl_replay.show.text import for_terminal
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import GRADES
 

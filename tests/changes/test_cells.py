@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from insdvl_replay.changes.cells import judge_number, prints_the_same, rank_verdict
 from insdvl_replay.core.quantities import VERDICTS_BEST_FIRST
 from insdvl_replay.core.tables import Better
-from insdvl_replay.show.document import number, numbers_apart, percent
+from insdvl_replay.document.tables import number, numbers_apart, percent
 
 BETTER: tuple[Better, ...] = ("lower", "higher", "nearer zero", "nearer dof")
 OPPOSITE = {"better": "worse", "worse": "better", "same": "same"}

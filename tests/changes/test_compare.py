@@ -29,11 +29,12 @@ from insdvl_replay.changes.comparison_document import comparison_document, compa
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError, ResultError
 from insdvl_replay.core.quantities import PRIMARIES, SECONDARIES
-from insdvl_replay.core.result import DisplayTable, as_json
+from insdvl_replay.core.report import as_json
 from insdvl_replay.core.tables import LAYOUTS
-from insdvl_replay.show.page import page
-from insdvl_replay.show.render import render
-from insdvl_replay.show.text import as_markdown, for_terminal
+from insdvl_replay.document.page import page
+from insdvl_replay.document.parts import DisplayTable
+from insdvl_replay.document.render import render
+from insdvl_replay.document.text import as_markdown, for_terminal
 
 
 def compared(

@@ -14,7 +14,7 @@ from small_results import content, nudged
 from insdvl_replay.changes.gate_file import CellGate, Checked, load_gates, require_known_filters
 from insdvl_replay.changes.gates import gate_findings, pooled_dive
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.result import StoredReport
+from insdvl_replay.core.report import StoredReport
 
 GATE = '[[gate]]\nname = "a"\ntable = "improvement"\ncolumn = "sd"\n'
 

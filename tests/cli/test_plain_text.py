@@ -20,10 +20,15 @@ from insdvl_replay.changes.gates import CheckResult, GateOutcome
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import visible, visible_lines, without_commands
-from insdvl_replay.core.result import Code, DisplayTable, Sentences, Title
-from insdvl_replay.show.document import rows_csv
-from insdvl_replay.show.latex import as_latex
-from insdvl_replay.show.text import as_markdown
+from insdvl_replay.document.latex import as_latex
+from insdvl_replay.document.parts import (
+    Code,
+    DisplayTable,
+    Sentences,
+    Title,
+)
+from insdvl_replay.document.tables import rows_csv
+from insdvl_replay.document.text import as_markdown
 
 HOSTILE = (
     "\n::error file=x::pwned\x1b]0;t\x07\r\x85\u2028\u202e\u200b##[error]x<b>&|`%\\input{evil}"

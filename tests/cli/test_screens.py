@@ -25,13 +25,14 @@ from rich.console import Console
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.quantities import WITHOUT_VERDICT
-from insdvl_replay.core.result import Callout, Report, Sentences
+from insdvl_replay.core.report import Report
 from insdvl_replay.core.words import Verdict
+from insdvl_replay.document.parts import Callout, Sentences
+from insdvl_replay.document.render import render
+from insdvl_replay.document.text import for_terminal
 from insdvl_replay.show.answers import Failure
 from insdvl_replay.show.dives import index_page, named_result, summary_rows
-from insdvl_replay.show.render import render
 from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
-from insdvl_replay.show.text import for_terminal
 
 GOLDEN = Path(__file__).parent / "golden"
 PROJECT = Path(__file__).resolve().parents[2]

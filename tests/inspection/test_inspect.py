@@ -20,15 +20,15 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.errors import ConfigError, LogError
-from insdvl_replay.core.result import as_json
+from insdvl_replay.core.report import as_json
 from insdvl_replay.core.states import DEG
+from insdvl_replay.document.render import document
+from insdvl_replay.document.text import for_terminal
 from insdvl_replay.inspection.dry_run import vector_paths
 from insdvl_replay.inspection.inventory import Inventory, inspection_result
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.replay import replay_log
-from insdvl_replay.show.render import document
-from insdvl_replay.show.text import for_terminal
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 

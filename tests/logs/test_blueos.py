@@ -11,11 +11,11 @@ from rosbag_messages import START_NS, imu_messages, serialised, store_with
 
 from insdvl_replay.core.config import Config, Dvl
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.document.render import render
 from insdvl_replay.inspection.inventory import inspection_result, inventory_tables
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.definitions import definition_text, definitions_of
-from insdvl_replay.show.render import render
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 BARE = definition_text(IMU_TYPE).split("=" * 80)[0]

@@ -14,7 +14,7 @@ from insdvl_replay import read_result
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.result import Report
+from insdvl_replay.core.report import Report
 from insdvl_replay.logs import write_dive
 from insdvl_replay.results.stored_results import read_one_result
 from insdvl_replay.sim.dive import simulate_dive

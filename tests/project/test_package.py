@@ -36,7 +36,7 @@ def test_wheel_holds_types_presets_and_message_definitions(tmp_path: Path) -> No
         "insdvl_replay/presets/fog.toml",
         "insdvl_replay/core/notes.toml",
     }
-    wanted |= {"insdvl_replay/show/page.css"}
+    wanted |= {"insdvl_replay/document/page.css"}
     wanted |= {f"insdvl_replay/schemas/insdvl_msgs/msg/{path.name}" for path in messages}
     wanted |= {path.relative_to(PROJECT).as_posix() for path in definitions}
     assert wanted <= names

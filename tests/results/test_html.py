@@ -15,21 +15,22 @@ from taken_apart import Document, forest_rows
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.result import (
+from insdvl_replay.core.report import Report, decode_report
+from insdvl_replay.core.states import STATES
+from insdvl_replay.core.tables import finite
+from insdvl_replay.document.page import page
+from insdvl_replay.document.parts import (
     Callout,
     DisplayTable,
     Heading,
     Html,
-    Report,
     Title,
-    decode_report,
 )
-from insdvl_replay.core.states import STATES
-from insdvl_replay.core.tables import finite
+from insdvl_replay.document.tables import parts_for
+from insdvl_replay.document.text import for_terminal
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.results.result_files import save_replay
 from insdvl_replay.show.dive import NO_REFERENCE, changed_settings, dive_document
-from insdvl_replay.show.document import parts_for
 from insdvl_replay.show.figures import (
     Clock,
     covered_shares,
@@ -38,8 +39,6 @@ from insdvl_replay.show.figures import (
     shades_of,
     track_panel,
 )
-from insdvl_replay.show.page import page
-from insdvl_replay.show.text import for_terminal
 from insdvl_replay.sim.dive import simulate_dive
 
 pytestmark = pytest.mark.all_starts

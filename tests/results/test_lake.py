@@ -21,7 +21,7 @@ from msgspec.structs import asdict, replace
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.quantities import EVIDENCE_QUANTITIES
-from insdvl_replay.core.result import Report
+from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.logs import write_dive
 from insdvl_replay.results.folder import SETTINGS_FILE, add_to_lake

@@ -11,10 +11,11 @@ from taken_apart import Document, forest_rows
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.result import DisplayTable, Report, Result
+from insdvl_replay.core.report import Report
+from insdvl_replay.document.parts import DisplayTable, Result
+from insdvl_replay.document.render import save_result
 from insdvl_replay.show.answers import Failure
 from insdvl_replay.show.dives import index_page
-from insdvl_replay.show.render import save_result
 from insdvl_replay.studies.observability import singular_value_figure
 
 VALUES = pd.DataFrame(

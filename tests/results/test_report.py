@@ -18,10 +18,16 @@ from rich.console import Console
 
 from insdvl_replay.cli.utilities import SCHEMAS, json_schema
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.result import Block, Tool, decode_report
-from insdvl_replay.core.result import as_json as encode_report
+from insdvl_replay.core.report import Tool, decode_report
+from insdvl_replay.core.report import as_json as encode_report
 from insdvl_replay.core.tables import AssayRow, ConvergenceRow
 from insdvl_replay.core.words import Reason
+from insdvl_replay.document.latex import as_latex
+from insdvl_replay.document.page import page
+from insdvl_replay.document.parts import Block
+from insdvl_replay.document.render import render
+from insdvl_replay.document.tables import number, percent, table_csv
+from insdvl_replay.document.text import as_markdown, for_terminal
 from insdvl_replay.evaluation.answers import pooled_evidence
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.result_files import run_log
@@ -34,11 +40,6 @@ from insdvl_replay.show.dive import (
     track_fit_line,
 )
 from insdvl_replay.show.dives import OVERVIEWS
-from insdvl_replay.show.document import number, percent, table_csv
-from insdvl_replay.show.latex import as_latex
-from insdvl_replay.show.page import page
-from insdvl_replay.show.render import render
-from insdvl_replay.show.text import as_markdown, for_terminal
 
 HEADERS = {
     "improvement": "log,filter,state,unit,baseline_sd,sd,improvement_pct,status",

@@ -22,16 +22,16 @@ from insdvl_replay import DiveResult as Result
 from insdvl_replay import load_config, read_result, replay_log
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError, UserError
-from insdvl_replay.core.result import DisplayTable
 from insdvl_replay.core.states import STATES
+from insdvl_replay.document.latex import as_latex
+from insdvl_replay.document.paper import LOOKS, require_width
+from insdvl_replay.document.parts import DisplayTable
+from insdvl_replay.document.render import render
+from insdvl_replay.document.tables import number as shown_number
 from insdvl_replay.results import stored_results
 from insdvl_replay.results.trajectory import KINDS
 from insdvl_replay.show.dive import dive_document, replay_result
 from insdvl_replay.show.dives import named_result
-from insdvl_replay.show.document import number as shown_number
-from insdvl_replay.show.latex import as_latex
-from insdvl_replay.show.paper import LOOKS, require_width
-from insdvl_replay.show.render import render
 
 PROJECT = Path(__file__).resolve().parents[2]
 SAMPLE = PROJECT / "sample_logs" / "figure_eight.mcap"

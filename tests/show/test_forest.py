@@ -6,6 +6,7 @@ import re
 import pytest
 
 from insdvl_replay.core.words import EvidenceVerdict, Settling, Verdict
+from insdvl_replay.document.plot import style_sheet
 from insdvl_replay.show.first_screen import (
     LEFT,
     RIGHT,
@@ -15,7 +16,6 @@ from insdvl_replay.show.first_screen import (
     place,
     tone_class,
 )
-from insdvl_replay.show.plot import style_sheet
 
 
 def across(tag: str, attribute: str, svg: str) -> list[float]:

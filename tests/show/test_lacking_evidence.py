@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from insdvl_replay.cli.messages import MOST_FINDINGS, log_findings, log_notes
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.result import Report
+from insdvl_replay.core.report import Report
 from insdvl_replay.core.words import Severity, Verdict
 from insdvl_replay.evaluation.sentences import headline
 from insdvl_replay.show.answers import answers_of, lacking_evidence

@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 from matplotlib.ticker import MaxNLocator
 
-from insdvl_replay.core.result import Curve, Panel, filter_style
-from insdvl_replay.show.plot import Axis, envelope, limits, panel_svg, without_standstill
+from insdvl_replay.document.parts import Curve, Panel, filter_style
+from insdvl_replay.document.plot import (
+    Axis,
+    envelope,
+    limits,
+    panel_svg,
+    without_standstill,
+)
 
 NAN = float("nan")
 SVG = "{http://www.w3.org/2000/svg}"

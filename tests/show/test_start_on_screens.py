@@ -10,11 +10,11 @@ from rich.console import Console
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_record import StartHeading
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.result import Report, build_report
+from insdvl_replay.core.report import Report, build_report
 from insdvl_replay.core.words import HeadingSource
+from insdvl_replay.document.text import for_terminal
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.show.screens import dive_screen, dives_screen
-from insdvl_replay.show.text import for_terminal
 from insdvl_replay.sim.dive import simulate_dive
 
 NOTE = "start: attitude of the reference, level +- 0.02 deg, heading +- 0.06 deg"

@@ -27,6 +27,9 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import BA, BG, DEG, DV, MG, PHI, STATES
 from insdvl_replay.core.words import Reason
+from insdvl_replay.document.paper import figure_png
+from insdvl_replay.document.plot import sheet_svg
+from insdvl_replay.document.render import save_result
 from insdvl_replay.evaluation.credibility import nees
 from insdvl_replay.evaluation.ensemble import (
     Ensemble,
@@ -40,9 +43,6 @@ from insdvl_replay.evaluation.ensemble import (
 from insdvl_replay.evaluation.reference_errors import motion_error
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import dvl_velocities
-from insdvl_replay.show.paper import figure_png
-from insdvl_replay.show.plot import sheet_svg
-from insdvl_replay.show.render import save_result
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
 from insdvl_replay.studies.montecarlo import (
     SIGMA,

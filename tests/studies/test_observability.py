@@ -16,8 +16,10 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
-from insdvl_replay.core.result import Result
 from insdvl_replay.core.states import BA, BG, DV, PHI, STATES
+from insdvl_replay.document import render
+from insdvl_replay.document.parts import Result
+from insdvl_replay.document.render import save_result
 from insdvl_replay.geometry.earth import normal_gravity
 from insdvl_replay.geometry.rotation import mat_from_rpy, skew
 from insdvl_replay.logs.write import write_dive
@@ -33,8 +35,6 @@ from insdvl_replay.nav.observability import (
 )
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.replay import replay_dive, replay_log
-from insdvl_replay.show import render
-from insdvl_replay.show.render import save_result
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.sim.trajectories import SCENARIOS, START, Scenario, Segment, Wave

@@ -22,6 +22,7 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.document import render
 from insdvl_replay.evaluation.reference_errors import (
     acceleration_at,
     reference_acceleration,
@@ -29,7 +30,6 @@ from insdvl_replay.evaluation.reference_errors import (
 )
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.write import write_dive
-from insdvl_replay.show import render
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.studies import window
 from insdvl_replay.studies.window import (

@@ -17,7 +17,7 @@ from insdvl_replay.changes.gate_file import (
     require_known_filters,
 )
 from insdvl_replay.changes.gates import Finding, gate_findings, trajectory_findings
-from insdvl_replay.core.result import StoredReport
+from insdvl_replay.core.report import StoredReport
 from insdvl_replay.core.states import COLUMNS
 from insdvl_replay.results.trajectory import Trajectory
 

@@ -12,6 +12,7 @@ from insdvl_replay.changes.comparison import compare_results
 from insdvl_replay.changes.comparison_document import comparison_document
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.words import Reason
+from insdvl_replay.document.text import as_markdown
 from insdvl_replay.evaluation.answers import pooled_candidate
 from insdvl_replay.evaluation.sentences import paragraph
 from insdvl_replay.results.folder import result_file, result_folder
@@ -19,7 +20,6 @@ from insdvl_replay.results.result_files import run_log
 from insdvl_replay.results.stored_results import read_results
 from insdvl_replay.show.dive import dive_document, track_fit_line
 from insdvl_replay.show.screens import dive_screen
-from insdvl_replay.show.text import as_markdown
 
 COMPARED = (
     ["old", "worse", "--fail-on", "0%"],

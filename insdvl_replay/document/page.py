@@ -10,7 +10,7 @@ from itertools import zip_longest
 from typing import Final
 
 from insdvl_replay.core.errors import visible_lines
-from insdvl_replay.core.result import (
+from insdvl_replay.document.parts import (
     REJECTED,
     Callout,
     Code,
@@ -25,8 +25,8 @@ from insdvl_replay.core.result import (
     Sentences,
     Title,
 )
-from insdvl_replay.show.document import cell_lines, parts_for
-from insdvl_replay.show.plot import Legend, panel_svg, style_sheet
+from insdvl_replay.document.plot import Legend, panel_svg, style_sheet
+from insdvl_replay.document.tables import cell_lines, parts_for
 
 _SHORT: Final = 20  # Longer cells are folded; the others are on one line.
 SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
@@ -60,7 +60,8 @@ def page(document: Document, *scripts: str) -> bytes:
     body = [f"<h1>{title}</h1>", *_in_grids(parts[:first]), *nav, *_in_grids(parts[first:])]
     plots = ["cursor.js"] if any('panel" viewBox' in part for part in body) else []
     codes = [
-        files("insdvl_replay.show").joinpath(name).read_text("utf-8") for name in (*scripts, *plots)
+        files("insdvl_replay.document").joinpath(name).read_text("utf-8")
+        for name in (*scripts, *plots)
     ]
     style = f"\n{style_sheet()}"
     # Nothing from the network, and only the page's own style and scripts.

@@ -8,7 +8,7 @@ import numpy as np
 
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.extras import install_hint
-from insdvl_replay.core.result import Figure, Panel
+from insdvl_replay.document.parts import Figure, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

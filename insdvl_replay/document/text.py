@@ -16,7 +16,8 @@ from rich.table import Table
 from rich.text import Text
 
 from insdvl_replay.core.errors import visible, visible_lines
-from insdvl_replay.core.result import (
+from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Verdict
+from insdvl_replay.document.parts import (
     Callout,
     Code,
     DisplayTable,
@@ -27,8 +28,7 @@ from insdvl_replay.core.result import (
     Sentences,
     Title,
 )
-from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Verdict
-from insdvl_replay.show.document import cell_lines, parts_for
+from insdvl_replay.document.tables import cell_lines, parts_for
 
 # --- A terminal: calm tables that fit 80 columns.
 

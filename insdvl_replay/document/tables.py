@@ -13,7 +13,8 @@ from msgspec.structs import astuple
 
 from insdvl_replay.core.errors import Note, visible
 from insdvl_replay.core.quantities import label
-from insdvl_replay.core.result import (
+from insdvl_replay.core.tables import layout_of, share_text
+from insdvl_replay.document.parts import (
     PAGE,
     Block,
     CellText,
@@ -26,7 +27,6 @@ from insdvl_replay.core.result import (
     Only,
     Part,
 )
-from insdvl_replay.core.tables import layout_of, share_text
 
 if TYPE_CHECKING:
     import pandas as pd

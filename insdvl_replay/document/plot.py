@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import visible
-from insdvl_replay.core.result import REFERENCE, Curve, Figure, Panel, Scale
+from insdvl_replay.document.parts import (
+    REFERENCE,
+    Curve,
+    Figure,
+    Panel,
+    Scale,
+)
 
 WIDTH: Final = 360.0
 HEIGHT: Final = 210.0
@@ -48,7 +54,7 @@ _SECONDS: Final = {"time [min]": 60.0, "time [h]": 3600.0}
 
 def style_sheet() -> str:
     """Return the style sheet of pages and pictures."""
-    return files("insdvl_replay.show").joinpath("page.css").read_text("utf-8")
+    return files("insdvl_replay.document").joinpath("page.css").read_text("utf-8")
 
 
 # --- An axis: its limits, its ticks and their labels.

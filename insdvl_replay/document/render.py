@@ -8,7 +8,13 @@ import msgspec
 from msgspec import Struct
 
 from insdvl_replay.core.config_file import render_toml
-from insdvl_replay.core.result import (
+from insdvl_replay.core.report import (
+    Tool,
+    as_json,
+    package_versions,
+    this_tool,
+)
+from insdvl_replay.document.parts import (
     PAGE,
     Callout,
     Document,
@@ -18,12 +24,8 @@ from insdvl_replay.core.result import (
     Result,
     ResultJson,
     Title,
-    Tool,
-    as_json,
-    package_versions,
-    this_tool,
 )
-from insdvl_replay.show.document import (
+from insdvl_replay.document.tables import (
     blocks_csv,
     header_and_rows,
     notes_table,
@@ -31,7 +33,7 @@ from insdvl_replay.show.document import (
     shown,
     table_csv,
 )
-from insdvl_replay.show.text import as_markdown, sentence_of
+from insdvl_replay.document.text import as_markdown, sentence_of
 
 
 def render(result: Result, format_: str) -> str:
@@ -47,13 +49,13 @@ def render(result: Result, format_: str) -> str:
         case "md":
             return as_markdown(document(result))
         case "latex":
-            from insdvl_replay.show.latex import as_latex
+            from insdvl_replay.document.latex import as_latex
 
             return as_latex(
                 document(result), result.title if result.kind in ("replay", "inspection") else ""
             )
         case "html":
-            from insdvl_replay.show.page import page
+            from insdvl_replay.document.page import page
 
             return page(document(result)).decode()
     raise ValueError(f"{format_} is no format")
@@ -81,7 +83,7 @@ def document(result: Result) -> Document:
 
 
 def _provenance(result: Result) -> list[Part]:
-    from insdvl_replay.show.page import facts, settings_details
+    from insdvl_replay.document.page import facts, settings_details
 
     asked = {
         name: ", ".join(map(str, value)) if isinstance(value, list) else str(value)
@@ -133,13 +135,13 @@ def result_schema(tables: Mapping[str, type[Struct]]) -> dict[str, Any]:
 def save_result(result: Result, folder: Path, *, png: bool = False) -> None:
     """Write figures, tables, settings, the page and, last, the file by which a result is known, into a folder."""
     # Imported here, since the schema must not wait for numpy.
-    from insdvl_replay.show.page import page
-    from insdvl_replay.show.plot import sheet_svg
+    from insdvl_replay.document.page import page
+    from insdvl_replay.document.plot import sheet_svg
 
     for name, figure in result.figures.items():
         (folder / f"{name}.svg").write_bytes(sheet_svg(figure))
         if png:
-            from insdvl_replay.show.paper import figure_png
+            from insdvl_replay.document.paper import figure_png
 
             (folder / f"{name}.png").write_bytes(figure_png(figure))
     for name, table in {**result.tables, **result.series}.items():

@@ -8,9 +8,9 @@ from collections.abc import Collection, Sequence
 from typing import Final
 
 from insdvl_replay.core.errors import visible
-from insdvl_replay.core.result import CellText, DisplayTable, Document
-from insdvl_replay.show.document import MISSING, cell_lines
-from insdvl_replay.show.text import flat, sentence_of
+from insdvl_replay.document.parts import CellText, DisplayTable, Document
+from insdvl_replay.document.tables import MISSING, cell_lines
+from insdvl_replay.document.text import flat, sentence_of
 
 _PACKAGES: Final = r"% needs \usepackage{booktabs,graphicx,siunitx}"
 # Makes a table smaller that is wider than the text.
