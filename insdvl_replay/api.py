@@ -204,7 +204,7 @@ def replay_log(
     """
     from insdvl_replay.calibration.fitted_noise import fit_noise_of_logs
     from insdvl_replay.replay import replay_log as replayed
-    from insdvl_replay.results.result_files import report_of
+    from insdvl_replay.show.result_files import report_of
 
     paths = _logs(log)
     settings = _settings(config)
@@ -742,7 +742,7 @@ class DiveResult(Result):
 
     def save_tracks(self, file: Text, *, force: bool = False) -> Path:
         """Write the tracks of all filters and the reference as ``.kml`` or ``.geojson``, and return the path."""
-        from insdvl_replay.results.tracks import map_of_tracks
+        from insdvl_replay.show.tracks import map_of_tracks
 
         target = _path("file", file)
         if (format_ := target.suffix.removeprefix(".")) not in MAPS:
@@ -755,7 +755,7 @@ class DiveResult(Result):
 
     def save(self, folder: Text, *, force: bool = False) -> Path:
         """Write the result folder, as `run` does, and return its path; a ConfigError if it exists without ``force``."""
-        from insdvl_replay.results.result_files import save_replay
+        from insdvl_replay.show.result_files import save_replay
 
         if self._replay is None:
             raise ValueError(f"{self.name}: is already stored in {self.folder}")

@@ -443,7 +443,7 @@ def replay_into(job: ReplayJob) -> bytes:
         return (job.target / COMPLETE).read_bytes()
     # Heavy, and often no dive is replayed.
     from insdvl_replay.replay import Replay, replay_log
-    from insdvl_replay.results.result_files import save_histories, save_replay
+    from insdvl_replay.show.result_files import save_histories, save_replay
 
     run: Callable[..., Replay] = (
         partial(replay_log, require_fit=True) if options.require_fit else replay_log
@@ -473,7 +473,7 @@ def replay_into(job: ReplayJob) -> bytes:
         if vehicle:
             (folder / VEHICLE_FILE).write_bytes(vehicle)
         if options.tracks:
-            from insdvl_replay.results.tracks import save_tracks
+            from insdvl_replay.show.tracks import save_tracks
 
             save_tracks(replay, folder, options.tracks)
         if options.history_format:

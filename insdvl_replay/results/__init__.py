@@ -1,5 +1,5 @@
-"""The result folder, written and read.
+"""The result folder, as it is stored and read again. It draws no page.
 
-`result_files` writes all of a replay, `folder` lets it appear all at once or not at all and adds it to a lake,
-`stored_results` finds results again, and `trajectory` has the filters once a second.
+`folder` lets results appear all at once or not at all and adds them to a lake, `stored_results` finds them again,
+`frames` has histories as data frames, and `trajectory` the filters once a second.
 """

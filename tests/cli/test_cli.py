@@ -74,7 +74,7 @@ DOCUMENTED = {
 WITH_STAND_IN = """
 import pathlib, sys, time
 import insdvl_replay.replay as hall
-import insdvl_replay.results.result_files as disk
+import insdvl_replay.show.result_files as disk
 from insdvl_replay.cli import main
 
 def save_half(replay, folder, **how):

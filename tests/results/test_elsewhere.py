@@ -18,7 +18,7 @@ from rosbags.highlevel import AnyReader
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.replay import replay_log
-from insdvl_replay.results.result_files import save_replay, viewer_layouts
+from insdvl_replay.show.result_files import save_replay, viewer_layouts
 
 PROJECT = Path(__file__).resolve().parents[2]
 LAYOUTS = PROJECT / "insdvl_replay" / "results" / "layouts"

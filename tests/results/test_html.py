@@ -29,7 +29,6 @@ from insdvl_replay.document.parts import (
 from insdvl_replay.document.tables import parts_for
 from insdvl_replay.document.text import for_terminal
 from insdvl_replay.replay import Replay, replay_dive, replay_log
-from insdvl_replay.results.result_files import save_replay
 from insdvl_replay.show.dive import NO_REFERENCE, changed_settings, dive_document
 from insdvl_replay.show.figures import (
     Clock,
@@ -39,6 +38,7 @@ from insdvl_replay.show.figures import (
     shades_of,
     track_panel,
 )
+from insdvl_replay.show.result_files import save_replay
 from insdvl_replay.sim.dive import simulate_dive
 
 pytestmark = pytest.mark.all_starts

@@ -30,7 +30,6 @@ from insdvl_replay.document.tables import number, percent, table_csv
 from insdvl_replay.document.text import as_markdown, for_terminal
 from insdvl_replay.evaluation.answers import pooled_evidence
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
-from insdvl_replay.results.result_files import run_log
 from insdvl_replay.show.answers import Failure, verdict_in_table
 from insdvl_replay.show.dive import (
     NO_REFERENCE,
@@ -40,6 +39,7 @@ from insdvl_replay.show.dive import (
     track_fit_line,
 )
 from insdvl_replay.show.dives import OVERVIEWS
+from insdvl_replay.show.result_files import run_log
 
 HEADERS = {
     "improvement": "log,filter,state,unit,baseline_sd,sd,improvement_pct,status",

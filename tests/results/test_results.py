@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.replay import replay_log
 from insdvl_replay.results.folder import DIVE_FILES
-from insdvl_replay.results.result_files import save_replay
+from insdvl_replay.show.result_files import save_replay
 
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "figure_eight.mcap"
 FILES = {

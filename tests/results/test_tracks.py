@@ -12,7 +12,7 @@ import pytest
 from insdvl_replay import DiveResult, load_config, read_result, replay_log
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import UserError
-from insdvl_replay.results.tracks import map_of_tracks
+from insdvl_replay.show.tracks import map_of_tracks
 
 LOG = Path(__file__).resolve().parents[2] / "examples" / "archive" / "dives" / "transit.mcap"
 KML = "{http://www.opengis.net/kml/2.2}"

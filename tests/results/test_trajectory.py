@@ -13,7 +13,7 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy
-from insdvl_replay.results.tracks import tum_trajectory
+from insdvl_replay.show.tracks import tum_trajectory
 
 ORIGIN = np.array([32.8 * DEG, 34.9 * DEG, -3.0])
 

@@ -7,10 +7,10 @@ from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import finite
 from insdvl_replay.document.render import render
 from insdvl_replay.replay import replay_dive
-from insdvl_replay.results.result_files import report_of
 from insdvl_replay.show.answers import Failure
 from insdvl_replay.show.dive import dive_document, replay_result
 from insdvl_replay.show.dives import index_page, overview_parts, summary_rows
+from insdvl_replay.show.result_files import report_of
 from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 from insdvl_replay.sim.dive import simulate_dive
 

@@ -16,9 +16,9 @@ from insdvl_replay.document.text import as_markdown
 from insdvl_replay.evaluation.answers import pooled_candidate
 from insdvl_replay.evaluation.sentences import paragraph
 from insdvl_replay.results.folder import result_file, result_folder
-from insdvl_replay.results.result_files import run_log
 from insdvl_replay.results.stored_results import read_results
 from insdvl_replay.show.dive import dive_document, track_fit_line
+from insdvl_replay.show.result_files import run_log
 from insdvl_replay.show.screens import dive_screen
 
 COMPARED = (

@@ -97,7 +97,7 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
 def viewer_layouts(filters: Sequence[str]) -> dict[str, str]:
     """Return the layouts of the first filter and of the one after it, by the names of their files."""
     names = {"baseline": filters[0], "aided": filters[min(1, len(filters) - 1)]}
-    folder = resources.files("insdvl_replay").joinpath("results", "layouts")
+    folder = resources.files("insdvl_replay").joinpath("show", "layouts")
     drawn = {file: folder.joinpath(file).read_text("utf-8") for file in LAYOUT_FILES}
     return {
         file: re.sub(r"\b(baseline|aided)\b", lambda found: names[found[1]], text)
