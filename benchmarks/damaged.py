@@ -27,8 +27,8 @@ from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.automatic import FoundSettings, find_settings
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.columns.imu import in_frd
+from insdvl_replay.preparation.replay import Replay, replay_log
 from insdvl_replay.preparation.run import LEAST_NIS, MOST_NIS, MisfitError
-from insdvl_replay.replay import Replay, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 
 Damage = Callable[[Dive], Dive]

@@ -24,7 +24,7 @@ from insdvl_replay.core.words import Verdict
 from insdvl_replay.evaluation.answers import pooled_candidate
 from insdvl_replay.evaluation.sentences import headline
 from insdvl_replay.geometry.frames import moved_position
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.studies.montecarlo import matched_errors
 

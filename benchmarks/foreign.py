@@ -27,9 +27,9 @@ from insdvl_replay.core.words import Verdict
 from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
 from insdvl_replay.nav.user_candidate import Candidate, CandidateStart, Solution
 from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
 from insdvl_replay.preparation.solutions import interpolated, interpolated_attitude
-from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 GROUPS = 12

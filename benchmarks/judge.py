@@ -39,8 +39,8 @@ from insdvl_replay.core.words import Verdict
 from insdvl_replay.evaluation.reference_errors import reference_errors
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
-from insdvl_replay.replay import replay_dive
 
 DIVES: Final = 12
 TRUTH_DIVES: Final = 36

@@ -32,7 +32,7 @@ from insdvl_replay.evaluation.interval import (
 )
 from insdvl_replay.nav.user_candidate import CandidateStart, Solution
 from insdvl_replay.preparation.programs import UserProcesses, solution_of_class
-from insdvl_replay.replay import Replay
+from insdvl_replay.preparation.replay import Replay
 
 SIZES: Final = (3, 5, 8)
 """Dives of the groups on which the tool says its word."""

@@ -24,7 +24,7 @@ from results import machine, table, write_part
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.tables import finite
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 
 DIVES = 8
 LENGTH_S = 400.0

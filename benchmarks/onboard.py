@@ -22,8 +22,8 @@ from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
 from insdvl_replay.logs.columns.reference import no_covariances
 from insdvl_replay.nav.levelling import drawn_starts
 from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
-from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 DIVES = 16

@@ -53,7 +53,7 @@ from true_errors import TrueRatio
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.prepared import read_checked_dive
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 
 DIVES: Final = 32
 TRUTH_DIVES: Final = 60

@@ -28,7 +28,7 @@ from insdvl_replay.nav.error_model import propagate_cov
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import Timeline, first_node, is_last, next_node
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.show.result_files import save_replay
 from insdvl_replay.sim.dive import simulate_dive
 

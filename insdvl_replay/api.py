@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
-    from insdvl_replay.replay import Replay
+    from insdvl_replay.preparation.replay import Replay
     from insdvl_replay.results.trajectory import Trajectory
 
 Text = str | Path
@@ -203,7 +203,7 @@ def replay_log(
         The settings do not fit the log.
     """
     from insdvl_replay.calibration.fitted_noise import fit_noise_of_logs
-    from insdvl_replay.replay import replay_log as replayed
+    from insdvl_replay.preparation.replay import replay_log as replayed
     from insdvl_replay.show.result_files import report_of
 
     paths = _logs(log)

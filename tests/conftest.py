@@ -9,8 +9,8 @@ import pytest
 from hypothesis import settings
 from left_out import left_out
 
-from insdvl_replay import replay
 from insdvl_replay.core.config import Evaluation
+from insdvl_replay.preparation import replay
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")

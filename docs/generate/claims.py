@@ -18,7 +18,7 @@ from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.document.parts import Result
 from insdvl_replay.evaluation.convergence import mean_over_nine
 from insdvl_replay.evaluation.ensemble import Ensemble
-from insdvl_replay.replay import Replay
+from insdvl_replay.preparation.replay import Replay
 
 REPEATED = "repeated"
 SAME_PCT_SHOWN = 1.0

@@ -12,7 +12,7 @@ import pandas as pd
 from written import markdown_table
 
 from insdvl_replay.core.tables import finite
-from insdvl_replay.replay import Replay
+from insdvl_replay.preparation.replay import Replay
 
 FACTS = Path(__file__).with_name("levy_klein.toml")
 SD_WITHIN = 0.05

@@ -29,7 +29,7 @@ from insdvl_replay.evaluation.answers import pooled_evidence
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.evaluation.sentences import ratio_text
 from insdvl_replay.preparation.prepared import read_checked_dive
-from insdvl_replay.replay import Replay, replay_dive, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.studies.montecarlo import study_montecarlo
 from insdvl_replay.studies.observability import study_observability
 from insdvl_replay.studies.window import study_window

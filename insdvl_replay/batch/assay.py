@@ -17,7 +17,7 @@ from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.tables import AssayRow, Tables, finite
 from insdvl_replay.core.words import ReferenceStatus, Role
 from insdvl_replay.evaluation.evidence import role_alone
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 
 Control = Callable[[Dive, Config], tuple[Dive, Config]]
 Vector = tuple[float, float, float]

@@ -51,7 +51,7 @@ from insdvl_replay.results.folder import (
 
 if TYPE_CHECKING:
     from insdvl_replay.changes.gate_file import Checked, Gates
-    from insdvl_replay.replay import Replay
+    from insdvl_replay.preparation.replay import Replay
 
 CONTROL_NOTE: Final = "control_fitted"
 DAMAGE_NOTE: Final = "log_damaged"
@@ -442,7 +442,7 @@ def replay_into(job: ReplayJob) -> bytes:
     if not job.replaces and isinstance(_known_report(job), Report):
         return (job.target / COMPLETE).read_bytes()
     # Heavy, and often no dive is replayed.
-    from insdvl_replay.replay import Replay, replay_log
+    from insdvl_replay.preparation.replay import Replay, replay_log
     from insdvl_replay.show.result_files import save_histories, save_replay
 
     run: Callable[..., Replay] = (

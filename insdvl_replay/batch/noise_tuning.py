@@ -27,8 +27,8 @@ from insdvl_replay.evaluation.notes import (
 )
 from insdvl_replay.preparation.filters import resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.preparation.run import prepare_with_heading, prepared_timeline, run_one
-from insdvl_replay.replay import Replay, replay_dive
 
 NAME = "tuned"
 INERTIAL: Final = ("accel_white_mps_rts", "gyro_white_rad_rts")

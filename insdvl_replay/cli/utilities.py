@@ -367,7 +367,7 @@ def compile_(verbose: opt.Verbose = 0) -> None:
             "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile",
         )
     from insdvl_replay.logs import write_dive
-    from insdvl_replay.replay import replay_log
+    from insdvl_replay.preparation.replay import replay_log
     from insdvl_replay.sim.dive import simulate_dive
 
     with TemporaryDirectory() as name:  # compiles everything that a run needs

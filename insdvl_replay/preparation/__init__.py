@@ -1,6 +1,6 @@
-"""From a log and settings to runs of every candidate.
+"""From a log and settings to runs of every candidate, and their verdicts.
 
-`prepared` reads and checks a dive, settles long gaps of the IMU, and does what else comes before the filters:
-`alignment` finds the start, `filters` what each filter measures, `plugins` what user code measures. `run` runs the
-candidates, among them recorded `solutions`. All `notes` are in one table.
+`replay` is one screen: how a dive becomes a verdict. `prepared` reads and checks a dive, settles long gaps of the IMU,
+and does what else comes before the filters: `alignment` finds the start, `filters` what each filter measures, `plugins`
+what user code measures. `run` runs the candidates, among them recorded `solutions`. All `notes` are in one table.
 """

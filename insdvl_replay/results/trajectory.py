@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     # Only their types are needed: who reads a trajectory must not wait for the filters.
     import pandas as pd
 
-    from insdvl_replay.replay import Replay
+    from insdvl_replay.preparation.replay import Replay
 
 _CURVE: Final = "curve_"  # Begins the name of an array that is no sample of a second.
 _OF_DVL: Final = (

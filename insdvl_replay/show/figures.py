@@ -38,7 +38,7 @@ from insdvl_replay.evaluation.outage_test import SHOWN_EVERY_S, SHOWN_S, OutageC
 from insdvl_replay.evaluation.reference_errors import acceleration_at, reference_acceleration
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat, wrap_angle
-from insdvl_replay.replay import Replay
+from insdvl_replay.preparation.replay import Replay
 
 DERIVED: Final = "derived"
 REACHED: Final = "reached"

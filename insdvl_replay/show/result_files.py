@@ -22,7 +22,7 @@ from insdvl_replay.core.version import __version__
 from insdvl_replay.document.parts import Block
 from insdvl_replay.document.tables import table_csv
 from insdvl_replay.logs import write_replay
-from insdvl_replay.replay import Replay
+from insdvl_replay.preparation.replay import Replay
 from insdvl_replay.results.folder import (
     COMPLETE,
     LAYOUT_FILES,

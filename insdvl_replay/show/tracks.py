@@ -13,7 +13,7 @@ from insdvl_replay.core.errors import visible
 from insdvl_replay.document.paper import LOOKS
 from insdvl_replay.document.parts import REFERENCE, filter_style
 from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
-from insdvl_replay.replay import Replay
+from insdvl_replay.preparation.replay import Replay
 from insdvl_replay.results.folder import MAPS, REFERENCE_TRAJECTORY, trajectory_file
 from insdvl_replay.results.frames import history_frame, reference_frame
 

@@ -64,7 +64,8 @@ def imports_s() -> float:
     """Measure how long a command imports, before it reads its first file."""
     start_s = time.monotonic()
     subprocess.run(
-        [sys.executable, "-c", "import insdvl_replay.api, insdvl_replay.replay"], check=True
+        [sys.executable, "-c", "import insdvl_replay.api, insdvl_replay.preparation.replay"],
+        check=True,
     )
     return time.monotonic() - start_s
 

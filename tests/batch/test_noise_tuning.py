@@ -19,7 +19,7 @@ from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.evaluation.notes import CLASSES
 from insdvl_replay.logs import read_dive
 from insdvl_replay.preparation.prepared import reference_at_imu
-from insdvl_replay.replay import replay_dive, replay_log
+from insdvl_replay.preparation.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 

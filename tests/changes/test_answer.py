@@ -19,7 +19,7 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.report import StoredReport, StoredResult
 from insdvl_replay.document.render import render
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.show.result_files import report_of
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors

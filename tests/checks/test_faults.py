@@ -18,7 +18,7 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import write_dive
 from insdvl_replay.logs.columns.tables import clock_notes
 from insdvl_replay.preparation.prepared import read_checked_dive
-from insdvl_replay.replay import Replay, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 
 CONFIG = load_config("levy-klein")

@@ -73,7 +73,7 @@ DOCUMENTED = {
 }  # fmt: skip
 WITH_STAND_IN = """
 import pathlib, sys, time
-import insdvl_replay.replay as hall
+import insdvl_replay.preparation.replay as hall
 import insdvl_replay.show.result_files as disk
 from insdvl_replay.cli import main
 
@@ -428,7 +428,7 @@ def test_our_error_is_exit_4_and_shows_its_place_only_when_asked(
     def fail(path: Path, config: object, **_: object) -> None:
         raise ZeroDivisionError("a slip")
 
-    monkeypatch.setattr("insdvl_replay.replay.replay_log", fail)
+    monkeypatch.setattr("insdvl_replay.preparation.replay.replay_log", fail)
     assert run_command_line(["run", str(dive), "-o", str(tmp_path), *flags]) == 4
     err = capsys.readouterr().err
     assert ("Traceback" in err) is traceback

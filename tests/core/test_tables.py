@@ -17,7 +17,7 @@ from insdvl_replay.core.tables import (
     each_table,
 )
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 MESSAGES = Path(__file__).resolve().parents[2] / "schemas" / "insdvl_msgs" / "msg"

@@ -24,7 +24,7 @@ from insdvl_replay.evaluation.consistency import (
 )
 from insdvl_replay.evaluation.notes import update_notes
 from insdvl_replay.evaluation.verdicts import diverged_filters
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 

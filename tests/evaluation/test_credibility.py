@@ -30,7 +30,7 @@ from insdvl_replay.evaluation.credibility import (
 )
 from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.geometry.rotation import mat_from_rpy
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
 from insdvl_replay.studies.montecarlo import matched_errors
 

@@ -8,7 +8,7 @@ import pytest
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.tables import EvidenceRow, finite
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 # A copy of the baseline, one with the noise of its DVL a hundredth larger, and one with it twenty times larger.

@@ -17,7 +17,7 @@ from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.evaluation.reference_errors import covered_share
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.preparation.prepared import with_reference_at_imu
-from insdvl_replay.replay import Replay, replay_dive, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.show.result_files import save_replay
 from insdvl_replay.sim.dive import START_NS, simulate_dive
 from insdvl_replay.studies.window import dive_windows

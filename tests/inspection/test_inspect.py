@@ -28,7 +28,7 @@ from insdvl_replay.inspection.dry_run import vector_paths
 from insdvl_replay.inspection.inventory import Inventory, inspection_result
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.replay import replay_log
+from insdvl_replay.preparation.replay import replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 

@@ -23,7 +23,7 @@ from insdvl_replay.core.words import Consistency
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.automatic import SettingsFile, settings_file
 from insdvl_replay.logs import write_dive
-from insdvl_replay.replay import replay_log
+from insdvl_replay.preparation.replay import replay_log
 from insdvl_replay.sim.dive import simulate_dive
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"

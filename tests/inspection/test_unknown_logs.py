@@ -23,7 +23,7 @@ from insdvl_replay.inspection.dry_run import FieldMatch
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.formats.fields import check_path
-from insdvl_replay.replay import replay_log
+from insdvl_replay.preparation.replay import replay_log
 
 START = {"initial.heading_deg": "30.0", "initial.latitude_deg": "32.8"}
 

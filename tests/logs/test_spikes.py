@@ -12,7 +12,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.columns.imu import find_spikes
-from insdvl_replay.replay import Replay, replay_dive, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 
 TIME_NS = np.arange(21) * 10_000_000

@@ -22,7 +22,7 @@ from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.array_files import read_matlab
 from insdvl_replay.logs.formats.fields import open_reader
 from insdvl_replay.logs.formats.recording import open_recording
-from insdvl_replay.replay import replay_log
+from insdvl_replay.preparation.replay import replay_log
 
 NEEDS = {"parquet": "pyarrow"}
 IMU = Imu(topic="imu.csv", specific_force="ax, ay, az", angular_rate="gx, gy, gz")

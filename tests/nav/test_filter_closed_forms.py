@@ -16,7 +16,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG, MRAD, PHI
 from insdvl_replay.evaluation.convergence import mean_over_nine
 from insdvl_replay.geometry.earth import EARTH_RATE
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.studies.montecarlo import make_setup, run_seed, simulated_run
 

@@ -14,7 +14,7 @@ from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, ReferenceC
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import BA, BG, DEG, DV, PHI
 from insdvl_replay.geometry.rotation import rpy_from_mat
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 
 LEVER_ARM_M: Vector = (-1.8, 0.3, 0.5)

@@ -14,8 +14,8 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG_PER_HOUR, DV, MG, PHI
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.preparation.start_sources import initial_sd
-from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 from insdvl_replay.studies.montecarlo import make_setup, run_seed, simulated_run

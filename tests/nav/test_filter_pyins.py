@@ -6,7 +6,7 @@ from python_ins import Case, our_belief, their_belief
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.states import PHI
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 
 
 @pytest.mark.filterwarnings(

@@ -17,8 +17,8 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, DEG, MG, MRAD, PHI
 from insdvl_replay.geometry.earth import EARTH_RATE, normal_gravity
 from insdvl_replay.geometry.rotation import mat_from_rpy, skew
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.preparation.start_sources import initial_sd
-from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import exact_dive
 
 DURATION_S, STEPS_PER_PING = 424, 10  # a ping each second

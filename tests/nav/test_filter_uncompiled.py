@@ -12,7 +12,7 @@ import pytest
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.history import History
 from insdvl_replay.nav import filter as nav_filter
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 COLUMNS = ("position", "velocity_n", "mat_nb", "accel_bias_b", "gyro_bias_b", "sd")

@@ -14,7 +14,7 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import BG, DEG, DV, PHI
 from insdvl_replay.nav.timeline import Gaps, Timeline, build_timeline
 from insdvl_replay.preparation.prepared import find_gaps
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import START_NS, exact_dive
 
 SECOND = 1_000_000_000

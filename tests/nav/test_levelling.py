@@ -23,7 +23,7 @@ from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.levelling import UNSEEN_MPS2
 from insdvl_replay.preparation.alignment import Alignment, align
 from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
-from insdvl_replay.replay import replay_dive, replay_log
+from insdvl_replay.preparation.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
 from insdvl_replay.sim.trajectories import HEADING_DEG, Scenario, Wave, turn
 from insdvl_replay.studies.montecarlo import matched_errors

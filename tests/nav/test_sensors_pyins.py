@@ -6,7 +6,7 @@ from python_ins import INITIAL, Case, depths, fixes, our_belief, their_belief
 
 from insdvl_replay.core.config import Depth, Filter, Initial, Position
 from insdvl_replay.geometry.frames import north_east_down_m
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 
 START_SD_M, FIX_SD_M, DEPTH_SD_M = 5.0, 0.5, 0.05

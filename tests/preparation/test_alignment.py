@@ -18,8 +18,8 @@ from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.levelling import LEVELLING_S
 from insdvl_replay.preparation.alignment import Alignment, align
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.preparation.start_sources import initial_sd
-from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import FIRST_PING_S, START_NS, exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS, Trajectory
 

@@ -17,7 +17,7 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, vector_from_mat
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
-from insdvl_replay.replay import replay_dive, replay_log
+from insdvl_replay.preparation.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 

@@ -16,7 +16,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive
 from insdvl_replay.logs import write_dive
 from insdvl_replay.nav.user_candidate import CandidateStart
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "candidates"

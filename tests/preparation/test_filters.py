@@ -13,7 +13,7 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import DvlMounting, beam_vectors
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.studies.montecarlo import matched_errors
 

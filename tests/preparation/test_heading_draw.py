@@ -18,8 +18,8 @@ from insdvl_replay.geometry.rotation import mat_from_vector, rpy_from_mat, vecto
 from insdvl_replay.nav.levelling import Start, start_cov
 from insdvl_replay.preparation.heading_draw import HEADING, HeadingDraw, heading_draw, turned_start
 from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.preparation.run import plan_runs, run_candidates
-from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 

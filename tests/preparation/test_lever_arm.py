@@ -12,7 +12,7 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.preparation.prepared import reference_at_imu, with_reference_at_imu
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim.dive import exact_dive
 
 ARM_B = np.array([1.8, -0.4, 0.3])

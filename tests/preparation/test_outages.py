@@ -18,7 +18,7 @@ from insdvl_replay.preparation.prepared import (
     outage_notes,
     read_checked_dive,
 )
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.sim.trajectories import Scenario, Wave

@@ -23,8 +23,8 @@ from insdvl_replay.evaluation.repeats import Change, Repeat, apart_m
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.logs import write_dive
 from insdvl_replay.nav.user_candidate import Candidate, CandidateStart, Solution
+from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.preparation.user_runs import LATER_NS, with_repeated_samples
-from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "candidates"

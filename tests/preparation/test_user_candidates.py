@@ -31,6 +31,7 @@ from insdvl_replay.nav.user_candidate import Candidate, CandidateError, Candidat
 from insdvl_replay.nav.user_measurement import load_class
 from insdvl_replay.preparation.candidates import history_of_candidate
 from insdvl_replay.preparation.programs import run_as_program
+from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.preparation.solution_files import (
     ATTITUDE,
     POSITION,
@@ -39,7 +40,6 @@ from insdvl_replay.preparation.solution_files import (
     read_solution,
 )
 from insdvl_replay.preparation.source_errors import ATTITUDE_FLOOR, VELOCITY_FLOOR_MPS
-from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 

@@ -12,7 +12,7 @@ from frames import frame
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.states import NINE, STATES
-from insdvl_replay.replay import replay_log
+from insdvl_replay.preparation.replay import replay_log
 
 SAMPLE = reproduction.PROJECT / "sample_logs" / "straight.mcap"
 

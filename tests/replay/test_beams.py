@@ -16,8 +16,8 @@ from insdvl_replay.evaluation.notes import update_notes
 from insdvl_replay.evaluation.verdicts import diverged_filters
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
-from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, LostBeam, SensorErrors
 

@@ -10,7 +10,7 @@ from insdvl_replay.core.config import Config, Dvl, Imu
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.replay import Replay, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_log
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "blueye_x3"
 CONFIG = Path(__file__).parents[2] / "examples" / "blueye_x3.toml"

@@ -17,8 +17,8 @@ from insdvl_replay.evaluation.drift import heading_fit
 from insdvl_replay.logs import write_dive
 from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.prepared import with_reference_at_imu
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.preparation.run import _before_a_gap, _tracked, fitted_start
-from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
 

@@ -15,7 +15,7 @@ from insdvl_replay.evaluation.answers import pooled_candidate
 from insdvl_replay.evaluation.sentences import paragraph
 from insdvl_replay.evaluation.verdicts import trust_sentence
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m
-from insdvl_replay.replay import Replay, replay_dive, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.studies.montecarlo import matched_errors
 

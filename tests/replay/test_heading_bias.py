@@ -11,7 +11,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG, PHI
 from insdvl_replay.core.words import Consistency, Reason, Severity
 from insdvl_replay.nav.levelling import Start, with_more_states
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 

@@ -27,7 +27,7 @@ from insdvl_replay.nav.measurements import USER, Measurement, sensor_measurement
 from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings
 from insdvl_replay.preparation.plugins import given_dive, in_outages
 from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 

@@ -21,7 +21,7 @@ from insdvl_replay.nav.kalman import (
     outlier_factor,
     significant_factor,
 )
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 
 DIVES, LENGTH_S, STARTS = 5, 600.0, 8
 PREDICTED_VAR = 0.5

@@ -17,8 +17,8 @@ from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.user_measurement import NoiseFactors, UserNoise, checked_factors
 from insdvl_replay.preparation.plugins import in_outages
 from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
-from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import add_errors, simulate_dive
 from insdvl_replay.studies.montecarlo import drawn_start, make_setup
 

@@ -22,7 +22,7 @@ from insdvl_replay.nav.user_measurement import (
     load_plugin,
 )
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 

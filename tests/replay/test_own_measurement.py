@@ -29,8 +29,8 @@ from insdvl_replay.core.runtime import plain
 from insdvl_replay.core.words import Consistency, Whiteness
 from insdvl_replay.logs.write import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.preparation.run import prepared_timeline, run_one
-from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 

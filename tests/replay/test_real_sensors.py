@@ -13,7 +13,7 @@ from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.logs import read_dive
 from insdvl_replay.preparation.prepared import read_checked_dive
-from insdvl_replay.replay import Replay, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_log
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -6,7 +6,7 @@ import pytest
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.replay import replay_log
+from insdvl_replay.preparation.replay import replay_log
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BY_FIXES = (

@@ -26,7 +26,7 @@ from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import STATES
 from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, SMALL_EXCESS
 from insdvl_replay.logs import write_dive
-from insdvl_replay.replay import Replay, replay_dive, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import START_NS, exact_dive, simulate_dive
 from insdvl_replay.sim.sensor_errors import LostBeam
 

@@ -15,7 +15,7 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DEG_PER_HOUR, MG
 from insdvl_replay.core.tables import finite
 from insdvl_replay.logs import write_dive
-from insdvl_replay.replay import replay_dive, replay_log
+from insdvl_replay.preparation.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
 

@@ -11,12 +11,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from vehicles_own import Told, write_odometry
 
-from insdvl_replay import replay
 from insdvl_replay.core.config import Config, Evaluation, Filter
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.preparation import replay
 from insdvl_replay.preparation.prepared import read_checked_dive
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 SHORT_S, LONG_S = 100.0, 1600.0

@@ -33,8 +33,8 @@ from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.write import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.preparation.run import prepared_timeline, run_one
-from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.show.figures import Clock, nis_figure
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, SensorErrors

@@ -11,7 +11,7 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import NINE
 from insdvl_replay.core.tables import finite
 from insdvl_replay.evaluation.answers import pooled_candidate, pooled_evidence
-from insdvl_replay.replay import Replay, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_log
 
 CONFIG = Path(__file__).parents[2] / "examples" / "snapir.toml"
 PAPER_NOISE = CONFIG.with_name("paper_noise.toml")

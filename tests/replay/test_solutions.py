@@ -24,9 +24,9 @@ from insdvl_replay.logs.columns.reference import no_covariances
 from insdvl_replay.logs.write import write_dive
 from insdvl_replay.nav.levelling import drawn_starts
 from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
 from insdvl_replay.preparation.solutions import recorded_history
-from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 MEMS = load_config("mems")

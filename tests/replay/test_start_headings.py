@@ -21,7 +21,7 @@ from insdvl_replay.evaluation.sentences import headline
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import mat_from_vector
 from insdvl_replay.logs.columns.reference import no_covariances
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 

@@ -9,7 +9,7 @@ from frames import frame
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.logs import read_dive
-from insdvl_replay.replay import Replay, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_log
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "ufmil"
 CONFIG = Path(__file__).parents[2] / "examples" / "ufmil.toml"

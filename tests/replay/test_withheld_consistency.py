@@ -12,7 +12,7 @@ from insdvl_replay.core.config import Config, Evaluation, Filter, Heading, Initi
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import rpy_from_mat
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 from insdvl_replay.studies.montecarlo import matched_errors

@@ -28,7 +28,7 @@ from insdvl_replay.document.parts import (
 )
 from insdvl_replay.document.tables import parts_for
 from insdvl_replay.document.text import for_terminal
-from insdvl_replay.replay import Replay, replay_dive, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.show.dive import NO_REFERENCE, changed_settings, dive_document
 from insdvl_replay.show.figures import (
     Clock,

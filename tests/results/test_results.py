@@ -12,7 +12,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.replay import replay_log
+from insdvl_replay.preparation.replay import replay_log
 from insdvl_replay.results.folder import DIVE_FILES
 from insdvl_replay.show.result_files import save_replay
 

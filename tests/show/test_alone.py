@@ -6,7 +6,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import finite
 from insdvl_replay.document.render import render
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.show.answers import Failure
 from insdvl_replay.show.dive import dive_document, replay_result
 from insdvl_replay.show.dives import index_page, overview_parts, summary_rows

@@ -8,7 +8,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.report import Report, build_report
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.document.parts import Sentences
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.show.answers import against_control, has_misfit, predicted_unchecked
 from insdvl_replay.show.screens import dive_screen
 from insdvl_replay.sim.dive import simulate_dive

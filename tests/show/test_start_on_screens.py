@@ -13,7 +13,7 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.report import Report, build_report
 from insdvl_replay.core.words import HeadingSource
 from insdvl_replay.document.text import for_terminal
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.show.screens import dive_screen, dives_screen
 from insdvl_replay.sim.dive import simulate_dive
 

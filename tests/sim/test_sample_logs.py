@@ -12,7 +12,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.states import STATES
 from insdvl_replay.evaluation.convergence import mean_over_nine, nearest_over_nine
 from insdvl_replay.logs import write_dive
-from insdvl_replay.replay import Replay, replay_log
+from insdvl_replay.preparation.replay import Replay, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"

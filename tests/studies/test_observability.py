@@ -34,7 +34,7 @@ from insdvl_replay.nav.observability import (
     whitened_rows,
 )
 from insdvl_replay.nav.timeline import Timeline, build_timeline
-from insdvl_replay.replay import replay_dive, replay_log
+from insdvl_replay.preparation.replay import replay_dive, replay_log
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.sim.trajectories import SCENARIOS, START, Scenario, Segment, Wave

@@ -15,7 +15,7 @@ from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.logs.read import find_roles
 from insdvl_replay.preparation.prepared import prepare_dive
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 from insdvl_replay.studies.window import dive_windows
