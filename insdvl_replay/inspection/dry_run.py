@@ -33,12 +33,11 @@ from insdvl_replay.logs.formats.fields import (
     NUMBER,
     TABLE,
     Kinds,
-    channel_paths,
     check_encoding,
-    open_reader,
     split_paths,
 )
 from insdvl_replay.logs.formats.log_file import LogChannel
+from insdvl_replay.logs.formats.readers import channel_paths, open_reader
 from insdvl_replay.logs.formats.recording import Recording
 from insdvl_replay.logs.read import Finding, RoleColumns, loss_notes, source_notes, stamp_notes
 

@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.formats.definitions import parse_definitions
-from insdvl_replay.logs.formats.fields import BinaryReader
+from insdvl_replay.logs.formats.readers import BinaryReader
 
 TYPE = "test_msgs/msg/Ping"
 MAIN = "string label\nuint8 mode\ntest_msgs/Beam[] beams\nint64 stamp\nfloat32[3] fixed\nfloat64[] free\nbool good\n"

@@ -45,8 +45,9 @@ from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.formats.decoded import JsonReader
 from insdvl_replay.logs.formats.definitions import definition_text, parse_definitions
-from insdvl_replay.logs.formats.fields import channel_paths, message_layout
+from insdvl_replay.logs.formats.fields import message_layout
 from insdvl_replay.logs.formats.log_file import LogChannel, most_opened
+from insdvl_replay.logs.formats.readers import channel_paths
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.sim.dive import exact_dive
 

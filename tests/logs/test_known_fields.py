@@ -17,7 +17,8 @@ from rosbag_messages import START_NS, store_with, text_of
 from rosbags.typesys.store import Typestore
 
 from insdvl_replay.logs.columns.topics import TYPES, KnownType, Types
-from insdvl_replay.logs.formats.fields import channel_paths, find_path, open_reader, split_paths
+from insdvl_replay.logs.formats.fields import find_path, split_paths
+from insdvl_replay.logs.formats.readers import channel_paths, open_reader
 from insdvl_replay.logs.formats.recording import open_recording
 
 TABLES: list[Types] = [*TYPES.values()]

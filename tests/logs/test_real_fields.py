@@ -12,8 +12,9 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as RosDecoders
 
 from insdvl_replay.logs.formats.definitions import PRIMITIVES
-from insdvl_replay.logs.formats.fields import NUMBER, Columns, channel_paths, open_reader
+from insdvl_replay.logs.formats.fields import NUMBER, Columns
 from insdvl_replay.logs.formats.log_file import Block, LogChannel
+from insdvl_replay.logs.formats.readers import channel_paths, open_reader
 from insdvl_replay.logs.formats.recording import open_recording
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"

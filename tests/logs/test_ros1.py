@@ -15,12 +15,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.formats.definitions import PRIMITIVES, definitions_of
-from insdvl_replay.logs.formats.fields import (
-    BinaryReader,
-    channel_paths,
-    message_layout,
-    open_reader,
-)
+from insdvl_replay.logs.formats.fields import message_layout
+from insdvl_replay.logs.formats.readers import BinaryReader, channel_paths, open_reader
 from insdvl_replay.logs.formats.recording import open_recording
 
 TYPE = "test_msgs/msg/Ping"

@@ -16,7 +16,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.definitions import definition_text, parse_definitions
-from insdvl_replay.logs.formats.fields import BinaryReader
+from insdvl_replay.logs.formats.readers import BinaryReader
 
 TYPE = "test_msgs/msg/Ping"
 RULE = "=" * 80

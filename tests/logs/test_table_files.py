@@ -20,7 +20,7 @@ from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.array_files import read_matlab
-from insdvl_replay.logs.formats.fields import open_reader
+from insdvl_replay.logs.formats.readers import open_reader
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.preparation.replay import replay_log
 

@@ -17,7 +17,8 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.geometry.frames import east_north_up_m
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.definitions import definition_text, definitions_of
-from insdvl_replay.logs.formats.fields import BinaryReader, Element
+from insdvl_replay.logs.formats.fields import Element
+from insdvl_replay.logs.formats.readers import BinaryReader
 
 TYPE = "tf2_msgs/msg/TFMessage"
 TIMES = 0.1 * np.arange(20)

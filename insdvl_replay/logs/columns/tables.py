@@ -39,12 +39,11 @@ from insdvl_replay.logs.formats.fields import (
     Columns,
     FieldReader,
     Kinds,
-    column_of,
     fields_hint,
-    open_reader,
     split_paths,
 )
 from insdvl_replay.logs.formats.log_file import Block, LogChannel, damaged_file_error
+from insdvl_replay.logs.formats.readers import column_of, open_reader
 from insdvl_replay.logs.formats.recording import CHANNELS_OF_A_PART, Recording
 
 Rows = NDArray[np.int64]

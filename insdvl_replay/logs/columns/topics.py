@@ -21,13 +21,12 @@ from insdvl_replay.logs.formats.definitions import full_name
 from insdvl_replay.logs.formats.fields import (
     TABLE,
     Element,
-    channel_paths,
     check_encoding,
-    column_of,
     find_path,
     split_paths,
 )
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
+from insdvl_replay.logs.formats.readers import channel_paths, column_of
 
 
 class KnownType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
