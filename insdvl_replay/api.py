@@ -460,8 +460,8 @@ def compare_settings(
     force : bool
         Replace other results.
     """
-    from insdvl_replay.batch.dive_paths import FoundDive
     from insdvl_replay.batch.fitted_noise import with_same_noise
+    from insdvl_replay.batch.found import FoundDive
     from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_both_sides, replay_jobs
     from insdvl_replay.calibration.fitted_noise import with_noise_of
 

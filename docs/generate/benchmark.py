@@ -23,7 +23,7 @@ from typing import Any
 import msgspec
 from written import PROJECT, markdown_table, renewed
 
-from insdvl_replay.batch.dive_paths import FoundDive
+from insdvl_replay.batch.found import FoundDive
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, known_reports, replay_jobs
 from insdvl_replay.batch.manifest import fetch_dives, manifest_dives
 from insdvl_replay.batch.workers import local_pool

@@ -4,15 +4,13 @@ import glob
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
-from urllib.parse import unquote
 
+from insdvl_replay.batch.found import FoundDive, dive_of_url
 from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
-from insdvl_replay.core.errors import ConfigError, NaturalKey, UserError, natural_key, read_text
+from insdvl_replay.core.errors import ConfigError, NaturalKey, natural_key, read_text
 from insdvl_replay.core.path_kinds import result_hint, result_named
-from insdvl_replay.core.urls import FETCHED, shown_url, url_parts
 from insdvl_replay.results.folder import is_result
 
 LIST_SUFFIX: Final = ".txt"
@@ -28,26 +26,6 @@ _NUMBER: Final = re.compile(r"[+-]?\d+\.?\d*([eE][+-]?\d+)?")
 _PATHS: Final = tuple(
     map(re.compile, (r"[a-z0-9+]+://.*", r"[^,;{}$]*/[^,;{}$]*", r"[^\W\d][\w.+*?-]*"))
 )
-
-
-@dataclass(frozen=True)
-class FoundDive:
-    """A dive that is meant, and what its manifest says of it."""
-
-    path: Path  # of a remote log, in the cache once it is fetched; before, its name alone
-    url: str = ""
-    sha256: str = ""  # that it must have
-    settings: Path | None = None  # of this dive
-    vehicle: str = ""  # that made it; empty: the settings say which
-    error: UserError | None = None  # why it cannot be used
-
-    @property
-    def name_giver(self) -> Path:
-        """The path after which the dive is named: of a remote log, host and path of its URL."""
-        place = shown_url(self.url).partition("://")[2].removesuffix("?...")
-        if self.url:
-            return Path("/", *place.split("/"))
-        return self.path
 
 
 def shared_settings(dives: Sequence[FoundDive], command: str) -> Path | None:
@@ -112,27 +90,6 @@ def find_dives(
                 f"{name}: is not a usable path: {reason}", "check the path"
             ) from error
     return list(found.values())
-
-
-def dive_of_url(url: str, sha256: str = "", settings: Path | None = None) -> FoundDive:
-    """Return the dive of a URL, by its name alone; nothing is opened.
-
-    Raises
-    ------
-    ConfigError
-        Logs of such URLs are not fetched.
-    """
-    parts = url_parts(url)
-    if parts is None:
-        text = f"is no URL of a log: only those of {', '.join(FETCHED)} are fetched, and no chains (::)"
-        raise ConfigError(text, "fetch it with another program, and name the file", shown_url(url))
-    if parts.scheme == "file":
-        if parts.netloc not in ("", "localhost"):
-            raise ConfigError("names another computer", "file:///the/whole/path", shown_url(url))
-        return FoundDive(Path(unquote(parts.path)), "", sha256, settings)
-    from insdvl_replay.logs.formats.remote import remote_name
-
-    return FoundDive(remote_name(url), url, sha256, settings)
 
 
 def _natural(path: Path) -> tuple[NaturalKey, ...]:

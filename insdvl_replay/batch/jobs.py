@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 from msgspec.structs import replace as changed
 
-from insdvl_replay.batch.dive_paths import FoundDive, shared_settings
+from insdvl_replay.batch.dive_paths import shared_settings
+from insdvl_replay.batch.found import FoundDive
 from insdvl_replay.batch.workers import Pool, WorkerLostError, do_each
 from insdvl_replay.core.config import FREE, Config, flattened
 from insdvl_replay.core.dive_record import unique_names

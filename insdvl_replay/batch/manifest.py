@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 from msgspec import Meta, Struct
 
-from insdvl_replay.batch.dive_paths import FoundDive, dive_of_url
+from insdvl_replay.batch.found import FoundDive, dive_of_url
 from insdvl_replay.core.config_file import SECTIONS, converted, read_toml
 from insdvl_replay.core.errors import ConfigError, LogError, UserError, error_context, listed
 from insdvl_replay.core.path_kinds import require_kind_of_toml

@@ -23,7 +23,7 @@ from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.urls import shown_url
 
 if TYPE_CHECKING:
-    from insdvl_replay.batch.dive_paths import FoundDive
+    from insdvl_replay.batch.found import FoundDive
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.calibration.innovations import ReadDive
     from insdvl_replay.core.config import Config

@@ -26,7 +26,7 @@ from insdvl_replay.document.render import render
 from insdvl_replay.document.text import for_terminal
 
 if TYPE_CHECKING:
-    from insdvl_replay.batch.dive_paths import FoundDive
+    from insdvl_replay.batch.found import FoundDive
 
 PIPED_COLUMNS = 10_000
 """Width without a terminal, so that no line is wrapped."""

@@ -29,7 +29,8 @@ from recorded_parts import write_part
 
 import insdvl_replay
 from insdvl_replay.batch import workers
-from insdvl_replay.batch.dive_paths import FoundDive, find_dives, usable_paths
+from insdvl_replay.batch.dive_paths import find_dives, usable_paths
+from insdvl_replay.batch.found import FoundDive
 from insdvl_replay.batch.jobs import (
     ReplayJob,
     ReplayOptions,

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from insdvl_replay.batch import workers
-from insdvl_replay.batch.dive_paths import FoundDive
+from insdvl_replay.batch.found import FoundDive
 from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_jobs
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from insdvl_replay.batch.dive_paths import FoundDive
+from insdvl_replay.batch.found import FoundDive
 from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_into
 from insdvl_replay.cli.screen import REPLAY, Meter, Plan, progress
 from insdvl_replay.core.config_file import load_config
