@@ -44,8 +44,9 @@ from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import mat_from_rpy
-from insdvl_replay.inspection.proposal import Setting, propose_settings, settings_toml
+from insdvl_replay.inspection.proposal import propose_settings
 from insdvl_replay.inspection.roles import UNKNOWN_LATITUDE_DEG, read_roles, with_roles
+from insdvl_replay.inspection.settings import Setting, settings_toml
 from insdvl_replay.inspection.trials import CONSISTENT
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.preparation.prepared import (

@@ -8,24 +8,22 @@ a person can know is a comment. Every other key has the likeliest value, so the 
 """
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import groupby
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 import numpy as np
 
-from insdvl_replay.calibration.found import comment_lines
 from insdvl_replay.checks.imu import SPIN_RADPS
 from insdvl_replay.checks.reference import velocity_misfit
 from insdvl_replay.core.config import Config, Imu, Initial
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import Floats, ImuColumns
 from insdvl_replay.core.dive_record import Clock
-from insdvl_replay.core.errors import LogError, Note, listed, visible
+from insdvl_replay.core.errors import LogError, Note, listed
 from insdvl_replay.core.states import (
     BY_SENSOR,
     SENSORS,
@@ -48,6 +46,8 @@ from insdvl_replay.inspection.dry_run import (
 )
 from insdvl_replay.inspection.inventory import Blocker
 from insdvl_replay.inspection.ping_flags import flag_senses
+from insdvl_replay.inspection.settings import Setting, not_yet_set, with_settings
+from insdvl_replay.inspection.table_clocks import table_clock_settings
 from insdvl_replay.logs.columns.flags import flag_columns
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import (
@@ -62,87 +62,6 @@ from insdvl_replay.logs.columns.topics import PROPOSED, Source
 from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.read import Finding, find_roles
-
-
-@dataclass(frozen=True)
-class Setting:
-    """One proposed setting."""
-
-    key: str  # section and name, such as ``imu.topic``
-    value: Any  # None where only a person can know it
-    seen: str = ""  # what speaks for the value
-    open: str = ""  # what there is to decide; empty where what was seen settles it
-    others: tuple[str, ...] = ()  # alternative TOML lines, with what was seen behind ``  # ``
-    listed: tuple[str, ...] = ()  # what there is to choose from, line by line
-
-    @property
-    def section(self) -> str:
-        """Name of its table."""
-        return self.key.rpartition(".")[0]
-
-    @property
-    def name(self) -> str:
-        """Its name in this table."""
-        return self.key.rpartition(".")[2]
-
-
-def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
-    """Set what has a value."""
-    for setting in settings:
-        if setting.value is not None:
-            section = msgspec.structs.replace(
-                getattr(config, setting.section), **{setting.name: setting.value}
-            )
-            config = msgspec.structs.replace(config, **{setting.section: section})
-    return config
-
-
-def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
-    """Leave out the keys that the configuration has set already."""
-    kept = []
-    default = Config()
-    for setting in settings:
-        now, before = (
-            getattr(getattr(given, setting.section), setting.name) for given in (config, default)
-        )
-        kept += [setting] if setting.value is None or now == before else []
-    return kept
-
-
-def ordered(settings: Iterable[Setting]) -> list[Setting]:
-    """Return the latest setting of each key, section by section."""
-    latest = {setting.key: setting for setting in settings}
-    return sorted(
-        latest.values(),
-        key=lambda setting: Config.__struct_fields__.index(setting.key.partition(".")[0]),
-    )
-
-
-def undecided_keys(settings: Iterable[Setting]) -> tuple[str, ...]:
-    """Name the keys about which a person must decide."""
-    return tuple(setting.key for setting in ordered(settings) if setting.open)
-
-
-def settings_toml(settings: Iterable[Setting]) -> str:
-    """Write settings as TOML with comments."""
-    sections = []
-    for section, group in groupby(ordered(settings), lambda setting: setting.section):
-        lines = [f"[{section}]"]
-        for setting in group:
-            lines += comment_lines(setting.seen)
-            lines += comment_lines(f"decide: {setting.open}" if setting.open else "")
-            lines += [f"#   {visible(line)}" for line in setting.listed]
-            is_known = setting.value is not None
-            lines.append(
-                f"{setting.name} = {toml_value(setting.value)}"
-                if is_known
-                else f"# {setting.name} ="
-            )
-            for other in setting.others:
-                value, _, seen = other.partition("  # ")
-                lines += [*comment_lines(seen), f"# or {visible(value)}"]
-        sections.append("".join(f"{line}\n" for line in lines))
-    return "\n".join(sections)
 
 
 def _fields(key: str, candidates: Sequence[FieldMatch], to_decide: str = "") -> Setting:
@@ -611,8 +530,6 @@ def propose(
     settings = [*_choices(findings, seen), *not_yet_set(fields, config)]
     clocks: list[Setting] = []
     if any(channel.encoding == TABLE for channel in log.channels):
-        from insdvl_replay.inspection.table_clocks import table_clock_settings
-
         clocks = not_yet_set(table_clock_settings(log, with_settings(config, settings)), config)
         settings += clocks
     whole_reference = whole_reference or seen.deep

@@ -36,13 +36,8 @@ from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
 from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
 from insdvl_replay.inspection.free_turns import in_body, turn_freely
-from insdvl_replay.inspection.proposal import (
-    Proposal,
-    Setting,
-    axes_text,
-    propose_settings,
-    with_settings,
-)
+from insdvl_replay.inspection.proposal import Proposal, axes_text, propose_settings
+from insdvl_replay.inspection.settings import Setting, with_settings
 from insdvl_replay.inspection.trials import (
     CLEARLY,
     CONSISTENT,

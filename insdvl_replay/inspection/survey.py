@@ -18,7 +18,8 @@ from insdvl_replay.core.errors import Note, UserError
 from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Blocker, Inventory, LogFacts, RoleFacts, TopicFacts
-from insdvl_replay.inspection.proposal import propose, settings_toml, undecided_keys
+from insdvl_replay.inspection.proposal import propose
+from insdvl_replay.inspection.settings import settings_toml, undecided_keys
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.formats.remote import read_summary, remote_name

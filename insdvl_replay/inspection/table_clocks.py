@@ -25,7 +25,7 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.errors import UserError
 from insdvl_replay.geometry.rotation import vector_from_mat
-from insdvl_replay.inspection.proposal import Setting, with_settings
+from insdvl_replay.inspection.settings import Setting, with_settings
 from insdvl_replay.logs.columns.tables import read_tables
 from insdvl_replay.logs.columns.topics import LOG_TIME, PROPOSED
 from insdvl_replay.logs.formats.fields import TABLE

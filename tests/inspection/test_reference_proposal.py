@@ -8,7 +8,8 @@ import pytest
 from rosbag_messages import Message, header, write_log, xyz
 
 from insdvl_replay.core.config import Config, Imu, Initial
-from insdvl_replay.inspection.proposal import Setting, propose_settings
+from insdvl_replay.inspection.proposal import propose_settings
+from insdvl_replay.inspection.settings import Setting
 
 TIMES = np.arange(0.0, 60.0, 0.05)
 RATE_RADPS, SPEED_MPS = 0.1, 1.5

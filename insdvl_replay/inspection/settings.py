@@ -1,0 +1,94 @@
+"""Proposed settings, with the observation behind each: set in a configuration, or written as TOML with comments."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import msgspec
+
+from insdvl_replay.calibration.found import comment_lines
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import toml_value
+from insdvl_replay.core.errors import visible
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One proposed setting."""
+
+    key: str  # section and name, such as ``imu.topic``
+    value: Any  # None where only a person can know it
+    seen: str = ""  # what speaks for the value
+    open: str = ""  # what there is to decide; empty where what was seen settles it
+    others: tuple[str, ...] = ()  # alternative TOML lines, with what was seen behind ``  # ``
+    listed: tuple[str, ...] = ()  # what there is to choose from, line by line
+
+    @property
+    def section(self) -> str:
+        """Name of its table."""
+        return self.key.rpartition(".")[0]
+
+    @property
+    def name(self) -> str:
+        """Its name in this table."""
+        return self.key.rpartition(".")[2]
+
+
+def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
+    """Set what has a value."""
+    for setting in settings:
+        if setting.value is not None:
+            section = msgspec.structs.replace(
+                getattr(config, setting.section), **{setting.name: setting.value}
+            )
+            config = msgspec.structs.replace(config, **{setting.section: section})
+    return config
+
+
+def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
+    """Leave out the keys that the configuration has set already."""
+    kept = []
+    default = Config()
+    for setting in settings:
+        now, before = (
+            getattr(getattr(given, setting.section), setting.name) for given in (config, default)
+        )
+        kept += [setting] if setting.value is None or now == before else []
+    return kept
+
+
+def ordered(settings: Iterable[Setting]) -> list[Setting]:
+    """Return the latest setting of each key, section by section."""
+    latest = {setting.key: setting for setting in settings}
+    return sorted(
+        latest.values(),
+        key=lambda setting: Config.__struct_fields__.index(setting.key.partition(".")[0]),
+    )
+
+
+def undecided_keys(settings: Iterable[Setting]) -> tuple[str, ...]:
+    """Name the keys about which a person must decide."""
+    return tuple(setting.key for setting in ordered(settings) if setting.open)
+
+
+def settings_toml(settings: Iterable[Setting]) -> str:
+    """Write settings as TOML with comments."""
+    sections = []
+    for section, group in groupby(ordered(settings), lambda setting: setting.section):
+        lines = [f"[{section}]"]
+        for setting in group:
+            lines += comment_lines(setting.seen)
+            lines += comment_lines(f"decide: {setting.open}" if setting.open else "")
+            lines += [f"#   {visible(line)}" for line in setting.listed]
+            is_known = setting.value is not None
+            lines.append(
+                f"{setting.name} = {toml_value(setting.value)}"
+                if is_known
+                else f"# {setting.name} ="
+            )
+            for other in setting.others:
+                value, _, seen = other.partition("  # ")
+                lines += [*comment_lines(seen), f"# or {visible(value)}"]
+        sections.append("".join(f"{line}\n" for line in lines))
+    return "\n".join(sections)
