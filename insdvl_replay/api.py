@@ -462,7 +462,8 @@ def compare_settings(
     """
     from insdvl_replay.batch.fitted_noise import with_same_noise
     from insdvl_replay.batch.found import FoundDive
-    from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_both_sides, replay_jobs
+    from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_both_sides
+    from insdvl_replay.batch.runs import replay_jobs
     from insdvl_replay.calibration.fitted_noise import with_noise_of
 
     options = (
@@ -502,8 +503,9 @@ def check(
     """
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.batch.fitted_noise import with_fitted_noise
-    from insdvl_replay.batch.jobs import ReplayOptions, checked_dives, known_reports, replay_jobs
+    from insdvl_replay.batch.jobs import ReplayOptions, checked_dives, known_reports
     from insdvl_replay.batch.manifest import fetch_dives
+    from insdvl_replay.batch.runs import replay_jobs
     from insdvl_replay.changes.formats import check_result
     from insdvl_replay.changes.gate_file import load_gates
     from insdvl_replay.changes.gates import evaluate_gates

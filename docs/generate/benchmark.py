@@ -24,8 +24,9 @@ import msgspec
 from written import PROJECT, markdown_table, renewed
 
 from insdvl_replay.batch.found import FoundDive
-from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, known_reports, replay_jobs
+from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, known_reports
 from insdvl_replay.batch.manifest import fetch_dives, manifest_dives
+from insdvl_replay.batch.runs import replay_jobs
 from insdvl_replay.batch.workers import local_pool
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_record import LOG_SUFFIXES

@@ -712,7 +712,8 @@ def outcomes_as_planned(
 ) -> "Generator[Outcome, None, None]":
     """Replay dives with the settings of their jobs."""
     from insdvl_replay.batch.fitted_noise import with_fitted_noise
-    from insdvl_replay.batch.jobs import known_reports, replay_jobs
+    from insdvl_replay.batch.jobs import known_reports
+    from insdvl_replay.batch.runs import replay_jobs
     from insdvl_replay.batch.workers import cluster_pool, local_pool
     from insdvl_replay.cli.messages import log_notes
     from insdvl_replay.cli.screen import REPLAY, compiling, progress

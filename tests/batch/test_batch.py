@@ -37,9 +37,8 @@ from insdvl_replay.batch.jobs import (
     known_reports,
     log_digest,
     plan_jobs,
-    replay_into,
-    replay_jobs,
 )
+from insdvl_replay.batch.runs import replay_into, replay_jobs
 from insdvl_replay.batch.workers import Submit, WorkerLostError, do_each, local_pool
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config

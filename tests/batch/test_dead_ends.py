@@ -15,7 +15,8 @@ import pytest
 
 from insdvl_replay.batch import workers
 from insdvl_replay.batch.found import FoundDive
-from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_jobs
+from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
+from insdvl_replay.batch.runs import replay_jobs
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from insdvl_replay.batch.found import FoundDive
-from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_into
+from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
+from insdvl_replay.batch.runs import replay_into
 from insdvl_replay.cli.screen import REPLAY, Meter, Plan, progress
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.runtime import progress_listener, report_stage
