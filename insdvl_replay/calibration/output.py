@@ -55,8 +55,8 @@ from insdvl_replay.document.parts import (
     filter_style,
 )
 from insdvl_replay.document.tables import number, shown, table_of
+from insdvl_replay.document.time_axis import Clock
 from insdvl_replay.preparation.run import FIT
-from insdvl_replay.show.figures import Clock
 
 DIGITS: Final = 6  # decimals of proposed values, finer than any sd
 NOT_ESTIMATED: Final = "Nothing could be estimated: these dives have no suitable manoeuvre."

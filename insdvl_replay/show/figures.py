@@ -1,7 +1,7 @@
 """The figures of a replay: measured errors, and the errors that the filters predict."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from html import escape
 from typing import Final
 
@@ -32,6 +32,7 @@ from insdvl_replay.document.parts import (
     filter_style,
 )
 from insdvl_replay.document.plot import Axis, limits
+from insdvl_replay.document.time_axis import Clock
 from insdvl_replay.evaluation.consistency import mean_interval
 from insdvl_replay.evaluation.convergence import ConvergenceCurves
 from insdvl_replay.evaluation.outage_test import SHOWN_EVERY_S, SHOWN_S, OutageCurve
@@ -54,36 +55,6 @@ _CONSTANT: Final = (
 _COMPLETE: Final = 0.98  # Share of the dive from which a curve is of all of it.
 _MISSING: Final = 2.5  # A gap is longer than this many usual steps.
 _WIDEST: Final = 1.5  # A panel shows a band up to this many times the largest error, so that errors fill the panel.
-# By unit of a time axis its size, and the length from which it is used, in seconds.
-_UNITS: Final = {"h": (3600.0, 2 * 3600.0), "min": (60.0, 20 * 60.0), "s": (1.0, 0.0)}
-
-
-@dataclass(frozen=True)
-class Clock:
-    """Time since the start of a replay, in a unit that suits its length."""
-
-    start_ns: int
-    end_ns: int
-
-    @property
-    def unit(self) -> str:
-        """The unit of a time axis."""
-        length_s = (self.end_ns - self.start_ns) * 1e-9
-        return next(unit for unit, (_, least_s) in _UNITS.items() if length_s >= least_s)
-
-    @property
-    def label(self) -> str:
-        """The label of a time axis."""
-        return f"time [{self.unit}]"
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """The limits of a time axis."""
-        return 0.0, float(self.time(np.array([self.end_ns]))[0])
-
-    def time(self, time_ns: TimeNs) -> Floats:
-        """Return times since the start in the axis's unit, shape (k,)."""
-        return seconds(time_ns, self.start_ns) / _UNITS[self.unit][0]
 
 
 def replay_figures(replay: Replay) -> tuple[Figure, ...]:

@@ -27,6 +27,7 @@ from insdvl_replay.core.dive_columns import Dive, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.words import Severity
+from insdvl_replay.document.time_axis import Clock
 from insdvl_replay.geometry.frames import moved_position, north_east_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
 from insdvl_replay.inspection.survey import inspect_log
@@ -35,7 +36,7 @@ from insdvl_replay.logs.write import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.preparation.run import prepared_timeline, run_one
-from insdvl_replay.show.figures import Clock, nis_figure
+from insdvl_replay.show.figures import nis_figure
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, SensorErrors
 
