@@ -48,7 +48,7 @@ USUAL_UNITS: Final = {
     "specific force": "m/s2", "angular rate": "rad/s", "velocity": "m/s", "angle": "deg", "pressure": "Pa",
     "length": "m", "time": "s",
 }  # fmt: skip
-_KNOWN: Final = frozenset(unit for units in UNITS_BY_KIND.values() for unit in units)
+KNOWN_UNITS: Final = frozenset(unit for units in UNITS_BY_KIND.values() for unit in units)
 
 # Other spellings, in lower case and after the words and signs below are replaced.
 _SPELLINGS: Final = {
@@ -83,17 +83,17 @@ _ENDINGS: Final = re.compile(
 def spelled(text: str) -> str:
     """Return a unit in the spelling of this program; a text that is no unit that is known stays as it is."""
     unit = text.strip()
-    if unit in _KNOWN:
+    if unit in KNOWN_UNITS:
         return unit
     unit = unit.lower()
     unit = _SPELLINGS.get(unit, unit)
-    if unit in _KNOWN:
+    if unit in KNOWN_UNITS:
         return unit
     for sign, other in _SIGNS.items():
         unit = unit.replace(sign, other)
     unit = unit.replace(" ", "")
     unit = _SPELLINGS.get(unit, unit)
-    if unit in _KNOWN:
+    if unit in KNOWN_UNITS:
         return unit
     return text.strip()
 

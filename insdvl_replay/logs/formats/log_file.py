@@ -139,7 +139,9 @@ def damaged_file_error(
     The log times of all messages that can be read are given in parts, ns.
     """
     first, *others = faults
-    what = f"{first.what} ({counted(len(others), f'more {place}')})" if others else first.what
+    what = first.what
+    if others:
+        what += f" ({counted(len(others), f'more {place}')})"
     times = np.concatenate([np.empty(0, np.int64), *saved])
     hint = "no message in it can be read; copy it again from the recorder"
     if times.size:
@@ -152,9 +154,10 @@ def damage_note(name: str, found: Iterable[Damage], lost: str) -> Note:
     """Return the note on a damaged log: in how many places, what was lost, and what is in the first of them."""
     # Checksums are checked beside the reading, and what is found first is a matter of chance.
     damages = sorted(found)
-    shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
-    more = f"; and {len(damages) - _SHOWN} more" if len(damages) > _SHOWN else ""
-    text = f"{name} is damaged in {counted(len(damages), 'place')}, {lost} ({shown}{more})"
+    shown = [f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN]]
+    if len(damages) > _SHOWN:
+        shown.append(f"and {len(damages) - _SHOWN} more")
+    text = f"{name} is damaged in {counted(len(damages), 'place')}, {lost} ({'; '.join(shown)})"
     return Note("log_damaged", text, len(damages), Severity.WARNING, COPY_AGAIN)
 
 
@@ -185,38 +188,39 @@ def opened(
     if is_cut:
         size = min(size or room, room, MOST_OF_A_CUT_CHUNK)
     elif compression and size > room:
-        raise DamageError(
-            offset, f"a chunk of {len(data)} compressed bytes says it opens to {size}"
-        )
-    try:
-        if compression == "":
-            content = data
-        elif compression == "zstd":
-            content = memoryview(zstandard.ZstdDecompressor().stream_reader(data).read(size + 1))
-        elif compression == "lz4":
-            content = memoryview(
-                lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-            )
-        elif compression == "bz2":
-            import bz2
-
-            content = memoryview(bz2.BZ2Decompressor().decompress(data, size + 1))
-        else:
-            what = f"a chunk is compressed with '{compression}'; only zstd, lz4 and bz2 can be read"
-            raise DamageError(offset, what)
-    except (zstandard.ZstdError, RuntimeError, OverflowError, OSError) as error:
-        raise DamageError(
-            offset, f"a {compression} chunk cannot be decompressed ({error})"
-        ) from error
+        found = f"a chunk of {len(data)} compressed bytes says it opens to {size}"
+        raise DamageError(offset, found)
+    content = _decompressed(data, compression, size + 1, offset)
     if len(content) > size:
         raise DamageError(offset, f"a chunk opens to more than {size} bytes")
-    if not is_cut and len(content) < size:
-        raise DamageError(
-            offset, f"a chunk opens to {len(content)} bytes, but {size} were announced"
-        )
-    if not is_cut and crc and zlib_ng.crc32(content) != crc:
+    if is_cut:
+        return content
+    if len(content) < size:
+        found = f"a chunk opens to {len(content)} bytes, but {size} were announced"
+        raise DamageError(offset, found)
+    if crc and zlib_ng.crc32(content) != crc:
         raise DamageError(offset, "the checksum of a chunk is not that of its bytes")
     return content
+
+
+def _decompressed(data: memoryview, compression: str, most: int, offset: int) -> memoryview:
+    """Decompress the bytes of a chunk, up to the most that are of use."""
+    try:
+        if compression == "":
+            return data
+        if compression == "zstd":
+            return memoryview(zstandard.ZstdDecompressor().stream_reader(data).read(most))
+        if compression == "lz4":
+            return memoryview(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most))
+        if compression == "bz2":
+            import bz2
+
+            return memoryview(bz2.BZ2Decompressor().decompress(data, most))
+    except (zstandard.ZstdError, RuntimeError, OverflowError, OSError) as error:
+        found = f"a {compression} chunk cannot be decompressed ({error})"
+        raise DamageError(offset, found) from error
+    found = f"a chunk is compressed with '{compression}'; only zstd, lz4 and bz2 can be read"
+    raise DamageError(offset, found)
 
 
 # --- Files.
@@ -242,15 +246,13 @@ class FileBytes:
         try:
             # A pipe that nobody writes to would be waited for without end.
             self._descriptor = os.open(path, os.O_RDONLY | _NOT_WAITING)
-        except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) else str(error)
-            many = isinstance(error, OSError) and error.errno == errno.EMFILE
-            hint = (
-                "each part of a dive stays open; raise the limit with `ulimit -n`"
-                if many
-                else "check the path"
-            )
-            raise LogError(f"cannot be read: {reason}", hint, path) from error
+        except OSError as error:
+            hint = "check the path"
+            if error.errno == errno.EMFILE:
+                hint = "each part of a dive stays open; raise the limit with `ulimit -n`"
+            raise LogError(f"cannot be read: {error.strerror}", hint, path) from error
+        except ValueError as error:  # no name of a file
+            raise LogError(f"cannot be read: {error}", "check the path", path) from error
         weakref.finalize(self, os.close, self._descriptor)
         self._before = os.fstat(self._descriptor)
         if stat.S_ISDIR(self._before.st_mode):
@@ -297,8 +299,10 @@ class FileBytes:
             digest.update(piece)
             if section_crc and start < section_end:
                 crc = zlib_ng.crc32(piece[: section_end - start], crc)
+        if crc == section_crc:
+            return Digest(digest.hexdigest(), [])
         text = "the checksum of all messages is not that of their bytes; some may be wrong"
-        return Digest(digest.hexdigest(), [Damage(section_end, text)] if crc != section_crc else [])
+        return Digest(digest.hexdigest(), [Damage(section_end, text)])
 
     def require_unchanged(self) -> None:
         """Refuse the file if it has changed since it was opened."""
@@ -349,10 +353,12 @@ class LogFile(ABC):
     @property
     def span_ns(self) -> Span | None:
         """First and last log time; None without messages."""
-        times = [times for times in self.log_times().values() if times.size]
-        if times:
-            return (min(int(part.min()) for part in times), max(int(part.max()) for part in times))
-        return None
+        known = [times for times in self.log_times().values() if times.size]
+        if not known:
+            return None
+        first_ns = min(int(times.min()) for times in known)
+        last_ns = max(int(times.max()) for times in known)
+        return first_ns, last_ns
 
     @property
     @abstractmethod
@@ -409,16 +415,14 @@ class LogFile(ABC):
 
 _AHEAD: Final = 3  # chunks that are opened while the one before is read
 _MOST_OPEN: Final = 256 << 20  # bytes that they open to together, if they are more than one
-_KEPT: Final = (
-    16 << 20
-)  # bytes of chunks that stay open, since samples of many topics are read from the same ones
+# Bytes of chunks that stay open, since samples of many topics are read from the same ones.
+_KEPT: Final = 16 << 20
 _SAMPLED: Final = 2  # chunks with which a sample begins
 _LISTED: Final = 4  # topics that a note lists
 _LONGEST_NS: Final = 10**15  # no recording covers more
 
-Messages = NDArray[
-    np.int64
-]  # (5, k): channel, log time, publish time, and start and size of the payload
+# (5, k): channel, log time, publish time, and start and size of the payload.
+Messages = NDArray[np.int64]
 
 
 @dataclass(eq=False)
@@ -434,12 +438,10 @@ class Chunk:
     size: int = 0  # bytes to which it opens
     crc: int = 0  # of these; 0 where the recorder computed none
     span_ns: Span = (0, 0)  # as it says itself
-    indexes: list[tuple[int, int]] = field(
-        default_factory=list
-    )  # start and end of each index behind it
-    counts: Counter[int] = field(
-        default_factory=Counter
-    )  # messages by channel, as the indexes or the content say
+    # Start and end of each index behind it.
+    indexes: list[tuple[int, int]] = field(default_factory=list)
+    # Messages by channel, as the indexes or the content say.
+    counts: Counter[int] = field(default_factory=Counter)
     is_indexed: bool = True  # whether the indexes name all messages, as far as is known
     is_cut: bool = False
 
@@ -470,6 +472,45 @@ class Content(NamedTuple):
                 yield Block(channel_id, self.buffer, starts, sizes, log_ns, publish_ns)
 
 
+Opening = Future[tuple[memoryview, memoryview]]
+
+
+def _may_be_opened(ahead: Collection[tuple[Chunk, Opening]], chunk: Chunk) -> bool:
+    """Return whether a chunk may be opened beside those that are open already."""
+    if not ahead:
+        return True
+    size = sum(other.size for other, _ in ahead) + chunk.size
+    return len(ahead) <= _AHEAD and size <= _MOST_OPEN
+
+
+def _by_channel(channel: NDArray[np.int64], log_ns: TimeNs) -> dict[int, TimeNs]:
+    """Return the log times of each channel, in the order of the file."""
+    return {channel_id: log_ns[channel == channel_id] for channel_id in np.unique(channel).tolist()}
+
+
+@dataclass
+class _TopicFound:
+    """What is found of a topic in a damaged file."""
+
+    messages: int = 0
+    latest_ns: int = 0  # log time of the latest of them
+    holes: int = 0  # damaged places before the last of them in the file
+    gap_ns: int = 0  # for how long it has none around damaged places
+
+    def add(self, time_ns: TimeNs, holes: int, begun_ns: int | None) -> None:
+        """Add the messages of a chunk that has some damaged places before it.
+
+        A topic is interrupted from its last message before damaged bytes to its first one behind them. Before its first
+        one it is since the recording began, if that is known.
+        """
+        before_ns = self.latest_ns if self.messages else begun_ns
+        if holes > self.holes and before_ns is not None:
+            self.gap_ns += max(int(time_ns.min()) - before_ns, 0)
+        self.messages += time_ns.size
+        self.latest_ns = max(self.latest_ns, int(time_ns.max()))
+        self.holes = holes
+
+
 class ChunkedFile(LogFile):
     """A file whose messages are in chunks: a kind of file says where they are and how messages are found in one."""
 
@@ -482,9 +523,8 @@ class ChunkedFile(LogFile):
         self._lost: list[Chunk] = []  # that cannot be opened
         self._passed: list[Span] = []  # start and end of bytes in which no record is found
         self._missing: list[int] = []  # where chunks were whose places are known
-        self._announced: Counter[int] | None = (
-            None  # messages by channel, as the end of the file says
-        )
+        # Messages by channel, as the end of the file says.
+        self._announced: Counter[int] | None = None
         self._announced_ns: Span | None = None  # first and last log time, likewise
         self._is_open_ended = False  # whether the end of the recording is not in the file
         self._opened: set[int] = set()
@@ -507,9 +547,8 @@ class ChunkedFile(LogFile):
         most = max(self.usually_opened, self.most_compressed * len(self.file))
         total = 0
         for chunk in list(self._chunks):
-            total += (
-                chunk.size if chunk.size <= most else 0
-            )  # a larger one is refused where it is opened
+            if chunk.size <= most:  # a larger one is refused where it is opened
+                total += chunk.size
             if total > most:
                 what = f"the chunks up to here open to {total} bytes, where a file of {len(self.file)} may hold {most}"
                 self.damage(chunk.start, what)
@@ -526,14 +565,12 @@ class ChunkedFile(LogFile):
     def _contents(self, chunks: Iterable[Chunk]) -> Iterator[Content]:
         """Open chunks, some ahead of the reader; those that cannot be opened are lost."""
         left = deque(chunks)
-        ahead = deque[tuple[Chunk, Future[tuple[memoryview, memoryview]]]]()
+        ahead = deque[tuple[Chunk, Opening]]()
         sampled = {chunk.start for chunk in list(left)[:_SAMPLED]}
         opener = ThreadPoolExecutor(1)
         try:
             while left or ahead:
-                while left and len(ahead) <= _AHEAD:
-                    if ahead and sum(chunk.size for chunk, _ in ahead) + left[0].size > _MOST_OPEN:
-                        break
+                while left and _may_be_opened(ahead, left[0]):
                     chunk = left.popleft()
                     if chunk.start in self._kept and not ahead:
                         yield self._kept[chunk.start]
@@ -541,23 +578,33 @@ class ChunkedFile(LogFile):
                         ahead.append((chunk, opener.submit(self._open, chunk)))
                 if not ahead:
                     continue
-                chunk, found = ahead.popleft()
-                self._opened.add(chunk.start)
-                try:
-                    buffer, behind = found.result()
-                    content = Content(buffer, self._find_messages(chunk, buffer, behind))
-                except DamageError as error:
-                    self.damages.setdefault(error.damage)
-                    self._lose(chunk)
+                chunk, opening = ahead.popleft()
+                content = self._content(chunk, opening)
+                if content is None:
                     continue
                 if chunk.start in sampled:
-                    self._kept[chunk.start] = content
-                    while sum(len(kept.buffer) for kept in self._kept.values()) > _KEPT:
-                        del self._kept[next(iter(self._kept))]
+                    self._keep(chunk, content)
                 yield content
         finally:
             # Who leaves may be the garbage collector, in the midst of the start of a thread: it must not wait for one.
             opener.shutdown(wait=False, cancel_futures=True)
+
+    def _content(self, chunk: Chunk, opening: Opening) -> Content | None:
+        """Find the messages of a chunk; None where it cannot be opened, and is lost."""
+        self._opened.add(chunk.start)
+        try:
+            buffer, behind = opening.result()
+            return Content(buffer, self._find_messages(chunk, buffer, behind))
+        except DamageError as error:
+            self.damages.setdefault(error.damage)
+            self._lose(chunk)
+            return None
+
+    def _keep(self, chunk: Chunk, content: Content) -> None:
+        """Keep a chunk open, and let go of the oldest ones where they are too many."""
+        self._kept[chunk.start] = content
+        while sum(len(kept.buffer) for kept in self._kept.values()) > _KEPT:
+            del self._kept[next(iter(self._kept))]
 
     def _open(self, chunk: Chunk) -> tuple[memoryview, memoryview]:
         """Return the bytes of an open chunk, and those of the indexes behind it."""
@@ -576,21 +623,21 @@ class ChunkedFile(LogFile):
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the messages of some channels, a chunk at a time; chunks without them stay closed."""
-        for content in self._contents(
+        wanted = [
             chunk for chunk in self._chunks if not chunk.counts.keys().isdisjoint(channel_ids)
-        ):
+        ]
+        for content in self._contents(wanted):
             yield from content.blocks(channel_ids)
 
     def _times_by_chunk(self) -> Iterator[tuple[Chunk, dict[int, TimeNs]]]:
         """Give each chunk with the log times of its messages by channel; it is opened only if nothing else tells."""
         for chunk in list(self._chunks):
             found = self._listed(chunk)
-            for channel, log_ns, *_ in (
-                [found]
-                if found is not None
-                else [content.messages for content in self._contents([chunk])]
-            ):
-                yield chunk, {id_: log_ns[channel == id_] for id_ in np.unique(channel).tolist()}
+            if found is not None:
+                yield chunk, _by_channel(found[0], found[1])
+                continue
+            for content in self._contents([chunk]):
+                yield chunk, _by_channel(content.messages[0], content.messages[1])
 
     def log_times(self) -> dict[int, TimeNs]:
         """Return the log times of all messages by channel, (k,) ns."""
@@ -610,67 +657,82 @@ class ChunkedFile(LogFile):
 
     def check_unopened(self) -> Iterator[None]:
         """Open the chunks that nobody has opened so far, one by one, for their checksums alone."""
-        for _ in self._contents(
-            [chunk for chunk in self._chunks if chunk.crc and chunk.start not in self._opened]
-        ):
+        unopened = [chunk for chunk in self._chunks if chunk.start not in self._opened]
+        for _ in self._contents([chunk for chunk in unopened if chunk.crc]):
             yield
 
     def _losses(self) -> str:
         """State how many messages of each topic are lost, for how long it has none, and how many bytes are damaged."""
-        topics = {channel.id: channel.topic for channel in self.channels}
         bad = {(chunk.start, chunk.end) for chunk in self._lost} | set(self._passed)
-        holes = np.sort(np.array([*(start for start, _ in bad), *self._missing], np.int64))
-        spans = {chunk.span_ns for chunk in [*self._chunks, *self._lost] if not chunk.is_loose}
-        last_ns = max(
-            (last for first, last in spans if 0 < first <= last < first + _LONGEST_NS), default=0
-        )
-        first_ns, last_ns = self._announced_ns or (None, last_ns)
-        # A topic is interrupted from its last message before damaged bytes to its first one behind them.
-        found = Counter[str]()
-        gap_ns = Counter[str]()
-        latest = dict[str, tuple[int, int]]()
+        found = self._found_by_topic([start for start, _ in bad])
+        lost = self._lost_by_topic(found).most_common()
+        is_open = self._is_open_ended and self._announced is None
+        damaged_bytes = sum(end - start for start, end in bad)
+
+        if lost:
+            what = listed(self._lost_texts(lost, found), _LISTED)
+        elif self._announced is None and (damaged_bytes or is_open):
+            longest_s = max((topic.gap_ns for topic in found.values()), default=0) * 1e-9
+            what = f"an unknown number of messages (at least {longest_s:.3f} s)"
+        else:
+            what = "no messages"
+        verb = "is" if len(lost) == 1 and lost[0][1] == 1 else "are"
+        text = f"{what} {verb} lost"
+        if damaged_bytes:
+            text += f", {counted_clause(damaged_bytes, 'bytes are damaged')}"
+        if is_open:
+            text += "; the end of the recording is unknown"
+        return text
+
+    def _lost_texts(
+        self, lost: Iterable[tuple[str, int]], found: Mapping[str, _TopicFound]
+    ) -> Iterator[str]:
+        """State how many messages of each topic are lost, and for how long it has none."""
+        least = "at least " if self._announced is None else ""
+        for topic, count in lost:
+            gap_s = found[topic].gap_ns * 1e-9 if topic in found else 0.0
+            yield f"{least}{counted(count, 'message')} of {topic} ({gap_s:.3f} s)"
+
+    def _topics(self) -> dict[int, str]:
+        """Return the topics by the ids of their channels."""
+        return {channel.id: channel.topic for channel in self.channels}
+
+    def _found_by_topic(self, damaged: Collection[int]) -> dict[str, _TopicFound]:
+        """Return what is found of each topic around damaged bytes, and around chunks that are missing."""
+        topics = self._topics()
+        holes = np.sort(np.array([*damaged, *self._missing], np.int64))
+        begun_ns, ended_ns = self._recorded_span()
+        found: dict[str, _TopicFound] = {}
         for chunk, times in self._times_by_chunk():
             holes_before = int(np.searchsorted(holes, chunk.start, "right"))
-            together = dict[str, list[TimeNs]]()
+            together: dict[str, list[TimeNs]] = {}
             for channel_id in times.keys() & topics:
                 together.setdefault(topics[channel_id], []).append(times[channel_id])
             for topic, parts in together.items():
                 time_ns = np.concatenate(parts)
-                found[topic] += time_ns.size
-                earliest_ns = int(time_ns.min())
-                passed, since_ns = latest.get(
-                    topic, (0, earliest_ns if first_ns is None else first_ns)
-                )
-                if passed < holes_before:
-                    gap_ns[topic] += max(earliest_ns - since_ns, 0)
-                latest[topic] = (
-                    holes_before,
-                    max(since_ns if topic in latest else 0, int(time_ns.max())),
-                )
-        for topic, (passed, since_ns) in latest.items():
-            if passed < holes.size or self._is_open_ended:
-                gap_ns[topic] += max(last_ns - since_ns, 0)
+                found.setdefault(topic, _TopicFound()).add(time_ns, holes_before, begun_ns)
+        for topic_found in found.values():
+            if topic_found.holes < holes.size or self._is_open_ended:
+                topic_found.gap_ns += max(ended_ns - topic_found.latest_ns, 0)
+        return found
+
+    def _recorded_span(self) -> tuple[int | None, int]:
+        """Return when the recording began, None where nothing says it, and when it ended at the earliest; ns."""
+        if self._announced_ns is not None:
+            return self._announced_ns
+        spans = [chunk.span_ns for chunk in [*self._chunks, *self._lost] if not chunk.is_loose]
+        ends = [last for first, last in spans if 0 < first <= last < first + _LONGEST_NS]
+        return None, max(ends, default=0)
+
+    def _lost_by_topic(self, found: Mapping[str, _TopicFound]) -> Counter[str]:
+        """Count the messages that are lost: those that the end of the file has more, else those of lost chunks."""
         counts = self._announced
-        is_exact = counts is not None
-        is_open = self._is_open_ended and counts is None
-        announced = Counter[str]()
-        lost_counts = sum((chunk.counts for chunk in self._lost), Counter[int]())
-        for channel_id, count in (counts if counts is not None else lost_counts).items():
-            announced[topics.get(channel_id, "unknown channels")] += count
-        lost = (announced - found if is_exact else announced).most_common()
-        least = "" if is_exact else "at least "
-        lost_by_topic = [
-            f"{least}{counted(count, 'message')} of {topic} ({gap_ns[topic] * 1e-9:.3f} s)"
-            for topic, count in lost
-        ]
-        size = sum(end - start for start, end in bad)
-        if not lost_by_topic and (is_exact or not (size or is_open)):
-            lost_by_topic = ["no messages"]
-        longest_s = max(gap_ns.values(), default=0) * 1e-9
-        what = (
-            listed(lost_by_topic, _LISTED)
-            or f"an unknown number of messages (at least {longest_s:.3f} s)"
-        )
-        damaged = f", {counted_clause(size, 'bytes are damaged')}" if size else ""
-        verb = "is" if [count for _, count in lost] == [1] else "are"
-        return f"{what} {verb} lost{damaged}{'; the end of the recording is unknown' if is_open else ''}"
+        if counts is None:
+            counts = sum((chunk.counts for chunk in self._lost), Counter[int]())
+        topics = self._topics()
+        by_topic = Counter[str]()
+        for channel_id, count in counts.items():
+            by_topic[topics.get(channel_id, "unknown channels")] += count
+        if self._announced is None:
+            return by_topic
+        return by_topic - Counter({topic: one.messages for topic, one in found.items()})

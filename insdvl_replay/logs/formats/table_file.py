@@ -11,7 +11,6 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
-from itertools import takewhile
 from typing import Any, Final
 
 import msgspec
@@ -26,6 +25,8 @@ from insdvl_replay.core.units import TIME_UNITS_NS, spelled, title_without_unit,
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.array_files import (
     MOST_COLUMNS,
+    Arrays,
+    Found,
     SpreadsheetError,
     read_matlab,
     read_numpy,
@@ -41,17 +42,21 @@ from insdvl_replay.logs.formats.log_file import (
 )
 from insdvl_replay.logs.formats.table_header import ColumnNames, Header, find_header
 from insdvl_replay.logs.formats.table_text import (
+    TextLines,
     as_utf8,
+    counts_of_cells,
     first_row,
-    is_comment,
     is_row,
+    last_words,
     separator_of,
     usual,
 )
 from insdvl_replay.logs.formats.table_times import (
     DATE_NAME,
     DAY_NS,
+    DAY_S,
     TIME_NAME,
+    Calendar,
     calendar_of,
     dates_ns,
     exact_to_s,
@@ -88,6 +93,9 @@ _ROWS: Final = 1 << 16  # rows of a block
 _SAVE_AGAIN: Final = "save it again; for arrays: numpy.savez(path, time=..., acc=..., gyro=...)"
 
 
+_Label = tuple[str, int]  # of a table of arrays: its structure or a word, and its number of rows
+
+
 @dataclass
 class _Table:
     """One table of a file."""
@@ -101,6 +109,18 @@ class _Table:
     unread: dict[str, str] = field(
         default_factory=dict
     )  # of columns named as times that are not read: the first cell
+
+    @property
+    def row_count(self) -> int:
+        """How many rows it has."""
+        return len(next(iter(self.columns.values())))
+
+    def widths(self) -> dict[str, int]:
+        """Return how many numbers a row has of each column."""
+        widths = {}
+        for name, values in self.columns.items():
+            widths[name] = 1 if values.ndim == 1 else values.shape[1]
+        return widths
 
 
 @dataclass(frozen=True)
@@ -137,47 +157,45 @@ class TableFile(LogFile):
         self.periods_ns: dict[
             int, int
         ] = {}  # of channels whose times are those of an unknown day or hour
-        channels = list[LogChannel]()
         with self.watched():
             needed = 0
             for table in self._tables():
                 needed += _memory_of(table)
                 self._require_room(needed)
-                times = self._times(table)
-                kept = times.known
-                names = [
-                    (name, 1 if values.ndim == 1 else values.shape[1])
-                    for name, values in table.columns.items()
-                ]
-                rows = _rows_of(table, kept)
-                if some := _clear_missing(rows):
-                    clause = counted_clause(
-                        some, "cells are empty, NaN or too large and count as missing"
-                    )
-                    self._note("table_missing", table.topic, clause, some, warn=False)
-                self._rows.append(rows)
-                self._time_ns.append(times.time_ns[kept])
-                if times.period_ns:
-                    self.periods_ns[len(channels)] = times.period_ns
-                channels.append(
-                    LogChannel(
-                        id=len(channels),
-                        topic=table.topic,
-                        type_name="table",
-                        encoding=TABLE,
-                        schema_encoding="columns",
-                        messages=int(np.count_nonzero(kept)),
-                        schema_data=msgspec.json.encode(names),
-                        metadata=table.units,
-                        time_column=times.column,
-                        untimed=times.unread,
-                    )
-                )
-        if not channels:
+                self._add(table)
+        if not self.channels:
             what = "has no table of numbers"
             reasons = [note.text.removeprefix(f"{self.path.name}: ") for note in self._notes]
             raise UnusableFileError("; ".join([what, *reasons]), _SAVE_AGAIN, self.path)
-        self.channels = tuple(channels)
+
+    def _add(self, table: _Table) -> None:
+        """Make a channel of a table, whose columns are let go of."""
+        times = self._times(table)
+        kept = times.known
+        names = list(table.widths().items())
+        rows = _rows_of(table, kept)
+        missing = _clear_missing(rows)
+        if missing:
+            what = "cells are empty, NaN or too large and count as missing"
+            clause = counted_clause(missing, what)
+            self._note("table_missing", table.topic, clause, missing, warn=False)
+        self._rows.append(rows)
+        self._time_ns.append(times.time_ns[kept])
+        channel = LogChannel(
+            id=len(self.channels),
+            topic=table.topic,
+            type_name="table",
+            encoding=TABLE,
+            schema_encoding="columns",
+            messages=int(np.count_nonzero(kept)),
+            schema_data=msgspec.json.encode(names),
+            metadata=table.units,
+            time_column=times.column,
+            untimed=times.unread,
+        )
+        if times.period_ns:
+            self.periods_ns[channel.id] = times.period_ns
+        self.channels = (*self.channels, channel)
 
     @property
     def notes(self) -> tuple[Note, ...]:
@@ -238,37 +256,38 @@ class TableFile(LogFile):
         if not start.startswith((b"\x93NUMPY", b"PK", b"PAR1", b"MATLAB")):
             yield self._text(bytes(content))
             return
-        is_parquet = start.startswith(b"PAR1")
-        try:
-            if is_parquet:
-                from insdvl_replay.logs.formats.parquet_file import read_parquet
-
-                found = read_parquet(content)
-            else:
-                found = read_matlab(content) if start.startswith(b"MATLAB") else read_numpy(content)
-        except SpreadsheetError as error:
-            hint = "save each of its sheets as CSV, with a point in decimal numbers"
-            raise UnusableFileError("is a spreadsheet", hint, self.path) from error
-        except ImportError as error:
-            hint = install_hint("tables")
-            raise LogError(
-                f"needs the package {error.name or 'pyarrow'} to be read", hint, self.path
-            ) from error
-        except Exception as error:  # whatever a library makes of a damaged file
-            raise self._unreadable(error) from error
+        found = self._found(content, start)
         del content
         self._is_text = False
         if found.ignored:
             kinds = listed(f"'{name}' is {kind}" for name, kind in found.ignored.items())
-            clause = counted_clause(
-                len(found.ignored), f"columns are ignored because they are no numbers: {kinds}"
-            )
+            what = f"columns are ignored because they are no numbers: {kinds}"
+            clause = counted_clause(len(found.ignored), what)
             hint = "write each number as a column of its own"
             self._note("table_columns", self.path.name, clause, len(found.ignored), hint)
-        if is_parquet:
+        if start.startswith(b"PAR1"):
             yield self._named(self.path.name, _popped(found.arrays))
         else:
             yield from self._of_arrays(found.arrays)
+
+    def _found(self, content: memoryview, start: bytes) -> Found:
+        """Let a library read the arrays or columns of a file that is no text."""
+        try:
+            if start.startswith(b"PAR1"):
+                from insdvl_replay.logs.formats.parquet_file import read_parquet
+
+                return read_parquet(content)
+            if start.startswith(b"MATLAB"):
+                return read_matlab(content)
+            return read_numpy(content)
+        except SpreadsheetError as error:
+            hint = "save each of its sheets as CSV, with a point in decimal numbers"
+            raise UnusableFileError("is a spreadsheet", hint, self.path) from error
+        except ImportError as error:
+            what = f"needs the package {error.name or 'pyarrow'} to be read"
+            raise LogError(what, install_hint("tables"), self.path) from error
+        except Exception as error:  # whatever a library makes of a damaged file
+            raise self._unreadable(error) from error
 
     # --- Text.
 
@@ -276,53 +295,40 @@ class TableFile(LogFile):
         """Read a table that is text: its separator, header and rows must agree."""
         name = self.path.name
         content = as_utf8(content)
-        written = [line for line in content.split(b"\n") if line.strip()]
-        comments = [line for line in written if is_comment(line)]
-        above = list(takewhile(is_comment, written))
-        lines = [line for line in written if not is_comment(line)]
-        if lines and not content.endswith(b"\n"):
-            lines.pop()
-            self._note(
-                "table_cut",
-                name,
-                "the last line does not end, so it may be cut; left out",
-                hint="copy it again",
-            )
-        separator = separator_of(lines)
-        cells = [
-            len(line.split()) if separator is None else line.count(separator) + 1 for line in lines
-        ]
-        names = find_header(lines, separator, usual(cells))
-        head = names.rows_at if names else first_row(lines, separator)
-        cells = cells[head:]
-        width = usual(cells)
+        text = TextLines.of(content)
+        if text.is_cut:
+            what = "the last line does not end, so it may be cut; left out"
+            self._note("table_cut", name, what, hint="copy it again")
+        separator = separator_of(text.lines)
+        counts = counts_of_cells(text.lines, separator)
+        names = find_header(text.lines, separator, usual(counts))
+        head = names.rows_at if names else first_row(text.lines, separator)
+        counts = counts[head:]
+        width = usual(counts)
         self._require_few(width)
         if width < 2:
-            what = f"is no table: {counted(len(cells), 'line')} with numbers, {counted(width, 'column')}"
-            raise UnusableFileError(
-                what, "give a table of numbers whose first line names the columns", self.path
-            )
-        titles = self._titles(names, lines[:head], above, separator, width)
+            what = f"is no table: {counted(len(counts), 'line')} with numbers, {counted(width, 'column')}"
+            hint = "give a table of numbers whose first line names the columns"
+            raise UnusableFileError(what, hint, self.path)
+        titles = self._titles(names, text.lines[:head], text.above, separator, width)
         self._note_header(name, names, head, titles)
-        self._note_commented_rows(name, comments, separator, width)
-        fits = np.array(cells) == width
+        self._note_commented_rows(name, text.comments, separator, width)
+        fits = np.array(counts) == width
         self._require_rows(name, fits, width)
+        # A row that does not fit becomes an empty one, so that the others keep their numbers.
         empty = (separator or b" ") * (width - 1)
-        joined = b"\n".join(
-            line if is_whole else empty for line, is_whole in zip(lines[head:], fits, strict=True)
-        )
-        del lines, written, content  # of a long dive they are large
+        rows = zip(text.lines[head:], fits, strict=True)
+        joined = b"\n".join(line if is_whole else empty for line, is_whole in rows)
+        del text, rows, content  # of a long dive they are large
         frame = pd.read_csv(
             BytesIO(joined), sep=separator.decode() if separator else r"\s+", header=None, names=range(width),
             index_col=False, skip_blank_lines=False, skipinitialspace=True, quoting=csv.QUOTE_NONE, low_memory=False,
             encoding_errors="replace",
         )  # fmt: skip
-        titles = [title.strip().strip("\"'") for title in titles] or [
-            f"column_{i + 1}" for i in range(width)
-        ]
-        return self._named(
-            name, [(title, frame[i].to_numpy()) for i, title in zip(frame, titles, strict=True)]
-        )
+        if not titles:
+            titles = [f"column_{number}" for number in range(1, width + 1)]
+        bare = [title.strip().strip("\"'") for title in titles]
+        return self._named(name, [(bare[i], frame[i].to_numpy()) for i in range(width)])
 
     def _titles(
         self,
@@ -338,13 +344,7 @@ class TableFile(LogFile):
         """
         if names and width == len(names.titles):
             return list(names.titles)
-        bare = [line.strip(b" #%") for line in above]
-        named = [line for line in bare if not is_row(line, separator, width)]
-        line = b""
-        if head:
-            line = head[0]
-        elif named:
-            line = named[-1]
+        line = head[0] if head else last_words(above, separator, width)
         titles = line.decode("utf-8", "replace").split(separator.decode() if separator else None)
         if len(titles) == width or not titles:
             return titles
@@ -511,86 +511,57 @@ class TableFile(LogFile):
     def _of_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> Iterator[_Table]:
         """Make tables of arrays: those with the same number of rows and one time are one table."""
         self._require_few(len(arrays))
-        groups: dict[tuple[str, int], dict[str, NDArray[Any]]] = {}
-        for name, array in arrays.items():
-            values = array.squeeze()
-            if values.ndim == 2 and values.shape[0] < min(values.shape[1], _WIDEST):
-                values = values.T  # MATLAB has often one column a sample
-            if (
-                values.ndim in (1, 2)
-                and len(values) > 1
-                and (values.ndim == 1 or values.shape[1] <= _WIDEST)
-            ):
-                groups.setdefault((name.rpartition(".")[0], len(values)), {})[
-                    name.rpartition(".")[2]
-                ] = values
-        tables: dict[tuple[str, int], dict[str, NDArray[Any]]] = {}
-        for (above, count), columns in groups.items():
-            times = [name for name in columns if TIME_NAME.search(clean_name(name))]
-            by_word = len(times) > 1 and len({_first_word(name) for name in times}) == len(times)
-            for name, values in columns.items():
-                word = _first_word(name) if by_word else _first_word(next(iter(columns)))
-                tables.setdefault((above or word, count), {})[name] = values
+        tables = _tables_of(arrays)
         labels = [label for label, _ in tables]
         for (label, count), columns in tables.items():
-            name = label if labels.count(label) == 1 else f"{label}_{count}"
-            topic = self.path.name if len(tables) == 1 else f"{self.path.name}/{name}"
-            (first, *others), named = columns.values(), columns
-            if not others and first.ndim == 2:
-                named = {f"column_{i + 1}": values for i, values in enumerate(first.T)}
-            elif all(name.lower().startswith(f"{label}_") for name in columns):
-                named = {name[len(label) + 1 :]: values for name, values in columns.items()}
-            yield self._named(topic, named.items())
+            topic = self.path.name
+            if labels.count(label) > 1:
+                topic = f"{self.path.name}/{label}_{count}"
+            elif len(tables) > 1:
+                topic = f"{self.path.name}/{label}"
+            yield self._named(topic, _columns_by_title(label, columns).items())
 
     # --- Times.
 
     def _times(self, table: _Table) -> _Times:
         """Return the times of a table's rows, by the first column that is named as a time and is read."""
-        count = len(next(iter(table.columns.values())))
-        named = [name for name in table.columns if TIME_NAME.search(name)]
-        named += [
-            name
-            for name in table.columns
-            if DATE_NAME.search(name) and table.units.get(name) == "ns"
-        ]
-        usable = (
-            name
-            for name in named
-            if table.columns[name].ndim == 1 and np.isfinite(table.columns[name]).any()
-        )
-        name = next(usable, "")
-        counted_rows = np.arange(count) * NS_PER_S
-        if not name and table.unread:
-            unread, cell = next(iter(table.unread.items()))
-            text = f"the times '{unread}' of {table.topic} are not read: '{cell}' is no number, date or time of day"
-            return _Times(counted_rows, np.ones(count, np.bool_), unread=text)
+        name = _column_of_times(table)
         if not name:
-            text = "no column is named as a time; its rows are taken to be 1 s apart"
-            hint = 'for a rate: imu.stamp = "100 Hz"; for a column: imu.stamp'
-            self._note("table_without_times", table.topic, text, hint=hint)
-            return _Times(counted_rows, np.ones(count, np.bool_))
+            return self._counted_rows(table)
         values = table.columns[name]
         known = np.isfinite(values)
         unit = self._time_unit(table, name, values[known])
         if not unit:
             step = usual_step(values[known])
             text = f"the times '{name}' of {table.topic} step by {step:.3g}, which no sensor does in s, ms, us or ns"
-            return _Times(counted_rows, np.ones(count, np.bool_), unread=text + guessed_units(step))
+            return _one_second_apart(table, text + guessed_units(step))
         table.units[name] = unit
         zero = zero_of(values[known], unit)
         known &= np.abs(np.where(known, values, zero) - zero) < _LATEST_NS / TIME_UNITS_NS[unit]
-        if missing := count - int(np.count_nonzero(known)):
+        missing = len(values) - int(np.count_nonzero(known))
+        if missing:
             clause = counted_clause(missing, "rows have no time and are left out")
             self._note("table_no_time", table.topic, clause, missing)
-        time_ns = np.zeros(count, np.int64)
+        time_ns = np.zeros(len(values), np.int64)
         time_ns[known] = in_ns(values[known], unit)
         period_ns = table.periods_ns.get(name, 0)
-        if period_ns:
-            days = _days_of(table, name) if period_ns == DAY_NS else None
-            if days is not None:
-                return _Times(time_ns + days, known, name)
-            time_ns = unwrapped(time_ns, known, period_ns)
-        return _Times(time_ns, known, name, period_ns)
+        if not period_ns:
+            return _Times(time_ns, known, name)
+        days = _days_of(table, name) if period_ns == DAY_NS else None
+        if days is not None:
+            return _Times(time_ns + days, known, name)
+        return _Times(unwrapped(time_ns, known, period_ns), known, name, period_ns)
+
+    def _counted_rows(self, table: _Table) -> _Times:
+        """Return the times of rows that are only counted, since no column has their times."""
+        if table.unread:
+            name, cell = next(iter(table.unread.items()))
+            text = f"the times '{name}' of {table.topic} are not read: '{cell}' is no number, date or time of day"
+            return _one_second_apart(table, text)
+        text = "no column is named as a time; its rows are taken to be 1 s apart"
+        hint = 'for a rate: imu.stamp = "100 Hz"; for a column: imu.stamp'
+        self._note("table_without_times", table.topic, text, hint=hint)
+        return _one_second_apart(table)
 
     def _time_unit(self, table: _Table, name: str, values: NDArray[Any]) -> str:
         """Return the unit of a column of times: that of its title, else by the rate of a sensor; empty for none."""
@@ -603,51 +574,119 @@ class TableFile(LogFile):
                 self.path,
             )
         ending = _ENDS_WITH_UNIT.search(name)
-        unit = stated or (spelled(ending[1]) if ending else "")
-        is_found = not unit
-        unit = unit or likely_unit(values)
+        if ending and not stated:
+            stated = spelled(ending[1])
+        unit = stated or likely_unit(values)
         calendar = calendar_of(values) if unit == "d" and len(values) else None
         if calendar is not None:
-            text = f"the times '{name}' were read as {calendar.name}, exact to {exact_to_s(values):.2g} s"
-            is_rounded = is_coarse(values)
-            steps = (
-                f", where the rows are {usual_step(values) * 86_400.0:.2g} s apart"
-                if is_rounded
-                else ""
-            )
-            hint = "write seconds, or more digits"
-            self._note(
-                "table_days", table.topic, text + steps, len(values) if is_rounded else 1, hint
-            )
-        elif unit and is_found:
-            self._note(
-                "table_time_unit",
-                table.topic,
-                f"the times '{name}' were read as {unit}",
-                warn=False,
-            )
+            self._note_days(table, name, values, calendar)
+        elif unit and not stated:
+            text = f"the times '{name}' were read as {unit}"
+            self._note("table_time_unit", table.topic, text, warn=False)
         return unit
+
+    def _note_days(
+        self, table: _Table, name: str, values: NDArray[Any], calendar: Calendar
+    ) -> None:
+        """Report how exact times are that are days of a calendar; rounded ones concern every row."""
+        text = (
+            f"the times '{name}' were read as {calendar.name}, exact to {exact_to_s(values):.2g} s"
+        )
+        count = 1
+        if is_coarse(values):
+            text += f", where the rows are {usual_step(values) * DAY_S:.2g} s apart"
+            count = len(values)
+        self._note("table_days", table.topic, text, count, "write seconds, or more digits")
+
+
+def _column_of_times(table: _Table) -> str:
+    """Return the first column with times that is named as a time, else as a date; empty without one."""
+    named = [name for name in table.columns if TIME_NAME.search(name)]
+    for name in table.columns:
+        if DATE_NAME.search(name) and table.units.get(name) == "ns":
+            named.append(name)
+    for name in named:
+        values = table.columns[name]
+        if values.ndim == 1 and np.isfinite(values).any():
+            return name
+    return ""
+
+
+def _one_second_apart(table: _Table, unread: str = "") -> _Times:
+    """Return the times of rows that are only counted, and why."""
+    count = table.row_count
+    return _Times(np.arange(count) * NS_PER_S, np.ones(count, np.bool_), unread=unread)
 
 
 def _days_of(table: _Table, name: str) -> TimeNs | None:
     """Return the dates beside times of day, ns since 1970, (k,), of a column named as a date; None without one."""
     for other, values in table.columns.items():
-        if (
-            other == name
-            or values.ndim > 1
-            or not DATE_NAME.search(other)
-            or not np.isfinite(values).all()
-        ):
+        if other == name or values.ndim > 1 or not DATE_NAME.search(other):
+            continue
+        if not np.isfinite(values).all():
             continue
         if table.units.get(other) == "ns":
             return np.asarray(values.astype(np.int64) // DAY_NS * DAY_NS)
         if np.all((values >= 19_700_101) & (values < 21_000_101)):
-            return dates_ns(
-                pd.Series(values.astype(np.int64).astype(str)).str.replace(
-                    _YMD, r"\1-\2-\3", regex=True
-                )
-            )
+            digits = pd.Series(values.astype(np.int64).astype(str))
+            return dates_ns(digits.str.replace(_YMD, r"\1-\2-\3", regex=True))
     return None
+
+
+# --- Which arrays are one table.
+
+
+def _as_columns(array: NDArray[Any]) -> NDArray[Any] | None:
+    """Return an array with a row for each sample, (k,) or (k, n); None where it has none or is too wide."""
+    values = array.squeeze()
+    if values.ndim not in (1, 2):
+        return None
+    if values.ndim == 2 and values.shape[0] < min(values.shape[1], _WIDEST):
+        values = values.T  # MATLAB has often one column a sample
+    if len(values) < 2 or (values.ndim == 2 and values.shape[1] > _WIDEST):
+        return None
+    return values
+
+
+def _tables_of(arrays: Mapping[str, NDArray[Any]]) -> dict[_Label, Arrays]:
+    """Sort arrays into tables: those of one structure with the same number of rows and one time.
+
+    Arrays outside structures are labelled by the first word of the first of them. Where several times have words of
+    their own, each array belongs to the time with its word.
+    """
+    groups: dict[_Label, Arrays] = {}  # by the name of the structure
+    for path, array in arrays.items():
+        values = _as_columns(array)
+        if values is not None:
+            structure, _, name = path.rpartition(".")
+            groups.setdefault((structure, len(values)), {})[name] = values
+    tables: dict[_Label, Arrays] = {}
+    for (structure, count), columns in groups.items():
+        times = [name for name in columns if TIME_NAME.search(clean_name(name))]
+        words = {_first_word(name) for name in times}
+        is_by_word = len(times) > 1 and len(words) == len(times)
+        first = _first_word(next(iter(columns)))
+        for name, values in columns.items():
+            word = _first_word(name) if is_by_word else first
+            tables.setdefault((structure or word, count), {})[name] = values
+    return tables
+
+
+def _columns_by_title(label: str, columns: Arrays) -> Arrays:
+    """Return the columns of a table by their titles, without its label; those of a lone matrix are numbered."""
+    first = next(iter(columns.values()))
+    if len(columns) == 1 and first.ndim == 2:
+        return {f"column_{i + 1}": values for i, values in enumerate(first.T)}
+    if all(name.lower().startswith(f"{label}_") for name in columns):
+        return {name[len(label) + 1 :]: values for name, values in columns.items()}
+    return columns
+
+
+def _first_word(name: str) -> str:
+    return re.split(r"[_.\s]", name)[0].lower()
+
+
+# --- The rows of a table.
 
 
 def _popped(arrays: dict[str, NDArray[Any]]) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -659,24 +698,22 @@ def _popped(arrays: dict[str, NDArray[Any]]) -> Iterator[tuple[str, NDArray[Any]
 
 def _memory_of(table: _Table) -> int:
     """Return the bytes that a table needs while its times and rows are made."""
-    columns = table.columns.values()
-    count = len(next(iter(columns)))
-    return np.dtype(np.float64).itemsize * (
-        sum(values.size for values in columns) + _WORK_NUMBERS * count
+    numbers = (
+        sum(values.size for values in table.columns.values()) + _WORK_NUMBERS * table.row_count
     )
+    return np.dtype(np.float64).itemsize * numbers
 
 
 def _rows_of(table: _Table, kept: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the numbers of the rows and their cells, (k, 1 + n), and let go of the columns."""
-    width = 1 + sum(1 if values.ndim == 1 else values.shape[1] for values in table.columns.values())
-    rows = np.empty((int(np.count_nonzero(kept)), width))
+    rows = np.empty((int(np.count_nonzero(kept)), 1 + sum(table.widths().values())))
     rows[:, 0] = np.flatnonzero(kept)
     place = 1
     for _, values in _popped(table.columns):
         columns = values.reshape(len(kept), -1)
-        rows[:, place : place + columns.shape[1]] = (
-            columns if len(rows) == len(kept) else columns[kept]
-        )
+        if len(rows) < len(kept):
+            columns = columns[kept]
+        rows[:, place : place + columns.shape[1]] = columns
         place += columns.shape[1]
     return rows
 
@@ -689,12 +726,9 @@ def _clear_missing(rows: NDArray[np.float64]) -> int:
         count = int(np.count_nonzero(missing))
         if count:
             column[missing] = np.nan
-            some += count if count < len(column) else 0
+        if count < len(column):
+            some += count
     return some
-
-
-def _first_word(name: str) -> str:
-    return re.split(r"[_.\s]", name)[0].lower()
 
 
 class RowReader:
@@ -702,47 +736,52 @@ class RowReader:
 
     def __init__(self, channel: LogChannel, paths: Sequence[str]) -> None:
         widths: dict[str, int] = dict(msgspec.json.decode(channel.schema_data))
-        known = dict[str, str]()
+        known: dict[str, str] = {}
         places = {ROW: [0]}
         self._size = 1
         for name, width in widths.items():
-            known[name], places[name] = NUMBER, list(range(self._size, self._size + width))
+            known[name] = NUMBER
+            places[name] = list(range(self._size, self._size + width))
             if width > 1:
                 known[f"{name}[*]"] = NUMBER
-                places |= {f"{name}[{i}]": [self._size + i] for i in range(width)}
                 places[f"{name}[*]"] = places[name]
+                for i, place in enumerate(places[name]):
+                    places[f"{name}[{i}]"] = [place]
             self._size += width
         self.known: Kinds = known
         self._places: dict[str, list[int]] = {}
         self.names: dict[str, str] = {}  # of the columns, by path
         for path in paths:
-            name = (
-                list(widths)[int(path) - 1]
-                if path.isdecimal() and 0 < int(path) <= len(widths)
-                else path
-            )
+            name = _name_of_column(path, list(widths))
             if name not in places:  # it may be the title of a column, with its unit
-                element = re.search(r"\[(\d+|\*)\]$", name)
-                name = (
-                    clean_name(name.removesuffix(element[0])) + element[0]
-                    if element
-                    else clean_name(name)
-                )
+                name = _name_by_title(name)
             if name not in places:
                 check_path(name, known, channel.topic)
-                raise LogError(
-                    f"{channel.topic} has no '{path}'",
-                    f"'{name}' is behind the last number of its list",
-                )
+                hint = f"'{name}' is behind the last number of its list"
+                raise LogError(f"{channel.topic} has no '{path}'", hint)
             self._places[path] = places[name]
             self.names[path] = name.partition("[")[0]
 
     def columns(self, block: Block) -> Columns:
         """Return the columns of all rows of a block, (k, n)."""
-        rows = np.frombuffer(block.buffer, np.float64).reshape(-1, self._size)[
-            block.offsets // (8 * self._size)
-        ]
+        table = np.frombuffer(block.buffer, np.float64).reshape(-1, self._size)
+        rows = table[block.offsets // (8 * self._size)]
         return {path: rows[:, places] for path, places in self._places.items()}
+
+
+def _name_of_column(path: str, names: Sequence[str]) -> str:
+    """Return the name of the column that a path counts from 1; a path that is no number as it is."""
+    if path.isdecimal() and 0 < int(path) <= len(names):
+        return names[int(path) - 1]
+    return path
+
+
+def _name_by_title(path: str) -> str:
+    """Return the name of the column with a title, with the element of a list that is behind it."""
+    element = re.search(r"\[(\d+|\*)\]$", path)
+    if element:
+        return clean_name(path.removesuffix(element[0])) + element[0]
+    return clean_name(path)
 
 
 def _read_times(table: _Table, name: str, series: Any, texts: Any) -> NDArray[Any] | None:

@@ -3,15 +3,15 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum, auto
 from typing import Final
 
-from insdvl_replay.core.units import UNITS_BY_KIND, spelled, unit_of
+from insdvl_replay.core.units import KNOWN_UNITS, spelled, unit_of
 from insdvl_replay.logs.formats.table_text import is_number
 from insdvl_replay.logs.formats.table_times import DATE_NAME, TIME_NAME
 
 _LONGEST: Final = 100  # lines above the rows at most
 _FEW_ROWS: Final = 2  # rows without a line of names above them: more of them have none
-_UNITS: Final = frozenset(unit for units in UNITS_BY_KIND.values() for unit in units)
 
 
 @dataclass(frozen=True)
@@ -32,16 +32,10 @@ def find_header(lines: Sequence[bytes], separator: bytes | None, width: int) -> 
     above: list[int] = []  # lines of words right above
     rows = 0
     for number, row in enumerate(cells):
-        numbers = sum(map(is_number, row))
-        has_numbers = numbers > 0
-        is_row = 2 * numbers > sum(map(bool, row))
-        if (
-            len(row) != width
-            or (has_numbers and not is_row)
-            or (not has_numbers and sum(map(bool, row)) < max(width - 1, 2))
-        ):
+        kind = _kind_of(row, width)
+        if kind is _Kind.OTHER:
             above = []
-        elif not has_numbers:
+        elif kind is _Kind.WORDS:
             above.append(number)
         elif above:
             return _header(cells, above, number)
@@ -52,16 +46,40 @@ def find_header(lines: Sequence[bytes], separator: bytes | None, width: int) -> 
     return None
 
 
+class _Kind(Enum):
+    """What a line is among those of a table."""
+
+    NUMBERS = auto()
+    WORDS = auto()
+    OTHER = auto()
+
+
+def _kind_of(row: Sequence[str], width: int) -> _Kind:
+    """Tell a line by its cells: words may name columns where nearly all cells have some."""
+    if len(row) != width:
+        return _Kind.OTHER
+    numbers = sum(map(is_number, row))
+    filled = sum(map(bool, row))
+    if 2 * numbers > filled:
+        return _Kind.NUMBERS
+    if numbers == 0 and filled >= max(width - 1, 2):
+        return _Kind.WORDS
+    return _Kind.OTHER
+
+
 def _header(cells: Sequence[Sequence[str]], above: Sequence[int], rows_at: int) -> Header:
     """Choose the line of names: one that names a time, else the last that is no line of units."""
     timed = [number for number in above if any(map(_names_time, cells[number]))]
     words = [number for number in above if not _are_units(cells[number])]
-    names_at = (timed or words[::-1] or list(above))[0]
+    names_at = above[0]
+    if timed:
+        names_at = timed[0]
+    elif words:
+        names_at = words[-1]
     titles = list(cells[names_at])
     for number in above:
         if number > names_at and _are_units(cells[number]):
-            pairs = zip(titles, cells[number], strict=True)
-            titles = [_with_unit(title, unit) for title, unit in pairs]
+            titles = list(map(_with_unit, titles, cells[number]))
     return Header(names_at, rows_at, tuple(titles))
 
 
@@ -82,7 +100,7 @@ def _names_time(title: str) -> bool:
 
 def _are_units(row: Sequence[str]) -> bool:
     filled = [cell for cell in row if cell and cell != "-"]
-    units = [cell for cell in filled if spelled(cell.strip("[]()")) in _UNITS]
+    units = [cell for cell in filled if spelled(cell.strip("[]()")) in KNOWN_UNITS]
     return 2 * len(units) > len(filled)
 
 

@@ -2,6 +2,8 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import takewhile
 from typing import Final
 
 _SEPARATORS: Final = (
@@ -11,6 +13,27 @@ _SEPARATORS: Final = (
     b",",
 )  # in text with several of them the first one separates
 _COMMENTS: Final = (b"#", b"%")
+
+
+@dataclass(frozen=True)
+class TextLines:
+    """The lines of a table, blank ones left out."""
+
+    lines: list[bytes]  # without comments
+    comments: list[bytes]
+    above: list[bytes]  # the comments above all other lines
+    is_cut: bool  # the last line did not end, and is not among the lines
+
+    @classmethod
+    def of(cls, content: bytes) -> "TextLines":
+        """Split a text in UTF-8 with the line ends of Unix."""
+        written = [line for line in content.split(b"\n") if line.strip()]
+        lines = [line for line in written if not is_comment(line)]
+        is_cut = bool(lines) and not content.endswith(b"\n")
+        if is_cut:
+            lines.pop()
+        comments = [line for line in written if is_comment(line)]
+        return cls(lines, comments, list(takewhile(is_comment, written)), is_cut)
 
 
 def is_row(line: bytes, separator: bytes | None, width: int) -> bool:
@@ -48,6 +71,22 @@ def separator_of(lines: Sequence[bytes]) -> bytes | None:
         if usual([line.count(mark) for line in sample]):
             return mark
     return None
+
+
+def counts_of_cells(lines: Sequence[bytes], separator: bytes | None) -> list[int]:
+    """Return how many cells each line has."""
+    if separator is None:
+        return [len(line.split()) for line in lines]
+    return [line.count(separator) + 1 for line in lines]
+
+
+def last_words(comments: Sequence[bytes], separator: bytes | None, width: int) -> bytes:
+    """Return the last comment that is no row of numbers, without its mark; empty without one."""
+    for comment in reversed(comments):
+        words = comment.strip(b" #%")
+        if not is_row(words, separator, width):
+            return words
+    return b""
 
 
 def usual(counts: Sequence[int]) -> int:

@@ -19,6 +19,7 @@ TIME_NAME: Final = re.compile(
 DATE_NAME: Final = re.compile(r"(^|[_.])(date|day|datum|ymd)$")
 HOUR_NS: Final = TIME_UNITS_NS["h"]
 DAY_NS: Final = TIME_UNITS_NS["d"]
+DAY_S: Final = DAY_NS / NS_PER_S
 _RATES_HZ: Final = (0.2, 4000.0)  # of a sensor: they tell the unit of times that has no name
 _SLOWEST_HZ: Final = 1.0 / 3600.0  # of fixes, where nothing else fits
 _SINCE_1970_S: Final = (1e9, 4e9)  # times of a clock that counts from then, from 2001 to 2096
@@ -33,6 +34,9 @@ _CELL: Final = re.compile(
     r"(?:(\d{1,2}):)?(\d{1,2}):(\d{1,2}(?:[.,:]\d+)?)\s*([AaPp][Mm])?Z?\s*"
 )
 _DATE: Final = re.compile(r"\s*(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})\s*")
+
+
+_DateNumbers = tuple[int, int, int]  # as a date is written, the year first or last
 
 
 @dataclass(frozen=True)
@@ -104,18 +108,22 @@ def likely_unit(values: NDArray[Any]) -> str:
     if step == 0.0:
         return "s"
     seconds = {unit: factor / NS_PER_S for unit, factor in TIME_UNITS_NS.items()}
-    small = [
-        unit
-        for unit in ("s", "ms", "us", "ns")
-        if _RATES_HZ[0] < 1.0 / (step * seconds[unit]) < _RATES_HZ[1]
-    ]
-    by_size = [unit for unit in small if _SINCE_1970_S[0] < size * seconds[unit] < _SINCE_1970_S[1]]
-    if small:
-        return (by_size or small)[0]
-    for unit, is_likely in (("d", calendar_of(values) is not None), ("s", True)):
-        if is_likely and _SLOWEST_HZ < 1.0 / (step * seconds[unit]) < _RATES_HZ[1]:
+    small = [unit for unit in ("s", "ms", "us", "ns") if _is_of_sensor(step * seconds[unit])]
+    for unit in small:
+        if _SINCE_1970_S[0] < size * seconds[unit] < _SINCE_1970_S[1]:
             return unit
+    if small:
+        return small[0]
+    if calendar_of(values) is not None and _is_of_sensor(step * seconds["d"], _SLOWEST_HZ):
+        return "d"
+    if _is_of_sensor(step * seconds["s"], _SLOWEST_HZ):
+        return "s"
     return ""
+
+
+def _is_of_sensor(step_s: float, slowest_hz: float = _RATES_HZ[0]) -> bool:
+    """Return whether a step of times is one that a sensor can have."""
+    return step_s > 0.0 and slowest_hz < 1.0 / step_s < _RATES_HZ[1]
 
 
 def guessed_units(step: float) -> str:
@@ -123,7 +131,7 @@ def guessed_units(step: float) -> str:
     guesses = []
     for unit in ("min", "h", "d"):
         step_s = step * TIME_UNITS_NS[unit] / NS_PER_S
-        if step_s > 0.0 and _RATES_HZ[0] < 1.0 / step_s < _RATES_HZ[1]:
+        if _is_of_sensor(step_s):
             guesses.append(f"{step_s:.3g} s in {unit}")
     if guesses:
         return f"; it would be {' or '.join(guesses)}"
@@ -139,13 +147,13 @@ def exact_to_s(days: NDArray[np.float64]) -> float:
         if unit <= stored or np.all(
             np.abs(some / unit - np.rint(some / unit)) < 2.0 * stored / unit
         ):
-            return max(unit, stored) * 86_400.0
-    return stored * 86_400.0
+            return max(unit, stored) * DAY_S
+    return stored * DAY_S
 
 
 def is_coarse(days: NDArray[np.float64]) -> bool:
     """Return whether days are rounded so much that the steps between them are not those of the sensor."""
-    return exact_to_s(days) > _COARSE * usual_step(days) * 86_400.0
+    return exact_to_s(days) > _COARSE * usual_step(days) * DAY_S
 
 
 # --- Text.
@@ -188,35 +196,36 @@ def dates_ns(texts: "pd.Series[Any]") -> TimeNs | None:
     Where both could be the month, the day is first.
     """
     whole = texts.astype(str)
-    written = whole.unique()
-    found = [_DATE.fullmatch(str(text)) for text in written]
-    numbers = [tuple(int(part) for part in match.groups()) for match in found if match]
-    if not numbers or len(numbers) < len(written):
-        return None
-    is_month_first = any(second > 12 for first, second, _ in numbers if first <= 12)
+    numbers: dict[str, _DateNumbers] = {}  # by what is written
+    for text in whole.unique():
+        match = _DATE.fullmatch(str(text))
+        if match is None:
+            return None
+        numbers[str(text)] = (int(match[1]), int(match[2]), int(match[3]))
+    is_month_first = any(second > 12 for first, second, _ in numbers.values() if first <= 12)
     known: dict[str, int] = {}
-    for text, (first, second, third) in zip(written, numbers, strict=True):
-        if first > 31:
-            year = first
-            month = second
-            day = third
-        elif is_month_first:
-            year = third
-            month = first
-            day = second
-        else:
-            year = third
-            month = second
-            day = first
+    for text, written in numbers.items():
         try:
-            since = (
-                date(year + 2000 if year < 100 else year, month, day).toordinal()
-                - date(1970, 1, 1).toordinal()
-            )
+            days = _days_since_1970(written, is_month_first=is_month_first)
         except ValueError:
             return None
-        known[str(text)] = since * DAY_NS
+        known[text] = days * DAY_NS
+    if not known:
+        return None
     return np.asarray(whole.map(known).to_numpy(np.int64))
+
+
+def _days_since_1970(numbers: _DateNumbers, *, is_month_first: bool) -> int:
+    """Return the day of a date; a ValueError where there is no such day."""
+    if numbers[0] > 31:
+        year, month, day = numbers
+    elif is_month_first:
+        month, day, year = numbers
+    else:
+        day, month, year = numbers
+    if year < 100:
+        year += 2000
+    return date(year, month, day).toordinal() - date(1970, 1, 1).toordinal()
 
 
 def unwrapped(time_ns: TimeNs, known: NDArray[np.bool_], period_ns: int) -> TimeNs:
@@ -244,13 +253,11 @@ def shift_ns(times: Bounds, period_ns: int, others: Bounds) -> int | None:
         return min(last, times[1] + shift) - max(first, times[0] + shift)
 
     nearest = period_ns * round((first + last - times[0] - times[1]) / 2 / period_ns)
-    shifts = sorted(
-        (nearest + step * period_ns for step in (-1, 0, 1)), key=overlap_ns, reverse=True
-    )
-    best, second = (overlap_ns(shift) for shift in shifts[:2])
-    if second > 0 and second > 0.98 * best:
+    shifts = [nearest + step * period_ns for step in (-1, 0, 1)]
+    best, second, _ = sorted(shifts, key=overlap_ns, reverse=True)
+    if overlap_ns(second) > 0 and overlap_ns(second) > 0.98 * overlap_ns(best):
         return None
-    return shifts[0]
+    return best
 
 
 def joined_bounds(bounds: Sequence[Bounds]) -> Bounds:
