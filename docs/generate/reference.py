@@ -14,7 +14,7 @@ from written import PROJECT, markdown_table
 
 import insdvl_replay
 from insdvl_replay.cli.app import app
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config import ConfigFile
 from insdvl_replay.core.tables import LAKE, LAYOUTS, TableLayout
 
 FOLDER = PROJECT / "docs" / "reference"
@@ -73,13 +73,13 @@ def _option(usage: str) -> str:
 
 def configuration() -> str:
     """Write every key of the settings, by the schema that checks them."""
-    schema = msgspec.json.schema(Config)
+    schema = msgspec.json.schema(ConfigFile)
     head = (
         "# Settings\n\nA settings file is TOML. `insdvl-replay config` prints all settings with these comments.\n\n"
         "A key ends in its unit. A key without a default may be left out. `frd` means forward-starboard-down. `flu`"
         " means forward-port-up. `sd` means standard deviation.\n"
     )
-    return head + "".join(_section("", schema["$defs"]["Config"], schema["$defs"]))
+    return head + "".join(_section("", schema["$defs"]["ConfigFile"], schema["$defs"]))
 
 
 def _section(name: str, section: Mapping[str, Any], known: Mapping[str, Any]) -> Iterator[str]:

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from insdvl_replay.core.config import FREE, Config, flattened
-from insdvl_replay.core.config_file import load_config, render_toml
+from insdvl_replay.core.config_file import FOUND, load_config, render_toml, toml_value
 from insdvl_replay.core.errors import Note, visible
 from insdvl_replay.core.words import Severity
 
@@ -73,14 +73,19 @@ class FoundSettings:
 
     config: Config
     notes: tuple[Note, ...]  # warnings first
+    given: tuple[str, ...] = ()  # keys that a person has given, beside which the others were found
 
     @property
     def text(self) -> str:
         """Return the settings as a file for ``-c``, which holds what differs from the defaults."""
-        comments = [line for note in self.notes for line in comment_lines(note.text)]
-        return (
-            "".join(f"{line}\n" for line in comments)
-            + f"\n{render_toml(self.config, changed_only=True)}"
+        lines = list[str]()
+        for note in self.notes:
+            lines += comment_lines(note.text)
+        if self.given:
+            # By this a later run knows whether the settings are still those that it would find.
+            lines += ["", f"[{FOUND}]", f"given = {toml_value(self.given)}"]
+        return "".join(f"{line}\n" for line in lines) + (
+            f"\n{render_toml(self.config, changed_only=True)}"
         )
 
 

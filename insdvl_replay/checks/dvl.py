@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.checks.imu import AXES, ENOUGH, LONGEST_STEP_S, lies_within, since_s, turned_by
-from insdvl_replay.checks.sentences import Remark, refusal, warning
+from insdvl_replay.checks.sentences import Measured, Remark, refusal, warning
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
@@ -174,8 +174,15 @@ def dvl_remarks(
     if found is not None and turned:
         roll, pitch, heading = config.dvl.mounting_rpy_deg
         right = float(wrap_angle(np.asarray(heading * DEG - found.turn))) / DEG
-        yield warning(
-            "dvl_direction", count, turn_deg=found.turn / DEG, roll=roll, pitch=pitch, heading=right
+        yield Measured(
+            warning(
+                "dvl_direction",
+                count,
+                turn_deg=found.turn / DEG,
+                roll=roll,
+                pitch=pitch,
+                heading=right,
+            )
         )
     elif opposite:
         yield warning("dvl_axes", count, axes=" and ".join(opposite))
@@ -188,7 +195,8 @@ def scale_remarks(place: str, scale: float, dvl: DvlColumns, config: Config) -> 
     if not 0.2 < scale < 5.0:
         yield refusal("dvl_unit", place, scale=scale)
     elif abs(scale - 1.0) > LARGEST_SCALE_ERROR:
-        yield warning("dvl_scale", len(dvl.time_ns), scale=scale, setting=scale * config.dvl.scale)
+        setting = scale * config.dvl.scale
+        yield Measured(warning("dvl_scale", len(dvl.time_ns), scale=scale, setting=setting))
 
 
 @dataclass(frozen=True)

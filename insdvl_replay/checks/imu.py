@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.checks.sentences import Remark, refusal, warning
+from insdvl_replay.checks.sentences import Remark, marked, refusal, warning
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
@@ -168,6 +168,7 @@ def _gravity_remarks(
     is_increment = (
         abs(ratio / step_s - 1.0) < 0.1 and settings.increment_s is None and step_s < 0.09
     )
+    is_scale = False
     if not ratio:
         cure = 'to read another field: imu.specific_force = "field.path"'
     elif is_increment and settings.specific_force_unit != "mg":
@@ -177,6 +178,7 @@ def _gravity_remarks(
     ):
         cure = f'imu.specific_force_unit = "{unit}"'
     else:
+        is_scale = True
         cure = f"imu.specific_force_scale = {ratio * settings.specific_force_scale:.4g}"
     found = {"size": size, "gravity": gravity, "cure": cure}
     along_down = float(np.median(mean_b[:, 2]))
@@ -184,12 +186,13 @@ def _gravity_remarks(
     if (
         not 1.0 / 1.5 < ratio < 1.5 and since_s(imu.time_ns, -1) > _LEAST_S
     ):  # another unit, or another scale
-        yield refusal("imu_no_gravity", place, **found)
+        refused = refusal("imu_no_gravity", place, **found)
+        yield marked(refused, is_measured=is_scale)
     elif abs(ratio - 1.0) > 0.05:  # no bias of a working accelerometer reaches 50 mg
         off = np.abs(sizes / gravity - 1.0) > 0.05
-        yield warning(
-            "imu_gravity", int(off.sum()), first_s=since_s(imu.time_ns, starts[off][0]), **found
-        )
+        first_s = since_s(imu.time_ns, starts[off][0])
+        warned = warning("imu_gravity", int(off.sum()), first_s=first_s, **found)
+        yield marked(warned, is_measured=is_scale)
     elif along_down > 0.0:
         first_s = since_s(imu.time_ns, starts[above][0])
         yield warning(

@@ -34,7 +34,14 @@ from insdvl_replay.checks.imu import (
     turn_to_reference,
     turned_by,
 )
-from insdvl_replay.checks.sentences import Remark, ignore_hint, refusal, warning
+from insdvl_replay.checks.sentences import (
+    Measured,
+    Remark,
+    ignore_hint,
+    refusal,
+    warning,
+    without_mark,
+)
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
@@ -107,7 +114,8 @@ def plausibility_remarks(
     else:
         turn = turn @ mat_from_rpy(np.array(config.imu.mounting_rpy_deg) * DEG)
         roll, pitch, heading = (rpy_from_mat(turn) / DEG + 0.0).tolist()
-        yield warning("imu_turned", len(imu.time_ns), roll=roll, pitch=pitch, heading=heading)
+        count = len(imu.time_ns)
+        yield Measured(warning("imu_turned", count, roll=roll, pitch=pitch, heading=heading))
     yield from dvl_remarks(place, dvl, reference, config)
     if reference is not None:
         yield from reference_notes(imu, dvl, reference)
@@ -121,9 +129,10 @@ def plausibility_notes(
     """Run all checks; raise the first error."""
     notes = []
     for remark in plausibility_remarks(place, imu, dvl, reference, config):
-        if isinstance(remark, LogError):
-            raise remark
-        notes.append(remark)
+        said = without_mark(remark)
+        if isinstance(said, LogError):
+            raise said
+        notes.append(said)
     return tuple(notes)
 
 
@@ -197,14 +206,12 @@ def _gyro_remarks(
             yield warning("imu_gyro_sign", count, **shown)
         elif found.off > UNIT_WRONG and unit != (settings.angular_rate_unit or "rad/s"):
             yield refusal("imu_gyro_unit", place, unit=unit, **shown)
-        elif found.off > UNIT_WRONG:
-            yield refusal(
-                "imu_gyro_scale", place, setting=found.scale * settings.angular_rate_scale, **shown
-            )
         else:
-            yield warning(
-                "imu_gyro_scale", count, setting=found.scale * settings.angular_rate_scale, **shown
-            )
+            shown["setting"] = found.scale * settings.angular_rate_scale
+            if found.off > UNIT_WRONG:
+                yield Measured(refusal("imu_gyro_scale", place, **shown))
+            else:
+                yield Measured(warning("imu_gyro_scale", count, **shown))
     if (
         by_attitude is None or by_attitude.excursion.max() < 3.0 * DEG
     ):  # attitudes that swing less say nothing
@@ -234,12 +241,8 @@ def _track_remarks(
     # Gyro bias turns a track by less during a dive.
     if abs(float(wrap_angle(np.asarray(heading_deg * DEG - track.heading)))) > 30.0 * DEG:
         fitted_deg = track.heading / DEG
-        yield warning(
-            "dvl_direction by positions",
-            len(dvl.time_ns),
-            fitted_deg=fitted_deg,
-            heading_deg=heading_deg,
-        )
+        both = {"fitted_deg": fitted_deg, "heading_deg": heading_deg}
+        yield Measured(warning("dvl_direction by positions", len(dvl.time_ns), **both))
 
 
 def reference_notes(

@@ -4,12 +4,21 @@ An error stops the replay where the tables would be wrong. A warning reports wha
 sentences, the words after the blank distinguish them.
 """
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity
 
-Remark = Note | LogError
+
+@dataclass(frozen=True)
+class Measured:
+    """A remark whose hint has a value to copy that was measured: only a whole log shows it well enough."""
+
+    remark: Note | LogError
+
+
+Remark = Note | LogError | Measured
 
 _UNIT_HINT: Final = (
     'dvl.velocity_unit = "mm/s" or "cm/s" (a wrong beam geometry cannot have so large an effect)'
@@ -206,6 +215,20 @@ def warning(key: str, count: int, **values: Any) -> Note:
     """Return a warning with its hint."""
     text, hint = (part.format(count=count, **values) for part in _SENTENCES[key])
     return Note(key.partition(" ")[0].format(**values), text, count, Severity.WARNING, hint)
+
+
+def marked(remark: Note | LogError, *, is_measured: bool) -> Remark:
+    """Mark a remark if its hint has a measured value."""
+    if is_measured:
+        return Measured(remark)
+    return remark
+
+
+def without_mark(remark: Remark) -> Note | LogError:
+    """Return a remark itself, whether its hint was measured or not."""
+    if isinstance(remark, Measured):
+        return remark.remark
+    return remark
 
 
 def refusal(key: str, place: str, **values: Any) -> LogError:

@@ -635,12 +635,10 @@ def _contradicts(outcome: "Outcome", first: "Outcome") -> bool:
 def _needs_settings(outcome: "Outcome") -> bool:
     """Return whether other settings may help: not where the result cannot be written, or where the process ends."""
     from insdvl_replay.batch.workers import WorkerLostError
-    from insdvl_replay.core.errors import UserError
+    from insdvl_replay.core.errors import TargetError, UserError
 
     error = outcome.result
-    target = str(outcome.job.target)
-    is_lost = isinstance(error, WorkerLostError)
-    return isinstance(error, UserError) and not (is_lost or str(error).startswith(target))
+    return isinstance(error, UserError) and not isinstance(error, WorkerLostError | TargetError)
 
 
 def _with_search_hint(outcome: "Outcome", hint: str) -> "tuple[Outcome, str]":

@@ -243,14 +243,14 @@ def json_schema(name: str) -> bytes:
 
     from insdvl_replay.calibration.rows import TABLES as CALIBRATION
     from insdvl_replay.changes.formats import CheckReport
-    from insdvl_replay.core.config import Config
+    from insdvl_replay.core.config import ConfigFile
     from insdvl_replay.core.report import Report, as_json
     from insdvl_replay.document.parts import ResultJson
     from insdvl_replay.document.render import result_schema
     from insdvl_replay.inspection.inventory import Inventory
 
     kinds: dict[str, type] = {
-        "config": Config,
+        "config": ConfigFile,
         "report": Report,
         "inspection": Inventory,
         "study": ResultJson,
@@ -271,7 +271,7 @@ def json_schema(name: str) -> bytes:
         **_with_words(schema),
     }
     if name == "config":
-        filters = described["$defs"]["Config"]["properties"]["filters"]
+        filters = described["$defs"]["ConfigFile"]["properties"]["filters"]
         filters["additionalProperties"] = {
             "anyOf": [filters["additionalProperties"], {"const": False}]
         }

@@ -681,6 +681,14 @@ class Topic(Section, frozen=True):
     latency_s: StampLatency = 0.0
 
 
+class Found(Section, frozen=True):
+    """How the settings of a file were found. It sets nothing."""
+
+    given: Annotated[
+        tuple[str, ...], Comment("keys that were given, beside which the others were found")
+    ] = ()
+
+
 class Config(Section, frozen=True):
     """All settings of a replay."""
 
@@ -776,6 +784,12 @@ class Config(Section, frozen=True):
         return {
             name: spelled_out(solution) for name, solution in given.items() if solution is not None
         }
+
+
+class ConfigFile(Config, frozen=True):
+    """All that a file of settings may hold."""
+
+    found: Found = Found()
 
 
 def flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -24,7 +24,9 @@ from insdvl_replay.core.config import (
     MOST_BYTES,
     TOPIC_KEYS,
     Config,
+    ConfigFile,
     Filter,
+    Found,
     Initial,
     Topic,
     flattened,
@@ -66,9 +68,12 @@ CANDIDATE_KEYS: Final = (
     ("program", "timeout_s", "input", "version"),
     ("candidate", "timeout_s", "version"),
 )
-SECTIONS: Final = frozenset(Config.__struct_fields__)
+FOUND: Final = "found"  # the table of a file of found settings that sets nothing
+SECTIONS: Final = frozenset(ConfigFile.__struct_fields__)
 LARGEST: Final = 1e30  # No measured value is larger, and powers of smaller values do not overflow.
 _HINT: Final = "`insdvl-replay config` prints all keys with type and unit"
+_IF_UNREADABLE: Final = "check the path given to -c"
+_IF_INVALID: Final = "`insdvl-replay config` prints a valid one"
 # Similarity from which a name is surely a misspelling, whatever other names share words with it.
 _MISSPELLED: Final = 0.85
 _ALSO_CALLED: Final[Mapping[str, str]] = {
@@ -445,10 +450,23 @@ def _preset(name: str) -> TomlSource:
 
 
 def _file(path: Path) -> TomlSource:
-    invalid = "`insdvl-replay config` prints a valid one"
-    source = read_toml(path, _HINT, if_unreadable="check the path given to -c", if_invalid=invalid)
+    source = read_toml(path, _HINT, if_unreadable=_IF_UNREADABLE, if_invalid=_IF_INVALID)
     require_kind_of_toml(path, source.content, "settings", SECTIONS)
-    return source
+    converted(source.content.get(FOUND, {}), Found, source, FOUND)
+    settings = {name: table for name, table in source.content.items() if name != FOUND}
+    return replace(source, content=settings)
+
+
+def keys_found_beside(path: Path) -> tuple[str, ...]:
+    """Name the keys that were given as the settings of a file were found.
+
+    Raises
+    ------
+    ConfigError
+        Unreadable file, or a wrong key or value in its table ``found``.
+    """
+    source = read_toml(path, _HINT, if_unreadable=_IF_UNREADABLE, if_invalid=_IF_INVALID)
+    return converted(source.content.get(FOUND, {}), Found, source, FOUND).given
 
 
 def _with_place_for(

@@ -85,6 +85,10 @@ class ConfigError(UserError):
     """The command line or the configuration asks for something that cannot be (exit code 2)."""
 
 
+class TargetError(ConfigError):
+    """A result cannot be written where it was asked for (exit code 2). No settings of the replay change that."""
+
+
 class LogError(UserError):
     """A log cannot be used (exit code 3)."""
 

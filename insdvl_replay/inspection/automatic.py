@@ -37,7 +37,7 @@ from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_
 from insdvl_replay.calibration.noise import imu_class
 from insdvl_replay.checks.reference_delay import is_late, with_reference_delay
 from insdvl_replay.core.config import Config, Initial
-from insdvl_replay.core.config_file import load_config, render_toml
+from insdvl_replay.core.config_file import keys_found_beside, load_config, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ReferenceColumns, nanoseconds
 from insdvl_replay.core.errors import LogError, Note, UserError, counted, listed
 from insdvl_replay.core.runtime import report_stage
@@ -77,7 +77,6 @@ _NOT_NEEDED: Final = (
 MOST_DIFFERENCES: Final = 4  # that are named
 CALIBRATED_RAD: Final = 5.0 * DEG  # turns of the DVL up to which are a calibration's
 SCALES: Final = {"specific_force_scale": "accelerometers", "angular_rate_scale": "gyros"}
-AS_GIVEN: Final = "as given: "
 Paths = Sequence[Path]
 
 
@@ -149,10 +148,11 @@ def find_settings(
             )
         )
     if whole.keys:
-        notes.append(found_note("found_given", f"{AS_GIVEN}{listed(whole.keys)}"))
+        notes.append(found_note("found_given", f"as given: {listed(whole.keys)}"))
     return FoundSettings(
         as_given(config, whole),
         tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING)),
+        tuple(whole.keys),
     )
 
 
@@ -396,17 +396,13 @@ def stored_settings(folder: Path, given: Given) -> Config | None:
         return None
     try:
         found = load_config(file=file)
+        found_beside = keys_found_beside(file)
     except UserError:
         return None
-    comments = " ".join(
-        line[1:].strip() for line in file.read_text("utf-8").splitlines() if line.startswith("#")
-    )
-    is_same = (
-        f"{AS_GIVEN}{listed(given.keys)}" in comments if given.keys else AS_GIVEN not in comments
-    )
     config = given.config
-    same = is_same and as_given(found, given) == found and found.topics == config.topics
-    if same and (found.span, found.evaluation) == (config.span, config.evaluation):
+    is_as_given = as_given(found, given) == found and found.topics == config.topics
+    is_of_span = (found.span, found.evaluation) == (config.span, config.evaluation)
+    if found_beside == tuple(given.keys) and is_as_given and is_of_span:
         return found
     return None
 

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.checks.reference import plausibility_remarks, says_anything
-from insdvl_replay.checks.sentences import Remark
+from insdvl_replay.checks.sentences import Measured, Remark, without_mark
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats, ImuColumns, seconds
 from insdvl_replay.core.dive_record import Clock
@@ -43,7 +43,6 @@ from insdvl_replay.logs.read import Finding, RoleColumns, loss_notes, source_not
 
 _ENOUGH: Final = 1000  # messages of a topic that show its clock and its units
 _ENOUGH_OF_OTHERS: Final = 10
-_MEASURED: Final = re.compile(r"(scale|heading_deg|mounting_rpy_deg) = ")
 _LOOK_DEEPER: Final = "to measure the value on all messages: `inspect --deep`"
 _LOOK_FURTHER: Final = "to check all messages: `inspect --deep`"
 
@@ -122,17 +121,21 @@ class DryRun:
             with errors_to(self._add_blocker):
                 self._remark(self.columns.clock_notes(own_clocks))
             for remark in self._remarks(self.columns.imu):
-                if isinstance(remark, LogError):
-                    self._add_blocker(remark)
+                said = without_mark(remark)
+                if isinstance(said, LogError):
+                    self.blockers.append(Blocker(said.message, self._hint(remark)))
                 else:
-                    self._remark([remark])
+                    self._remark([replace(said, hint=self._hint(remark))])
         for topic, imu in other_imus.items():
             for remark in self._remarks(imu):
-                if isinstance(remark, LogError):
-                    self._warn_of(topic, remark)
-                elif remark.code.startswith("imu"):
-                    self.warned |= {topic} if remark.severity == Severity.WARNING else set()
-                    self._remark([replace(remark, text=f"{topic}: {remark.text}")])
+                said = without_mark(remark)
+                hint = self._hint(remark)
+                if isinstance(said, LogError):
+                    self._warn_of(topic, said, hint)
+                elif said.code.startswith("imu"):
+                    if said.severity == Severity.WARNING:
+                        self.warned.add(topic)
+                    self._remark([replace(said, text=f"{topic}: {said.text}", hint=hint)])
 
     def examine_others(self, channels: Iterable[LogChannel]) -> None:
         """Look at the clocks of topics without a role, as far as their messages have a header."""
@@ -217,23 +220,24 @@ class DryRun:
 
     def _remark(self, notes: Iterable[Note]) -> None:
         """Keep notes; of those from a sample the warnings alone, since its counts are not the log's."""
-        kept = (note for note in notes if self.deep or note.severity == Severity.WARNING)
-        self.notes += [replace(note, hint=self._hint(note.hint)) for note in kept]
+        self.notes += [note for note in notes if self.deep or note.severity == Severity.WARNING]
 
-    def _hint(self, hint: str) -> str:
-        """Return no value to copy that only the whole log shows well enough."""
-        if self.deep or not _MEASURED.search(hint):
-            return hint
-        return _LOOK_DEEPER
+    def _hint(self, remark: Remark) -> str:
+        """Return the hint of a remark, without a value to copy that only the whole log shows well enough."""
+        if isinstance(remark, Measured) and not self.deep:
+            return _LOOK_DEEPER
+        return without_mark(remark).hint
 
-    def _warn_of(self, topic: str, error: UserError) -> None:
+    def _warn_of(self, topic: str, error: UserError, hint: str | None = None) -> None:
+        """Note what is wrong with one of several topics; the hint is that of the error if no other is given."""
         self.warned.add(topic)
         self.refused.setdefault(topic, error.inside(self.log.path, topic))
         text = f"{topic}: {error.inside(self.log.path, topic)}"
-        self.notes.append(Note("candidate", text, 1, Severity.WARNING, self._hint(error.hint)))
+        given = error.hint if hint is None else hint
+        self.notes.append(Note("candidate", text, 1, Severity.WARNING, given))
 
     def _add_blocker(self, error: UserError) -> None:
-        self.blockers.append(Blocker(error.message, self._hint(error.hint)))
+        self.blockers.append(Blocker(error.message, error.hint))
 
 
 # --- Topics of unknown types: vectors and beams by name and size, and single numbers.

@@ -17,7 +17,7 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import asdict
 
-from insdvl_replay.core.errors import ConfigError, read_regular
+from insdvl_replay.core.errors import ConfigError, TargetError, read_regular
 from insdvl_replay.core.extras import install_hint
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import LAKE, TABLES, LakeRow
@@ -187,7 +187,7 @@ def _workspace(target: Path) -> Iterator[Path]:
                 with suppress(OSError):  # no longer empty, or never made
                     parent.rmdir()
     except OSError as error:
-        raise ConfigError(
+        raise TargetError(
             f"{target}: cannot be written: {error.strerror or error}", _ANOTHER_PLACE
         ) from error
 
@@ -208,7 +208,7 @@ def _remove_leftovers(folder: Path) -> None:
 
 
 def require_replaceable_folder(target: Path, *, force: bool = False) -> None:
-    """Raise a ConfigError if a result must not be written to a folder.
+    """Raise a TargetError if a result must not be written to a folder.
 
     With ``force`` an older result may be replaced, if the folder holds its files alone. Anything else that bears the
     name may not: it is somebody's work.
@@ -218,52 +218,52 @@ def require_replaceable_folder(target: Path, *, force: bool = False) -> None:
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:  # such as too long a name
-        raise ConfigError(
+        raise TargetError(
             f"{target}: cannot be written: {error.strerror}", _ANOTHER_PLACE
         ) from error
     own = _files_of_result(target)
     if own is None:
-        raise ConfigError(
+        raise TargetError(
             f"{target}: exists and is not a result folder", "choose another folder with -o"
         )
     if not force:
-        raise ConfigError(
+        raise TargetError(
             f"{target}: exists", "choose another folder with -o, or replace it with --force"
         )
     if foreign := sorted(
         path.name for path in target.iterdir() if path.name not in own or path.is_dir()
     ):
         more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
-        raise ConfigError(
+        raise TargetError(
             f"{target}: is not replaced, because {foreign[0]}{more} is not a file of its result",
             "move it elsewhere, or name another folder for the results",
         )
 
 
 def require_replaceable_file(target: Path, *, force: bool = False) -> None:
-    """Raise a ConfigError if a file cannot be written, or exists and may not be replaced."""
+    """Raise a TargetError if a file cannot be written, or exists and may not be replaced."""
     try:
         exists = target.exists()
         if not exists and target.is_symlink():
-            raise ConfigError(
+            raise TargetError(
                 f"{target}: is a link to {target.readlink()}, which does not exist", f"rm {target}"
             )
         if not exists and not target.parent.is_dir():
-            raise ConfigError(
+            raise TargetError(
                 f"{target}: the folder {target.parent} does not exist", f"mkdir -p {target.parent}"
             )
         if target.is_dir():
-            raise ConfigError(
+            raise TargetError(
                 f"{target}: is a {'link to a ' * target.is_symlink()}folder", _NAME_A_FILE
             )
         if target.is_block_device():
-            raise ConfigError(f"{target}: is a disk", _NAME_A_FILE)
+            raise TargetError(f"{target}: is a disk", _NAME_A_FILE)
         if target.is_file() and not force:
-            raise ConfigError(
+            raise TargetError(
                 f"{target}: exists", "choose another name, or replace it with --force"
             )
     except OSError as error:
-        raise ConfigError(f"{target}: cannot be written: {error.strerror}", _NAME_A_FILE) from error
+        raise TargetError(f"{target}: cannot be written: {error.strerror}", _NAME_A_FILE) from error
 
 
 def is_result(folder: Path) -> bool:

@@ -7,12 +7,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from insdvl_replay.calibration.found import FoundSettings
+from insdvl_replay.calibration.found import FoundSettings, Given
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
-from insdvl_replay.inspection.automatic import settings_of_one
+from insdvl_replay.core.errors import Note
+from insdvl_replay.inspection.automatic import settings_of_one, stored_settings
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.run import fitted_start
 from insdvl_replay.sim.dive import simulate_dive
@@ -48,6 +49,20 @@ def test_what_differs_is_named() -> None:
     assert "accelerometers 0.54 times" in note.text
     assert "found_own" not in own.text
     assert "0.54 times" in own.text
+
+
+def test_stored_settings_are_those_found_beside_the_same_given_ones(tmp_path: Path) -> None:
+    """By the keys that the file names, whatever its comments say."""
+    given = Given(load_config(overrides=["dvl.scale=1.01"]))
+    notes = (Note("found_imu", "as given: nothing"),)
+    found = FoundSettings(given.config, notes, tuple(given.keys))
+    file = tmp_path / "vehicle.toml"
+    file.write_text(found.text)
+    assert stored_settings(tmp_path, given) == given.config
+    more = Given(given.config, ["dvl.scale", "dvl.latency_s"])
+    assert stored_settings(tmp_path, more) is None
+    file.write_text(replace(found, given=()).text)
+    assert stored_settings(tmp_path, given) is None
 
 
 @pytest.mark.nightly
