@@ -213,7 +213,7 @@ def run(
     changed = _changed_settings(load, configs, against, fail_on, tables, strict=strict)
     if changed:
         from insdvl_replay.batch.fitted_noise import with_same_noise
-        from insdvl_replay.cli.changes import answer_against
+        from insdvl_replay.cli.against import answer_against
 
         both = options, replace(options, config=changed.get(None, options.config))
         sides = plan_both_sides(
