@@ -25,6 +25,9 @@ BURN_IN_S: Final = 100  # No windows while the filters still converge.
 SHORTEST_S: Final = BURN_IN_S + 2 * int(OUTAGE_WINDOWS_S[0])  # of a dive that has the test
 SHOWN_S: Final = 60
 SHOWN_EVERY_S: Final = 30  # Windows for a picture of the drift over time may overlap.
+# Of one length. More tell hardly more of a dive, which counts once, but take several times as long as
+# the filters themselves: in nine hours those of all lengths would be three dives long.
+MOST_WINDOWS: Final = 100
 OUTAGE: Final = (
     2.5  # A gap of this many usual intervals is an outage; a single missing ping is not.
 )
@@ -58,9 +61,7 @@ class OutagePlan:
     """All windows of a dive."""
 
     ping_ns: TimeNs  # (m,), times of the pings with a velocity
-    by_length: tuple[
-        Windows, ...
-    ]  # lengths that fit the dive; windows of one length do not overlap
+    by_length: tuple[Windows, ...]  # lengths that fit the dive; those of one do not overlap
     shown: Windows  # overlapping, for the drift over time
 
     @cached_property
@@ -86,38 +87,42 @@ class OutagePlan:
 
 
 def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> OutagePlan:
-    """Place windows over a dive, after the filters have settled."""
+    """Place windows over a dive, after the filters have settled.
+
+    They follow one upon the other, or in long dives at equal distances, see MOST_WINDOWS.
+    """
     usual_ns = float(np.median(np.diff(ping_ns))) if len(ping_ns) > 1 else np.inf
     middle_ns = ping_ns[:-1] + np.diff(ping_ns) // 2
     outages_before = np.cumsum(np.diff(ping_ns, prepend=ping_ns[:1]) > OUTAGE * usual_ns)
 
+    def is_too_short(window_s: int) -> bool:
+        is_dive_short = end_ns - start_ns < (BURN_IN_S + 2 * window_s) * NS_PER_S
+        return is_dive_short or window_s * NS_PER_S < FEWEST_PINGS * usual_ns
+
+    def last_end_ns() -> int:
+        if end_ns - ping_ns[-1] > OUTAGE * usual_ns:
+            return end_ns  # The DVL has a gap: the windows in it are counted as left out.
+        return min(end_ns, int(ping_ns[-1] + 0.5 * usual_ns))
+
     def windows(window_s: int, every_s: int) -> Windows:
-        # None if the dive is too short, or the pings are too rare.
-        window_ns = window_s * NS_PER_S
-        last_ns = end_ns
-        if (
-            end_ns - start_ns < (BURN_IN_S + 2 * window_s) * NS_PER_S
-            or window_ns < FEWEST_PINGS * usual_ns
-        ):
+        if is_too_short(window_s):
             return Windows(window_s, np.empty(0, np.int64), np.empty(0, np.int64), 0)
-        if (
-            end_ns - ping_ns[-1] <= OUTAGE * usual_ns
-        ):  # else the DVL has a gap, and the rest is left out
-            last_ns = min(end_ns, int(ping_ns[-1] + 0.5 * usual_ns))
-        latest_s = (last_ns - start_ns) // NS_PER_S - window_s
-        begun_ns = start_ns + np.arange(BURN_IN_S, latest_s + 1, every_s) * NS_PER_S
-        # The nearest pings; a window without pings near its ends, or with an outage inside, is left out.
+        latest_s = (last_end_ns() - start_ns) // NS_PER_S - window_s
+        places = (latest_s - BURN_IN_S) // every_s + 1
+        step_s = every_s * max(1, math.ceil(places / MOST_WINDOWS))
+        begun_ns = start_ns + np.arange(BURN_IN_S, latest_s + 1, step_s) * NS_PER_S
+        # The nearest pings. Without some near its ends, or with an outage inside, a window is left out.
         first = np.searchsorted(middle_ns, begun_ns)
-        ended_ns = ping_ns[first] + window_ns
+        ended_ns = ping_ns[first] + window_s * NS_PER_S
         last = np.searchsorted(middle_ns, ended_ns)
         away_ns = np.maximum(abs(ping_ns[first] - begun_ns), abs(ping_ns[last] - ended_ns))
-        silent = (away_ns > 0.5 * OUTAGE * usual_ns) | (
-            outages_before[first] < outages_before[last]
-        )
-        whole = ~silent & ~in_gap(ping_ns[first], ping_ns[last]) if len(first) else silent
-        return Windows(window_s, first[whole], last[whole], int(np.sum(~whole)))
+        is_far = away_ns > 0.5 * OUTAGE * usual_ns
+        is_whole = ~is_far & (outages_before[first] == outages_before[last])
+        if len(first):
+            is_whole &= ~in_gap(ping_ns[first], ping_ns[last])
+        return Windows(window_s, first[is_whole], last[is_whole], int(np.sum(~is_whole)))
 
-    lengths = [windows(length, length) for length in map(int, OUTAGE_WINDOWS_S)]
+    lengths = [windows(int(length_s), int(length_s)) for length_s in OUTAGE_WINDOWS_S]
     by_length = tuple(found for found in lengths if len(found.first) + found.left_out)
     return OutagePlan(ping_ns, by_length, windows(SHOWN_S, SHOWN_EVERY_S))
 

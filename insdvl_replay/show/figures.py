@@ -35,7 +35,7 @@ from insdvl_replay.document.plot import Axis, limits
 from insdvl_replay.document.time_axis import Clock
 from insdvl_replay.evaluation.consistency import mean_interval
 from insdvl_replay.evaluation.convergence import ConvergenceCurves
-from insdvl_replay.evaluation.outage_test import SHOWN_EVERY_S, SHOWN_S, OutageCurve
+from insdvl_replay.evaluation.outage_test import SHOWN_S, OutageCurve
 from insdvl_replay.evaluation.reference_errors import acceleration_at, reference_acceleration
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat, wrap_angle
@@ -200,9 +200,7 @@ def outage_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator[F
     if not curves:
         return
     windows = len(next(iter(curves.values())).begin_ns)
-    how = (
-        "of one window" if windows == 1 else f"over {windows} windows, one every {SHOWN_EVERY_S} s"
-    )
+    how = "of one window" if windows == 1 else f"over {windows} windows at equal distances"
     by_window = [
         (name, clock.time(curve.begin_ns), curve.drift_m) for name, curve in curves.items()
     ]

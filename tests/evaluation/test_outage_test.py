@@ -64,6 +64,20 @@ def test_windows_begin_after_the_burn_in_and_do_not_overlap() -> None:
         assert windows.left_out == 0
 
 
+@pytest.mark.parametrize("hours", [1.0, 9.0, 24.0])
+def test_windows_of_long_dives_are_a_hundred_at_most_and_over_the_whole_dive(hours: float) -> None:
+    duration_s = 3600.0 * hours
+    plan = plan_of(pings(duration_s), duration_s)
+    for windows in (*plan.by_length, plan.shown):
+        begun_s = starts_s(plan, windows.first)
+        (step_s,) = set(np.diff(begun_s))
+        assert step_s % min(windows.window_s, 30) == 0
+        assert 51 <= len(begun_s) <= 100 or step_s == windows.window_s
+        assert begun_s[-1] > duration_s - step_s - windows.window_s - 2.0
+    first, last = plan.runs
+    assert np.sum(last - first) < 1.5 * max(duration_s, 7200.0)
+
+
 @pytest.mark.parametrize(
     ("duration_s", "lengths"),
     [
