@@ -52,7 +52,7 @@ golden: .venv/test.stamp
 	PYTHONPATH=tests $(BIN)/python tests/cli/test_screens.py
 
 # At most 40 s: the rooms of formulas, tables and words.
-QUICK := core geometry nav evaluation checks show words
+QUICK := core document geometry nav evaluation checks show words
 quick: .venv/test.stamp
 	$(PYTEST) -m "not nightly" $(QUICK:%=tests/%)
 

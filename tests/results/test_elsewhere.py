@@ -21,7 +21,7 @@ from insdvl_replay.preparation.replay import replay_log
 from insdvl_replay.show.result_files import save_replay, viewer_layouts
 
 PROJECT = Path(__file__).resolve().parents[2]
-LAYOUTS = PROJECT / "insdvl_replay" / "results" / "layouts"
+LAYOUTS = PROJECT / "insdvl_replay" / "show" / "layouts"
 NODE = PROJECT / "tests" / "node"
 VEHICLES = {
     "straight": None,
