@@ -34,11 +34,10 @@ from insdvl_replay.document.parts import (
 from insdvl_replay.document.tables import MISSING, ShownColumn, table_of
 from insdvl_replay.evaluation.answers import Undecided
 from insdvl_replay.evaluation.sentences import (
-    headline,
+    grounds,
     interval_text,
     plan_line,
     ratio_text,
-    shouted,
     word_of,
 )
 from insdvl_replay.show.answers import TONES, verdict_in_table
@@ -179,11 +178,7 @@ def _said(answer: Answer) -> str:
     dives = counted(answer.dives, "dive")
     if answer.verdict in WITHOUT_VERDICT:
         return f"evaluated in only {answer.evaluated} of {dives}: {answer.reason}"
-    said = (
-        answer.sameness
-        if answer.is_same
-        else headline(answer).removeprefix(f"{shouted(answer.verdict)}, ")
-    )
+    said = answer.sameness if answer.is_same else grounds(answer)
     is_one_dive = answer.undecided == Undecided.ONE_DIVE
     found = [said, plan_line(answer).rstrip(".") if answer.undecided and not is_one_dive else ""]
     lost = (

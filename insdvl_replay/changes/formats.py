@@ -8,8 +8,14 @@ from xml.etree import ElementTree
 from msgspec import Meta, Struct
 
 from insdvl_replay.changes.cells import cell_name
-from insdvl_replay.changes.gate_file import TRAJECTORY
-from insdvl_replay.changes.gates import EVERY_DIVE, NOT_EXPECTED, CheckResult, Finding, GateOutcome
+from insdvl_replay.changes.findings import (
+    EVERY_DIVE,
+    TRAJECTORY,
+    CheckResult,
+    Finding,
+    GateOutcome,
+    UnexpectedFilter,
+)
 from insdvl_replay.core.errors import counted, visible, visible_lines
 from insdvl_replay.core.report import Tool, this_tool
 from insdvl_replay.core.words import GateStatus
@@ -254,16 +260,21 @@ def update_text(
     changes: Sequence[tuple[str, Finding]],  # dive and cell
 ) -> str:
     """Return the changes of the expected values: each new or changed one, and the number of unchanged ones."""
-    lines = []
-    for dive, cell in changes:
-        if cell.is_new:
-            text = cell.sentence.replace(f": {NOT_EXPECTED}", " is new")
-            if cell.expected is None and cell.table != TRAJECTORY:
-                value = f"{cell.value:.4g}" if isinstance(cell.value, float) else cell.value
-                name = cell_name(cell.table, cell.filter, cell.row, cell.column)
-                text = f"{name} is new: {value}{f' {cell.unit}' if cell.unit else ''}"
-            lines.append(f"{dive}: {'trajectory of ' if cell.table == TRAJECTORY else ''}{text}")
+    lines = [f"{dive}: {_new_text(cell)}" for dive, cell in changes if cell.is_new]
     count = (
         f"{counted(len(lines), 'value')} new or changed, {len(changes) - len(lines)} print the same"
     )
     return "".join(f"{visible(line)}\n" for line in (*lines, count))
+
+
+def _new_text(cell: Finding) -> str:
+    """Say what is new in a cell or in the trajectory of a filter."""
+    if isinstance(cell, UnexpectedFilter):
+        return f"trajectory of {cell.filter} is new"
+    if cell.table == TRAJECTORY:
+        return f"trajectory of {cell.sentence}"
+    if cell.expected is not None:
+        return cell.sentence
+    value = f"{cell.value:.4g}" if isinstance(cell.value, float) else cell.value
+    unit = f" {cell.unit}" if cell.unit else ""
+    return f"{cell_name(cell.table, cell.filter, cell.row, cell.column)} is new: {value}{unit}"

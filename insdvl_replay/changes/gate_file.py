@@ -18,6 +18,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from insdvl_replay.changes.cells import PROSE, RowPair, changed_settings, paired_rows
+from insdvl_replay.changes.findings import TRAJECTORY
 from insdvl_replay.core.config import Config, flattened
 from insdvl_replay.core.config_file import LARGEST, SECTIONS, converted, read_toml
 from insdvl_replay.core.errors import (
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
 ANY: Final = "*"  # every filter or row
 LOG: Final = "{log}"  # in the path of expected values, the dive's name
 POOLED: Final = "pooled"  # the table of the evidence pooled over all dives, as in the ``evidence.csv`` of several dives
-TRAJECTORY: Final = "trajectory"  # compared sample by sample
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
 ON_TRAJECTORY: Final = 'expected = "expected/{log}.npz", or within = [0.0, 2.0] with share_pct = 95'
 MOST_CAUSES: Final = 4  # settings that a failure names

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import msgspec
-from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from insdvl_replay.changes.cells import (
@@ -21,12 +20,16 @@ from insdvl_replay.changes.cells import (
     cell_name,
     is_number,
     judge_cell,
-    prints_the_same,
+)
+from insdvl_replay.changes.findings import (
+    EVERY_DIVE,
+    TRAJECTORY,
+    CheckResult,
+    Finding,
+    GateOutcome,
 )
 from insdvl_replay.changes.gate_file import (
-    ANY,
     POOLED,
-    TRAJECTORY,
     CellGate,
     Checked,
     Gate,
@@ -43,7 +46,6 @@ from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ResultError, UserError
 from insdvl_replay.core.quantities import WITHOUT_VERDICT
 from insdvl_replay.core.report import Cell, StoredLog, StoredReport
-from insdvl_replay.core.states import ANGLES, COLUMNS, GROUPS
 from insdvl_replay.core.tables import PERCENTAGE, EvidenceRow, PooledRow
 from insdvl_replay.core.words import ChangeVerdict, GateLevel, GateStatus, ReferenceStatus
 from insdvl_replay.document.tables import numbers_apart
@@ -54,9 +56,6 @@ if TYPE_CHECKING:
     # Trajectories need numpy, and a check of tables alone must not wait for it.
     from insdvl_replay.results.trajectory import Trajectory
 
-EVERY_DIVE: Final = "*"  # instead of the name of a dive
-NOT_EXPECTED: Final = "is not in the expected trajectory"
-SAME: Final = 1e-9  # relative difference of samples, over the largest value of a group, from rounding of processors
 # Further cells that state a gain or loss against the baseline.
 OF_GAIN: Final = frozenset(
     (
@@ -67,61 +66,6 @@ OF_GAIN: Final = frozenset(
         ("outage", "windows_won_pct"),
     )
 )
-
-
-class Finding(Struct, frozen=True):
-    """One cell of a table that a gate checks."""
-
-    table: str
-    filter: str
-    row: str
-    column: str
-    expected: Cell  # the stored value, if the gate compares with one
-    value: Cell  # None if missing
-    sentence: str  # the value and the condition
-    passed: bool
-    unit: str = ""  # of the two values
-    limit: str = ""  # allowed loss against the expected value
-
-    @property
-    def is_new(self) -> bool:
-        """Whether the value prints another number than the expected one; of a trajectory, whether it differs."""
-        if self.table == TRAJECTORY:
-            return not self.passed
-        if is_number(self.expected) and is_number(self.value):
-            return not prints_the_same(self.expected, self.value, self.column)
-        return self.expected != self.value
-
-
-class GateOutcome(Struct, frozen=True):
-    """The outcome of one gate on one dive."""
-
-    dive: str
-    gate: str
-    status: GateStatus
-    reasons: tuple[str, ...] = ()  # why it did not pass, one sentence each
-    findings: tuple[Finding, ...] = ()
-    line: int = 0  # line of the gate in its file; 0 if unknown
-    is_trajectory: bool = False  # the gate compares the trajectory with the expected one
-    causes: tuple[str, ...] = ()  # known causes of a failure, one sentence each
-
-    @property
-    def explained(self) -> tuple[str, ...]:
-        """The reasons, then the known causes."""
-        return (*self.reasons, *self.causes)
-
-
-class CheckResult(Struct, frozen=True):
-    """The outcomes of all gates on all dives."""
-
-    gates: str  # the gate file
-    outcomes: tuple[GateOutcome, ...]  # failures first, then in the order of dives and gates
-    words: dict[str, dict[str, int]] = {}  # by filter, number of dives with each verdict
-    elapsed_s: dict[str, float] = {}  # time of the replay, by dive
-
-    def count(self, status: GateStatus) -> int:
-        """Count the outcomes of a status."""
-        return sum(outcome.status == status for outcome in self.outcomes)
 
 
 # --- Dives.
@@ -277,6 +221,7 @@ def findings_of(
         return gate_findings(gate, report, expected if isinstance(expected, StoredReport) else None)
     assert isinstance(gate, TrajectoryGate)
     assert not isinstance(expected, StoredReport)
+    from insdvl_replay.changes.trajectory_gates import trajectory_findings
     from insdvl_replay.results.trajectory import read_trajectory
 
     return trajectory_findings(gate, read_trajectory(folder / TRAJECTORY_FILE), expected)
@@ -418,126 +363,3 @@ def value_text(value: Cell) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return str(value)
-
-
-# --- Gates on the trajectory: no change, sample by sample, and conditions over time.
-
-
-def trajectory_findings(
-    gate: TrajectoryGate,
-    new: "Trajectory | None",  # of the result; None if it has none
-    old: "Trajectory | None",  # the expected one, for a gate that compares with it
-) -> tuple[Finding, ...]:
-    """Return a finding for each filter that a gate checks; one failed finding if it checks none."""
-
-    def finding(filter_: str, row: str, sentence: str, *, passed: bool) -> Finding:
-        return Finding(TRAJECTORY, filter_, row, "", None, None, sentence, passed)
-
-    meant = [name for name in new.names if gate.filter in (ANY, name)] if new else []
-    if new is None or not meant:
-        missing = f"no filter {gate.filter} in the result"
-        missing = missing if new else "the result has no trajectory: replay the log again"
-        return (finding(gate.filter, gate.row, missing, passed=False),)
-    findings = []
-    for name in meant:
-        row, sentence, passed = (
-            _over_time(gate, new, name) if gate.within else _against(gate, new, old, name)
-        )
-        findings.append(finding(name, row, f"{name}: {sentence}", passed=passed))
-    for name in old.names if old else ():
-        if name not in new.names and gate.filter in (ANY, name):
-            sentence = f"{name}: is missing, but in the expected trajectory"
-            findings.append(finding(name, gate.row, sentence, passed=False))
-    return tuple(findings)
-
-
-def _against(
-    gate: TrajectoryGate, new: "Trajectory", old: "Trajectory | None", name: str
-) -> tuple[str, str, bool]:
-    """Return the first quantity that differs from the expected trajectory, a sentence, and whether it passed."""
-    import numpy as np
-
-    samples = len(new.time_s)
-    if old is None or name not in old.names:
-        return gate.row, NOT_EXPECTED, False
-    if not np.array_equal(new.time_s, old.time_s):
-        return gate.row, f"has {samples} samples, expected: {len(old.time_s)} at other times", False
-    before, after = (
-        trajectory.values[trajectory.names.index(name)] for trajectory in (old, new)
-    )  # (k, columns)
-    with np.errstate(invalid="ignore"):
-        apart = np.abs(np.where(before == after, 0.0, after - before))
-    apart = np.where(
-        np.isin(COLUMNS, list(ANGLES)), np.minimum(apart, np.abs(360.0 - apart)), apart
-    )
-    # Missing on both sides is the same; missing on one side always differs.
-    apart = np.nan_to_num(apart, nan=0.0, posinf=np.inf)
-    apart[np.isnan(before) != np.isnan(after)] = np.inf
-    allowed = dict.fromkeys(COLUMNS, math.inf)
-    for group, columns in GROUPS.items():
-        largest = float(np.nanmax(np.abs(before[:, np.isin(COLUMNS, columns)]), initial=0.0))
-        usual = (SAME if gate.max_rel is None else gate.max_rel) * largest
-        allowed |= {
-            name: gate.max_abs.get(name, usual)
-            for name in columns
-            if gate.row in (ANY, group, name)
-        }
-    differs = apart > np.array(list(allowed.values()))
-    if not differs.any():
-        return gate.row, f"{samples} samples are unchanged", True
-    first = int(np.argmax(differs.any(axis=1)))
-    place = int(np.argmax(differs[first]))
-    others = int(differs.any(axis=0).sum()) - 1
-    sentence = (
-        f"{COLUMNS[place]} first differs at {new.time_s[first]:g} s (by {apart[first, place]:.2g}, allowed: "
-        f"{allowed[COLUMNS[place]]:.2g}), in all at {int(differs[:, place].sum())} of {samples} samples"
-        f"{f', and {others} more quantities' if others else ''}"
-    )
-    return COLUMNS[place], sentence, False
-
-
-def _over_time(gate: TrajectoryGate, trajectory: "Trajectory", name: str) -> tuple[str, str, bool]:
-    """Check a quantity against its band: share of the samples, longest time outside, or one time."""
-    import numpy as np
-
-    from insdvl_replay.core.dive_columns import find_runs
-
-    low, high = gate.within or (-math.inf, math.inf)
-    time_s = trajectory.time_s
-    values = trajectory.of(name, gate.row)
-    # missing is outside
-    inside = (values >= low) & (values <= high)
-    complaints = list[str]()
-    statement = "it is"
-    if gate.at_s is not None:
-        sample = int(np.argmin(np.abs(time_s - gate.at_s)))
-        if abs(time_s[sample] - gate.at_s) > 1.0:
-            complaints.append(f"the replay has no sample at {gate.at_s:g} s")
-        elif not inside[sample]:
-            complaints.append(f"it is {values[sample]:.6g} at {time_s[sample]:g} s")
-    else:
-        share_pct = 100.0 * float(inside.mean())
-        longest_s = gate.longest_outside_s
-        wanted_pct = (
-            100.0 if gate.share_pct is None and longest_s is None else gate.share_pct or 0.0
-        )
-        if share_pct < wanted_pct:
-            complaints.append(
-                f"{share_pct:.1f} % of {len(inside)} samples, required: at least {wanted_pct:g} %"
-            )
-        # Length and start of each time outside; one sample a second.
-        begins, ends = find_runs(~inside)
-        stays = [
-            (float(end - begin), -float(time_s[begin]))
-            for begin, end in zip(begins, ends, strict=True)
-        ]
-        length_s, begin_s = max(stays, default=(0.0, 0.0))
-        if longest_s is not None and length_s > longest_s:
-            complaints.append(
-                f"outside for {length_s:g} s from {-begin_s:g} s, allowed: {longest_s:g} s"
-            )
-        statement = (
-            f"{share_pct:.1f} % of {len(inside)} samples, outside for {length_s:g} s at most"
-        )
-    sentence = f"{gate.row} within {low:g} to {high:g}: {'; '.join(complaints) or statement}"
-    return gate.row, sentence, not complaints

@@ -457,7 +457,7 @@ def _file(path: Path) -> TomlSource:
     return replace(source, content=settings)
 
 
-def keys_found_beside(path: Path) -> tuple[str, ...]:
+def given_keys_in(path: Path) -> tuple[str, ...]:
     """Name the keys that were given as the settings of a file were found.
 
     Raises

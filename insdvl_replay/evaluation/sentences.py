@@ -26,6 +26,9 @@ SOUGHT: Final = 0.9  # The ratio for which a number of dives is given.
 # Scatter of the ratio over dives, before any is known, for a candidate that moves the error by its own size.
 SCATTER_OF_ACTS: Final = 0.6
 NOT_NAVIGATED: Final = "How well it navigates with the DVL was not measured: no position reference."
+# The words with which the sentence on a prediction begins; pages stress them.
+CONFIRMED: Final = "Confirmed"
+NOT_CONFIRMED: Final = "Not confirmed"
 _HEADINGS: Final = {
     HeadingSource.REFERENCE: "heading of the reference",
     HeadingSource.SENSOR: "heading of the sensor",
@@ -69,11 +72,14 @@ def interval_text(row: PooledRow) -> str:
 
 def ratio_with_interval(row: PooledRow) -> str:
     """Write ratio and interval, such as ``position 1.13 (0.95 .. 1.33)``."""
+    return f"{label(row.quantity)} {_ratio_and_interval(row)}"
+
+
+def _ratio_and_interval(row: PooledRow) -> str:
     interval = interval_text(row)
-    found = f"{label(row.quantity)} {ratio_text(row.ratio)}"
     if interval == "-":
-        return found
-    return f"{found} ({interval})"
+        return ratio_text(row.ratio)
+    return f"{ratio_text(row.ratio)} ({interval})"
 
 
 def changed(row: PooledRow) -> str:
@@ -95,15 +101,25 @@ def changed(row: PooledRow) -> str:
 def headline(answer: Answer) -> str:
     """Return the verdict with the one ratio that made it, or the statement on one dive."""
     word = shouted(answer.verdict)
+    said = grounds(answer)
+    if not said:
+        return word
+    if _is_measured(answer) and answer.undecided == Undecided.ONE_DIVE:
+        return said
+    return f"{word}, {said}"
+
+
+def grounds(answer: Answer) -> str:
+    """Return the one ratio that made the verdict, or the statement on one dive; empty without a verdict."""
     primary = answer.decisive
     if answer.verdict in WITHOUT_VERDICT:
-        return word
+        return ""
     if answer.verdict == Verdict.NO_EFFECT:
-        return f"{word}, {_acting(answer)}"
-    if primary is None or not math.isfinite(finite(primary.ratio)):
+        return _acting(answer)
+    if primary is None or not _is_measured(answer):
         if answer.reason:
-            return f"{word}, no evidence: {answer.reason}"
-        return f"{word}, no evidence"
+            return f"no evidence: {answer.reason}"
+        return "no evidence"
     if answer.undecided == Undecided.ONE_DIVE:
         return f"on this dive {changed(primary)}; {answer.undecided}"
     pieces = [ratio_with_interval(primary)]
@@ -115,15 +131,18 @@ def headline(answer: Answer) -> str:
         pieces[0] += " from the heading of the reference"
         pieces.append(f"but {ratio_with_interval(drawn)}")
     pieces += [_warning(answer, row) for row in answer.warnings]
-    return f"{word}, {', '.join(pieces)}"
+    return ", ".join(pieces)
+
+
+def _is_measured(answer: Answer) -> bool:
+    """Return whether the primary quantity has a ratio."""
+    return answer.decisive is not None and math.isfinite(finite(answer.decisive.ratio))
 
 
 def _warning(answer: Answer, row: PooledRow) -> str:
     joined = "but " if answer.verdict in (*GOOD, *BAD) else ""
-    found = ratio_with_interval(row)
-    if row.evidence == "outage":
-        found = f"without the DVL {found.removeprefix(label(row.quantity)).lstrip()}"
-    return f"{joined}{found} {row.verdict}"
+    name = "without the DVL" if row.evidence == "outage" else label(row.quantity)
+    return f"{joined}{name} {_ratio_and_interval(row)} {row.verdict}"
 
 
 # --- The lines below.
@@ -234,17 +253,17 @@ def predicted_line(answer: CandidateAnswer) -> str:
 def _confirmed(answer: CandidateAnswer) -> str:
     primary = answer.decisive
     if primary is None or not math.isfinite(finite(primary.ratio)):
-        return "Not confirmed: no error was measured"
+        return f"{NOT_CONFIRMED}: no error was measured"
     name = label(primary.quantity)
     if answer.prediction == Prediction.CONFIRMED:
-        return f"Confirmed: {changed(primary)}"
+        return f"{CONFIRMED}: {changed(primary)}"
     if finite(primary.ratio) >= 1.0 or answer.verdict == Verdict.NO_EFFECT:
-        return f"Not confirmed: {name} is not smaller"
+        return f"{NOT_CONFIRMED}: {name} is not smaller"
     if answer.prediction == Prediction.NOT_CONFIRMED:
-        return f"Not confirmed: {name} is smaller by less than half of it"
+        return f"{NOT_CONFIRMED}: {name} is smaller by less than half of it"
     if answer.evaluated < FEWEST_DIVES:
-        return f"Not confirmed: it takes {FEWEST_DIVES} dives"
-    return f"Not confirmed: the interval of {name} is too wide to tell"
+        return f"{NOT_CONFIRMED}: it takes {FEWEST_DIVES} dives"
+    return f"{NOT_CONFIRMED}: the interval of {name} is too wide to tell"
 
 
 def plan_line(answer: Answer) -> str:
@@ -283,7 +302,7 @@ def assay_line(rows: Sequence[PooledRow]) -> str:
 def answer_lines(answer: CandidateAnswer, initial: str = "", start: str = "") -> list[str]:
     """Return the lines below the headline; the start is named where it is given, or where the answer depends on it."""
     if answer.verdict in WITHOUT_VERDICT:
-        return [f"{_begun(answer.reason, answer)}. Settle this first."]
+        return [f"{begun_with_capital(answer.reason, answer)}. Settle this first."]
     is_outage = answer.decisive is not None and answer.decisive.evidence == "outage"
     lines = [
         NOT_NAVIGATED if is_outage else "",
@@ -296,7 +315,7 @@ def answer_lines(answer: CandidateAnswer, initial: str = "", start: str = "") ->
     return [line for line in lines if line]
 
 
-def _begun(text: str, answer: Answer) -> str:
+def begun_with_capital(text: str, answer: Answer) -> str:
     """Begin a sentence with a capital letter; a name keeps its first letter."""
     is_name = text.startswith((answer.filter, answer.baseline))
     if is_name:

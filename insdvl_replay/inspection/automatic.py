@@ -37,7 +37,7 @@ from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_
 from insdvl_replay.calibration.noise import imu_class
 from insdvl_replay.checks.reference_delay import is_late, with_reference_delay
 from insdvl_replay.core.config import Config, Initial
-from insdvl_replay.core.config_file import keys_found_beside, load_config, render_toml
+from insdvl_replay.core.config_file import given_keys_in, load_config, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ReferenceColumns, nanoseconds
 from insdvl_replay.core.errors import LogError, Note, UserError, counted, listed
 from insdvl_replay.core.runtime import report_stage
@@ -396,13 +396,13 @@ def stored_settings(folder: Path, given: Given) -> Config | None:
         return None
     try:
         found = load_config(file=file)
-        found_beside = keys_found_beside(file)
+        given_before = given_keys_in(file)
     except UserError:
         return None
     config = given.config
     is_as_given = as_given(found, given) == found and found.topics == config.topics
     is_of_span = (found.span, found.evaluation) == (config.span, config.evaluation)
-    if found_beside == tuple(given.keys) and is_as_given and is_of_span:
+    if given_before == tuple(given.keys) and is_as_given and is_of_span:
         return found
     return None
 

@@ -46,7 +46,7 @@ from insdvl_replay.inspection.dry_run import (
 )
 from insdvl_replay.inspection.inventory import Blocker
 from insdvl_replay.inspection.ping_flags import flag_senses
-from insdvl_replay.inspection.settings import Setting, not_yet_set, with_settings
+from insdvl_replay.inspection.settings import Alternative, Setting, not_yet_set, with_settings
 from insdvl_replay.inspection.table_clocks import table_clock_settings
 from insdvl_replay.logs.columns.flags import flag_columns
 from insdvl_replay.logs.columns.reference import decode_reference
@@ -73,8 +73,12 @@ def _fields(key: str, candidates: Sequence[FieldMatch], to_decide: str = "") -> 
         first.path,
         str(first),
         to_decide,
-        tuple(f'{name} = "{other.path}"  # {other}' for other in others),
+        tuple(_instead(name, other) for other in others),
     )
+
+
+def _instead(name: str, field: FieldMatch) -> Alternative:
+    return Alternative(f'{name} = "{field.path}"', str(field))
 
 
 # --- The clocks.
@@ -123,8 +127,8 @@ def _stamp(log: Recording, seen: ProbedTopic, role: str) -> Iterator[Setting]:
         return
     (clock, unit), *others = clocks
     text = f"'{stamp_path(clock.stamp)}'{unit} agrees with the recorder's clock: {_apart(clock)}"
-    lines = tuple(f'stamp = "{other.stamp}"' for other, _ in others)
-    yield Setting(f"{role}.stamp", clock.stamp, text, others=lines)
+    stamps = tuple(Alternative(f'stamp = "{other.stamp}"') for other, _ in others)
+    yield Setting(f"{role}.stamp", clock.stamp, text, others=stamps)
 
 
 def _recorder_stamps(
@@ -310,10 +314,11 @@ def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
         yield from _flag_settings(log, topic, velocities[0].path)
     if beams and velocities:
         # Until a person knows where the beams point, the velocity is the safer source.
-        lines = ['kind = "beams"', *(f'beam_velocity = "{beam.path}"  # {beam}' for beam in beams)]
-        lines += [f'beam_valid = "{flag.path}"' for flag in valid]
+        ways = [Alternative('kind = "beams"')]
+        ways += [_instead("beam_velocity", beam) for beam in beams]
+        ways += [Alternative(f'beam_valid = "{flag.path}"') for flag in valid]
         text = "beams give more, if you know their angles: set kind, beam_velocity, beam_valid, beam_tilt_deg"
-        yield Setting("dvl.kind", "velocity", text, others=tuple(lines))
+        yield Setting("dvl.kind", "velocity", text, others=tuple(ways))
     elif beams:
         count = beams[0].median.size
         azimuths = tuple(45.0 + 360.0 * beam / count for beam in range(count))
@@ -569,8 +574,9 @@ def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:
                     key, first, "; ".join(f"not {topic}: {seen.refused[topic]}" for topic in others)
                 )
             else:
-                lines = tuple(f"topic = {toml_value(topic)}" for topic in others)
-                yield Setting(key, first, open="each of these is possible", others=lines)
+                lines = (f"topic = {toml_value(topic)}" for topic in others)
+                ways = tuple(map(Alternative, lines))
+                yield Setting(key, first, open="each of these is possible", others=ways)
 
 
 def _unknown_topics(
@@ -632,7 +638,9 @@ def _listed(role: str, needed: Sequence[str], seen: Sequence[ProbedTopic]) -> It
     yield Setting(f"{role}.topic", None, open=text, listed=tuple(lines))
     for quantity in needed:
         text = 'a field of three numbers, or three fields such as "p, q, r"'
-        others = ("beam_velocity =  # one number for each beam",) if quantity == "velocity" else ()
+        others: tuple[Alternative, ...] = ()
+        if quantity == "velocity":
+            others = (Alternative("beam_velocity =", "one number for each beam"),)
         yield Setting(f"{role}.{quantity}", None, open=text, others=others)
 
 

@@ -14,6 +14,14 @@ from insdvl_replay.core.errors import visible
 
 
 @dataclass(frozen=True)
+class Alternative:
+    """What else a person may choose."""
+
+    line: str  # of TOML
+    seen: str = ""  # what speaks for it
+
+
+@dataclass(frozen=True)
 class Setting:
     """One proposed setting."""
 
@@ -21,7 +29,7 @@ class Setting:
     value: Any  # None where only a person can know it
     seen: str = ""  # what speaks for the value
     open: str = ""  # what there is to decide; empty where what was seen settles it
-    others: tuple[str, ...] = ()  # alternative TOML lines, with what was seen behind ``  # ``
+    others: tuple[Alternative, ...] = ()
     listed: tuple[str, ...] = ()  # what there is to choose from, line by line
 
     @property
@@ -88,7 +96,6 @@ def settings_toml(settings: Iterable[Setting]) -> str:
                 else f"# {setting.name} ="
             )
             for other in setting.others:
-                value, _, seen = other.partition("  # ")
-                lines += [*comment_lines(seen), f"# or {visible(value)}"]
+                lines += [*comment_lines(other.seen), f"# or {visible(other.line)}"]
         sections.append("".join(f"{line}\n" for line in lines))
     return "\n".join(sections)

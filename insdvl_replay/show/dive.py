@@ -50,7 +50,7 @@ from insdvl_replay.document.tables import (
     significant,
     table_of,
 )
-from insdvl_replay.evaluation.sentences import answer_lines, headline
+from insdvl_replay.evaluation.sentences import answer_lines, grounds
 from insdvl_replay.evaluation.verdicts import SHARED, consistency_of, trust_sentence
 from insdvl_replay.show.answers import (
     TONES,
@@ -424,7 +424,7 @@ def dive_section(report: Report, name: str, title: str = "Evidence") -> str:
     if answer.verdict in WITHOUT_VERDICT:
         return section(answer, [f"{answer.reason}. Settle this first."])
     lines = answer_lines(answer, initial_text(report.config), start_text([report]))
-    sentences = [headline(answer), *lines, trust_sentence(report.tables, name, report.baseline)]
+    sentences = [grounds(answer), *lines, trust_sentence(report.tables, name, report.baseline)]
     most = _MOST_ROWS.get(len(report.filters), _FEWEST_ROWS)
     return section(answer, sentences, [evidence_forest(title, answer, most)])
 

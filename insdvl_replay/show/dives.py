@@ -35,7 +35,7 @@ from insdvl_replay.document.tables import (
     table_of,
 )
 from insdvl_replay.evaluation.answers import EVERY_DIVE, CandidateAnswer
-from insdvl_replay.evaluation.sentences import answer_lines, headline, paragraph, ratio_text
+from insdvl_replay.evaluation.sentences import answer_lines, grounds, paragraph, ratio_text
 from insdvl_replay.evaluation.verdicts import consistency_of
 from insdvl_replay.show.answers import (
     TONES,
@@ -300,7 +300,7 @@ def _section(
     plots = [evidence_forest(title, answer, _MOST_ROWS), dives]
     having = [report for report in reports if answer.filter in report.filters]
     return section(
-        answer, [headline(answer), *answer_lines(answer, initial, start_text(having))], plots
+        answer, [grounds(answer), *answer_lines(answer, initial, start_text(having))], plots
     )
 
 

@@ -21,7 +21,13 @@ from insdvl_replay.document.parts import DisplayTable, Html
 from insdvl_replay.document.tables import significant
 from insdvl_replay.evaluation.answers import Answer
 from insdvl_replay.evaluation.interval import BAND
-from insdvl_replay.evaluation.sentences import ratio_text, shouted, word_of
+from insdvl_replay.evaluation.sentences import (
+    CONFIRMED,
+    NOT_CONFIRMED,
+    begun_with_capital,
+    ratio_text,
+    word_of,
+)
 from insdvl_replay.show.answers import chosen_rows, verdict_in_table
 
 # --- Forest plots as SVG.
@@ -187,17 +193,10 @@ def first_screen(
 
 
 def section(answer: Answer, sentences: Sequence[str], plots: Sequence[str] = ()) -> str:
-    """Return the section of a candidate: the word, sentences, and plots next to them."""
+    """Return the section of a candidate: the word, sentences that do not repeat it, and plots next to them."""
     name = answer.filter
     baseline = answer.baseline
-    # The word is above the sentences.
-    verdict = shouted(answer.verdict)
-    texts = [text.removeprefix(f"{verdict}, ") for text in sentences if text != verdict]
-    # A name keeps its first letter.
-    begun = (
-        text if text.startswith((name, baseline)) else f"{text[:1].upper()}{text[1:]}"
-        for text in texts
-    )
+    begun = (begun_with_capital(text, answer) for text in sentences)
     said = "".join(f"<p>{_stressed(sentence)}</p>" for sentence in begun)
     against = (
         f"<p><b>{escape(visible_lines(name))}</b> against {escape(visible_lines(baseline))}</p>"
@@ -212,9 +211,9 @@ def section(answer: Answer, sentences: Sequence[str], plots: Sequence[str] = ())
 def _stressed(sentence: str) -> str:
     """Write a sentence as HTML, with whether a prediction is confirmed in bold."""
     text = unbroken(sentence)
-    word = next((word for word in ("Not confirmed", "Confirmed") if word in text), "")
-    if word:
-        return text.replace(word, f"<b>{word}</b>", 1)
+    for word in (NOT_CONFIRMED, CONFIRMED):
+        if word in text:
+            return text.replace(word, f"<b>{word}</b>", 1)
     return text
 
 

@@ -19,13 +19,13 @@ import pytest
 import xmlschema
 from small_results import content, write
 
+from insdvl_replay.changes.findings import CheckResult, GateOutcome
 from insdvl_replay.changes.formats import (
     MOST_ANNOTATIONS,
     CheckReport,
     github_annotations,
     junit_xml,
 )
-from insdvl_replay.changes.gates import CheckResult, GateOutcome
 from insdvl_replay.cli import run_command_line
 
 DIVES = Path(__file__).parents[2] / "examples" / "archive" / "dives"

@@ -11,7 +11,7 @@ import pytest
 from processors import PROCESSORS
 
 from insdvl_replay.changes.gate_file import TrajectoryGate, load_gates
-from insdvl_replay.changes.gates import trajectory_findings
+from insdvl_replay.changes.trajectory_gates import trajectory_findings
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.states import COLUMNS, GROUPS

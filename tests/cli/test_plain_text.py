@@ -15,8 +15,8 @@ from in_process import done_here
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from insdvl_replay.changes.findings import CheckResult, GateOutcome
 from insdvl_replay.changes.formats import github_annotations
-from insdvl_replay.changes.gates import CheckResult, GateOutcome
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import visible, visible_lines, without_commands

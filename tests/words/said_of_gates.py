@@ -10,13 +10,15 @@ import numpy as np
 from as_text import Cases, refusal, spoken
 from small_results import content, write
 
+from insdvl_replay.changes.findings import Finding
 from insdvl_replay.changes.gate_file import (
     CellGate,
     TrajectoryGate,
     load_gates,
     require_known_filters,
 )
-from insdvl_replay.changes.gates import Finding, gate_findings, trajectory_findings
+from insdvl_replay.changes.gates import gate_findings
+from insdvl_replay.changes.trajectory_gates import trajectory_findings
 from insdvl_replay.core.report import StoredReport
 from insdvl_replay.core.states import COLUMNS
 from insdvl_replay.results.trajectory import Trajectory
