@@ -282,20 +282,20 @@ def _made_otherwise(job: ReplayJob) -> str:
         is_other_log = log_digest(job) != stored.log.sha256
     except (OSError, TypeError, KeyError, *NOT_JSON, UserError):
         return ""
-    settings = changed_settings(old, new)
+    changes = changed_settings(old, new)
     asked = {"version": options.version, "sources": options.sources}
     is_other_version = (
         stored.versions != package_versions() or not asked.items() <= stored.tool.items()
     )
     # What a fit would set says something only where nothing else differs.
     fitted = ("noise.fit", *(key for word in options.config.noise.fit for key in FREE[word]))
-    others = [change for change in settings if not change.startswith(fitted)]
+    others = {key: text for key, text in changes.items() if not key.startswith(fitted)}
     if others or is_other_log or is_other_version:
-        settings = others
+        changes = others
     reasons = [
         *(["of another log"] if is_other_log else []),
         *(["by another version"] if is_other_version else []),
-        *([f"with other settings: {listed(settings, _MOST_SETTINGS)}"] if settings else []),
+        *([f"with other settings: {listed(changes.values(), _MOST_SETTINGS)}"] if changes else []),
     ]
     if reasons:
         return f"holds a result {', '.join(reasons)}"

@@ -303,21 +303,25 @@ def cell_name(table: str, filter_: str, row: str, column: str, baseline: str = "
 
 def change_text(key: str, old: str, new: str) -> str:
     """Write the change of a setting, long values cut."""
-    texts = (
-        text if len(text) <= _MOST_LETTERS else f"{text[: _MOST_LETTERS - 3]}..."
-        for text in (old, new)
-    )
-    return f"{key} {' -> '.join(texts)}"
+    return f"{key} {_cut(old)} -> {_cut(new)}"
+
+
+def _cut(text: str) -> str:
+    if len(text) <= _MOST_LETTERS:
+        return text
+    return f"{text[: _MOST_LETTERS - 3]}..."
 
 
 def changed_settings(
     old: Mapping[str, Any],  # by dotted key
     new: Mapping[str, Any],
     defaults: Mapping[str, Any] = {},  # of a key that a side lacks
-) -> list[str]:
-    """Write each setting that differs, with both values."""
-    return [
-        change_text(key, *(json.dumps(side.get(key, defaults.get(key))) for side in (old, new)))
-        for key in dict.fromkeys((*old, *new))
-        if old.get(key) != new.get(key)
-    ]
+) -> dict[str, str]:
+    """Write each setting that differs, with both values, by its key."""
+    texts = dict[str, str]()
+    for key in (*old, *new):
+        if old.get(key) != new.get(key):
+            before = json.dumps(old.get(key, defaults.get(key)))
+            after = json.dumps(new.get(key, defaults.get(key)))
+            texts[key] = change_text(key, before, after)
+    return texts

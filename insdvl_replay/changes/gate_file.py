@@ -248,43 +248,64 @@ def _check_trajectory_gate(gate: TrajectoryGate) -> None:
 def _check_cell_gate(gate: CellGate) -> None:
     """Raise for keys that do not go together, for unknown names, and for conditions that no value can meet."""
     require_known("table", gate.table, [TRAJECTORY, *LAYOUTS])
+    _check_place(gate)
+    _check_conditions(gate)
+    _check_expectation(gate)
+
+
+def _column_of(gate: CellGate) -> str:
+    """Name the column of a gate, for messages."""
+    return f"column '{gate.column}' of {gate.table}"
+
+
+def _check_place(gate: CellGate) -> None:
+    """Raise if the table has no such column or row, or none that a gate may look at."""
     layout = LAYOUTS[gate.table]
-    column = f"column '{gate.column}' of {gate.table}"
-    known = [name for name in layout.columns if name not in ("log", "filter", layout.key, *PROSE)]
+    others = ("log", "filter", layout.key, *PROSE)
+    known = [name for name in layout.columns if name not in others]
     if gate.column in PROSE:
-        text = f"{column} is prose, and another version may word it differently"
+        text = f"{_column_of(gate)} is prose, and another version may word it differently"
         raise ConfigError(text, f"columns for gates: {listed(known, len(known))}")
     require_known("column", gate.column, known)
     if layout is not CANDIDATES:  # its rows are the candidates
         require_known(layout.key, gate.row, [ANY, *layout.rows])
 
+
+def _check_conditions(gate: CellGate) -> None:
+    """Raise without a condition, and for limits and words that no value of the column can meet."""
     if gate.min is None and gate.max is None and gate.equals is None and gate.expected is None:
         raise ConfigError("has no condition", "add min, max, equals or expected")
     if gate.min is not None and gate.max is not None and gate.min > gate.max:
         raise ConfigError(f"min = {gate.min:g} is above max = {gate.max:g}", "exchange min and max")
-    has_words = layout.kinds[gate.column] == "text"
-    if has_words and not (gate.min is None and gate.max is None):
-        raise ConfigError(f"{column} contains words, which have no limits", "use equals")
+    has_words = LAYOUTS[gate.table].kinds[gate.column] == "text"
+    has_limits = gate.min is not None or gate.max is not None
+    if has_words and has_limits:
+        raise ConfigError(f"{_column_of(gate)} contains words, which have no limits", "use equals")
     if gate.wanted and not any(isinstance(value, str) == has_words for value in gate.wanted):
-        raise ConfigError(
-            f"equals: {column} contains {'words' if has_words else 'numbers'}, found {gate.equals!r}"
-        )
+        content = "words" if has_words else "numbers"
+        raise ConfigError(f"equals: {_column_of(gate)} contains {content}, found {gate.equals!r}")
 
-    if (gate.expected is None) != (gate.max_worse_pct is None and gate.max_worse_abs is None):
+
+def _check_expectation(gate: CellGate) -> None:
+    """Raise if a value cannot be compared with an expected one in the way that the gate asks for."""
+    has_allowance = gate.max_worse_pct is not None or gate.max_worse_abs is not None
+    if (gate.expected is not None) != has_allowance:
         text = "expected needs max_worse_pct or max_worse_abs, and these need expected"
         raise ConfigError(text, 'expected = "expected/{log}.json" with max_worse_pct = 5')
-    if gate.table == POOLED and (
-        gate.expected is not None or gate.share_of_dives_pct is not None or gate.dives
-    ):
-        raise ConfigError(
-            "pooled evidence has no expected values and no single dives", "min, max or equals"
-        )
-    if unknown := re.findall(r"\{.*?\}", (gate.expected or "").replace(LOG, "")):
+    is_of_dives = gate.expected is not None or gate.share_of_dives_pct is not None or gate.dives
+    if gate.table == POOLED and is_of_dives:
+        text = "pooled evidence has no expected values and no single dives"
+        raise ConfigError(text, "min, max or equals")
+    if gate.expected is None:
+        return
+    unknown = re.findall(r"\{.*?\}", gate.expected.replace(LOG, ""))
+    if unknown:
         raise ConfigError(f"expected: {unknown[0]} is not known", f"use {LOG} for the dive's name")
-    if gate.expected is not None and gate.column not in layout.better:
+    better = LAYOUTS[gate.table].better
+    if gate.column not in better:
         raise ConfigError(
-            f"{column} has no better or worse direction, so it cannot be compared with an expected value",
-            f"name one of {', '.join(layout.better)}, or give equals, min or max",
+            f"{_column_of(gate)} has no better or worse direction, so it cannot be compared with an expected value",
+            f"name one of {', '.join(better)}, or give equals, min or max",
         )
 
 
@@ -343,27 +364,31 @@ def expected_of(gates: Gates, gate: Gate, log: StoredLog) -> "StoredReport | Tra
 
 def known_causes(gates: Gates, dive: str, report: StoredReport) -> tuple[str, ...]:
     """Say what differs from the replay that gave the expected values: log, version of the tool, settings."""
-    gated = [gate for gate in gates.gates if gate.expected is not None and gate.applies_to(dive)]
-    found = (_stored_settings(gate, expected_path(gates, gate, dive)) for gate in gated)
-    stored = next((values for values in found if values is not None), None)
+    stored = _replay_of_expected(gates, dive)
     if stored is None:
         return ()
-    causes, (old, new) = (
-        list[str](),
-        ((values.log.sha256, values.tool.get("version")) for values in (stored, report)),
-    )
-    if old[0] != new[0]:
-        causes.append(
-            f"the log differs: SHA-256 {old[0][:_HASH_DIGITS]} -> {new[0][:_HASH_DIGITS]}"
-        )
-    if old[1] and new[1] and old[1] != new[1]:
-        causes.append(f"the version of the tool differs: {old[1]} -> {new[1]}")
-    was, is_ = (_own_settings(values) for values in (stored, report))
-    if stored.config and was != is_:
-        causes.append(
-            f"settings differ: {listed(changed_settings(was, is_, _defaults()), MOST_CAUSES)}"
-        )
+    causes = list[str]()
+    if stored.log.sha256 != report.log.sha256:
+        before = stored.log.sha256[:_HASH_DIGITS]
+        causes.append(f"the log differs: SHA-256 {before} -> {report.log.sha256[:_HASH_DIGITS]}")
+    old_version = stored.tool.get("version")
+    new_version = report.tool.get("version")
+    if old_version and new_version and old_version != new_version:
+        causes.append(f"the version of the tool differs: {old_version} -> {new_version}")
+    changes = changed_settings(_own_settings(stored), _own_settings(report), _defaults())
+    if stored.config and changes:
+        causes.append(f"settings differ: {listed(changes.values(), MOST_CAUSES)}")
     return tuple(causes)
+
+
+def _replay_of_expected(gates: Gates, dive: str) -> StoredReport | None:
+    """Return log, version and settings of the replay that gave the expected values of a dive; None if unknown."""
+    for gate in gates.gates:
+        if gate.expected is not None and gate.applies_to(dive):
+            stored = _stored_settings(gate, expected_path(gates, gate, dive))
+            if stored is not None:
+                return stored
+    return None
 
 
 def _stored_settings(gate: Gate, path: Path) -> StoredReport | None:

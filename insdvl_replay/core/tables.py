@@ -123,6 +123,8 @@ class TableLayout:
         self.baseline_too: bool = getattr(
             row, "baseline_too", False
         )  # else it has a row for each candidate only
+        # Each filter has a table of its own, whose title names it.
+        self.by_filter: bool = getattr(row, "by_filter", False)
         self.title: str = getattr(row, "title", "")
         self.footnote: str = getattr(row, "footnote", "")
 
@@ -172,6 +174,7 @@ class ImprovementRow(Struct, frozen=True):
         " baseline's."
     )
 
+    by_filter: ClassVar = True
     title: ClassVar = (
         "Predicted improvement: standard deviations at the end, {filter} against {baseline}"
     )
@@ -199,6 +202,7 @@ class ImprovementRow(Struct, frozen=True):
 class ConvergenceRow(Struct, frozen=True):
     """One state: when the candidate's standard deviation stays below the baseline's final one."""
 
+    by_filter: ClassVar = True
     title: ClassVar = (
         "Predicted convergence: when sigma of {filter} stays below the final sigma of {baseline}"
     )
@@ -272,6 +276,7 @@ class ConvergenceRow(Struct, frozen=True):
 class ReferenceErrorRow(Struct, frozen=True):
     """One quantity: errors of the baseline and of the candidate against the reference solution."""
 
+    by_filter: ClassVar = True
     title: ClassVar = "Reference error: {filter} against {baseline}"
 
     log: Annotated[str, Col("Dive, candidate and quantity.")]
@@ -380,6 +385,7 @@ class CredibilityRow(Struct, frozen=True):
     )
 
     baseline_too: ClassVar = True
+    by_filter: ClassVar = True
     title: ClassVar = "Credibility: errors of {filter} in units of its own sigma"
 
     log: Annotated[
@@ -435,6 +441,7 @@ _ROLE: Final = Col(
 class EvidenceRow(Struct, frozen=True):
     """One measured comparison of a candidate with the baseline on one dive. One dive has no verdict."""
 
+    by_filter: ClassVar = True
     title: ClassVar = "Evidence: measured, {filter} against {baseline}"
 
     log: Annotated[str, Col("Dive, candidate, kind of evidence and quantity.")]
@@ -706,6 +713,7 @@ class TrackFitRow(Struct, frozen=True):
 class PooledRow(Struct, frozen=True):
     """One comparison of a candidate with the baseline, over several dives."""
 
+    by_filter: ClassVar = True
     title: ClassVar = "All dives together: {filter} against {baseline}"
     footnote: ClassVar = (
         "ratio: geometric mean over dives. low, high: its interval, by Student's t; each dive is one sample. "
@@ -809,6 +817,7 @@ class PooledRow(Struct, frozen=True):
 class AssayRow(Struct, frozen=True):
     """One control of ``run --assay``: the baseline with a planted fault of known size, against the baseline."""
 
+    by_filter: ClassVar = True
     title: ClassVar = "Assay: the baseline with a planted fault, {filter}"
     footnote: ClassVar = "What the evidence would have said of a filter with this fault."
 

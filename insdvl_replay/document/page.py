@@ -49,7 +49,7 @@ def page(document: Document, *scripts: str) -> bytes:
     [title] = [escape(part.text) for part in shown if isinstance(part, Title)]
     parts = [part for part in shown if not isinstance(part, Title)]
     figures = [place for place, part in enumerate(parts) if isinstance(part, Figure)]
-    if figures and not any(isinstance(part, Html) and HOW_TO_READ in part.text for part in parts):
+    if figures and not any(isinstance(part, Html) and part.explains_figures for part in parts):
         parts.insert(figures[0], HOW_TO_READ)
     headings = [part.text for part in parts if isinstance(part, Heading)]
     first = next(

@@ -189,6 +189,7 @@ class Html:
     """A part of a page as HTML."""
 
     text: str
+    explains_figures: bool = False  # it says how to read figures, so the page need not
 
 
 Format = Literal["terminal", "markdown", "latex", "html"]

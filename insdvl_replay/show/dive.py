@@ -186,7 +186,7 @@ def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
         if layout.name == "drift":
             quantities = list(dict.fromkeys(row.quantity for row in kept))
             kept.sort(key=lambda row: quantities.index(row.quantity))
-        is_apart = "{filter}" in layout.title
+        is_apart = layout.by_filter
         for name in (report.baseline, *report.filters) if is_apart else ("",):
             if own := of_filter(name, kept) if is_apart else kept:
                 footnote = _footnote(report, layout.name, name, own)
@@ -413,7 +413,7 @@ def _first_screen(
         else ""
     )
     caption = f"{runs}{HOW_TO_READ} {MEANING}" if panels else ""
-    yield first_screen(sections, caption, pictures(panels), headline)
+    yield first_screen(sections, caption, pictures(panels), headline, explains_figures=bool(panels))
     if has_reference(report) and report.config.get("reference", {}).get("independent") is False:
         yield SHARED
 

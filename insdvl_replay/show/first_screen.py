@@ -183,13 +183,16 @@ def first_screen(
     pictures: str = "",
     tables: Sequence[DisplayTable] = (),
     compared: tuple[str, str] = ("candidate", "baseline"),
+    *,
+    explains_figures: bool = False,  # the caption says how to read figures
 ) -> Html:
     """Return sections of candidates with tables below and pictures next to them, and a caption."""
     aside = f'<div class="aside">{pictures}</div>' if pictures else ""
     reading = READING.format(*compared) if any("<svg" in section for section in sections) else ""
     note = f'<p class="footnote">{unbroken(f"{reading} {caption}".strip())}</p>'
     shown = "".join([*sections, *map(table_html, tables)])
-    return Html(f'<div class="opening"><div class="candidates">{shown}</div>{aside}</div>{note}')
+    opening = f'<div class="opening"><div class="candidates">{shown}</div>{aside}</div>{note}'
+    return Html(opening, explains_figures=explains_figures)
 
 
 def section(answer: Answer, sentences: Sequence[str], plots: Sequence[str] = ()) -> str:

@@ -148,6 +148,7 @@ class TableFile(LogFile):
     def __init__(self, file: FileBytes) -> None:
         super().__init__(file)
         self._notes: list[Note] = []
+        self._reasons: list[str] = []  # the sentences of the notes, without the name of the file
         self._is_text = True
         self._commas = 0  # numbers with a decimal comma in the table that is read
         self._rows: list[
@@ -165,8 +166,7 @@ class TableFile(LogFile):
                 self._add(table)
         if not self.channels:
             what = "has no table of numbers"
-            reasons = [note.text.removeprefix(f"{self.path.name}: ") for note in self._notes]
-            raise UnusableFileError("; ".join([what, *reasons]), _SAVE_AGAIN, self.path)
+            raise UnusableFileError("; ".join([what, *self._reasons]), _SAVE_AGAIN, self.path)
 
     def _add(self, table: _Table) -> None:
         """Make a channel of a table, whose columns are let go of."""
@@ -239,7 +239,9 @@ class TableFile(LogFile):
         self, code: str, topic: str, text: str, count: int = 1, hint: str = "", *, warn: bool = True
     ) -> None:
         severity = Severity.WARNING if warn else Severity.INFO
-        self._notes.append(Note(code, f"{topic}: {text}", count, severity, hint))
+        whole = f"{topic}: {text}"
+        self._notes.append(Note(code, whole, count, severity, hint))
+        self._reasons.append(text if topic == self.path.name else whole)
 
     def _unreadable(self, error: Exception) -> UnusableFileError:
         """Return the error for a file that is damaged, or asks for too much memory."""
