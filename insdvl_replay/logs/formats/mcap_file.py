@@ -7,10 +7,10 @@ summary at the end must agree with the whole. Source: the MCAP specification, ht
 
 import struct
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from mcap import records
@@ -88,12 +88,19 @@ def can_be_record(kind: int, length: int) -> bool:
     return kind >= _FIRST_PRIVATE
 
 
-def walk(buffer: memoryview, room: int) -> tuple[NDArray[np.int64], int, int, bool]:
+class Walk(NamedTuple):
+    """The records of a buffer, one behind the other."""
+
+    records: NDArray[np.int64]  # (k, 3): kind, and start and length of the content of each
+    others: int  # of kinds that are not MCAP's own
+    end: int  # where they end
+    is_broken: bool  # whether bytes that are no record are there
+
+
+def walk(buffer: memoryview, room: int) -> Walk:
     """Find the records of a buffer, whose last one may go on behind it, up to `room` bytes.
 
-    Return kind, start and length of the content of each, (k, 3), how many were of kinds that are not MCAP's own, where
-    they end, and whether that is at bytes that are no record. A message before such bytes may have a false length, and
-    is left out.
+    A message before bytes that are no record may have a false length, and is left out.
     """
     parts: list[NDArray[np.int64]] = []
     found: list[tuple[int, int, int]] = []
@@ -103,44 +110,69 @@ def walk(buffer: memoryview, room: int) -> tuple[NDArray[np.int64], int, int, bo
     patience = 0
     most = 64
     # The head of each message must be in the buffer.
+    least = HEADER_SIZE if len(buffer) >= room else MESSAGE.itemsize
     is_broken = False
-    last = len(buffer) - (HEADER_SIZE if len(buffer) >= room else MESSAGE.itemsize)
-    while place <= last:
-        head = kind, length = HEADER.unpack_from(buffer, place)
+    while place <= len(buffer) - least:
+        head = HEADER.unpack_from(buffer, place)
+        kind, length = head
         is_broken = length > room - place - HEADER_SIZE or not can_be_record(kind, length)
         if is_broken:
             break
-        size = HEADER_SIZE + length
         count = 1
         if head == before and patience == 0:
             # Messages of one sensor have one size: those that follow are looked at together.
-            ahead = min((len(buffer) - place) // size, most)
-            if ahead > 1:
-                alike = np.ndarray((ahead,), "<u8", buffer, place + 1, (size,)) == length
-                alike &= np.ndarray((ahead,), np.uint8, buffer, place, (size,)) == kind
-                count = ahead if alike.all() else int(alike.argmin())
+            count = _count_alike(buffer, place, head, most)
             most = min(max(64, 2 * count), 1 << 14)
             patience = 0 if count > 8 else 64
         if kind >= _FIRST_PRIVATE:
             others += count
         elif count > 1:
-            run = np.empty((count, 3), np.int64)
-            run[:] = kind, 0, length
-            run[:, 1] = place + size * np.arange(count)
-            parts += [np.array(found, np.int64).reshape(-1, 3), run]
+            parts += [_as_rows(found), _rows_alike(head, place, count)]
             found = []
         else:
             found.append((kind, place, length))
         before = head
         patience = max(patience - 1, 0)
-        place += size * count
-    records = np.array(found, np.int64).reshape(-1, 3)
-    if parts:
-        records = np.concatenate([*parts, records])
+        place += (HEADER_SIZE + length) * count
+    records = np.concatenate([*parts, _as_rows(found)])
     is_broken |= len(buffer) >= room and place < room
     if is_broken and len(records) and records[-1, 0] == Opcode.MESSAGE:
         records = records[:-1]
-    return records, others, place, is_broken
+    return Walk(records, others, place, is_broken)
+
+
+def _count_alike(buffer: memoryview, place: int, head: tuple[int, int], most: int) -> int:
+    """Count the records from a place on that have one head, up to some of them."""
+    kind, length = head
+    size = HEADER_SIZE + length
+    ahead = min((len(buffer) - place) // size, most)
+    if ahead <= 1:
+        return 1
+    alike = np.ndarray((ahead,), "<u8", buffer, place + 1, (size,)) == length
+    alike &= np.ndarray((ahead,), np.uint8, buffer, place, (size,)) == kind
+    return ahead if alike.all() else int(alike.argmin())
+
+
+def _rows_alike(head: tuple[int, int], place: int, count: int) -> NDArray[np.int64]:
+    """Return records that have one head, one behind the other, as rows."""
+    kind, length = head
+    rows = np.empty((count, 3), np.int64)
+    rows[:, 0] = kind
+    rows[:, 1] = place + (HEADER_SIZE + length) * np.arange(count)
+    rows[:, 2] = length
+    return rows
+
+
+def _as_rows(found: Sequence[tuple[int, int, int]]) -> NDArray[np.int64]:
+    return np.array(found, np.int64).reshape(-1, 3)
+
+
+def _end_of(records: NDArray[np.int64]) -> int:
+    """Return where the last of some records ends; 0 without any."""
+    if not len(records):
+        return 0
+    _, start, length = records[-1].tolist()
+    return int(start + length) + HEADER_SIZE
 
 
 def what_is_there(data: memoryview, room: int) -> str:
@@ -156,14 +188,16 @@ def what_is_there(data: memoryview, room: int) -> str:
 def next_record(file: FileBytes, place: int, end: int) -> int:
     """Return the next place where a record can be with another one, or the end, right behind it."""
 
-    def fits(head: memoryview, place: int) -> int:
+    def end_of_record(head: memoryview, place: int) -> int:
         """Return where a record at a place ends, 0 if none can be there."""
         if len(head) < HEADER_SIZE:
             return 0
         kind, length = HEADER.unpack_from(head)
-        is_known = kind <= _LAST_KNOWN and can_be_record(kind, length)
-        fits = length <= end - place - HEADER_SIZE
-        return place + HEADER_SIZE + int(length) if is_known and fits else 0
+        if kind > _LAST_KNOWN or not can_be_record(kind, length):
+            return 0
+        if length > end - place - HEADER_SIZE:
+            return 0
+        return place + HEADER_SIZE + int(length)
 
     for start in range(place, end, _LARGE_WINDOW):
         piece = file.read(start, min(start + _LARGE_WINDOW + HEADER_SIZE - 1, end))
@@ -173,8 +207,10 @@ def next_record(file: FileBytes, place: int, end: int) -> int:
         for byte in (6, 7, 8):  # the highest of a length are zero
             likely &= data[byte : byte + count] == 0
         for at in np.flatnonzero(likely).tolist():
-            behind = fits(piece[at : at + HEADER_SIZE], start + at)
-            if behind and (behind == end or fits(file.read(behind, behind + HEADER_SIZE), behind)):
+            behind = end_of_record(piece[at : at + HEADER_SIZE], start + at)
+            if behind == 0:
+                continue
+            if behind == end or end_of_record(file.read(behind, behind + HEADER_SIZE), behind):
                 return start + at
     return end
 
@@ -186,20 +222,22 @@ def log_channels(
 ) -> tuple[LogChannel, ...]:
     """Return the channels of a file with their types and numbers of messages."""
     no_schema = records.Schema(id=0, name="", encoding="", data=b"")
-    return tuple(
-        LogChannel(
-            id=channel.id,
-            topic=channel.topic,
-            type_name=schema.name,
-            encoding=channel.message_encoding,
-            schema_encoding=schema.encoding,
-            messages=counts.get(channel.id, 0),
-            schema_data=schema.data,
-            metadata=channel.metadata,
+    found = []
+    for channel in channels.values():
+        schema = schemas.get(channel.schema_id) or no_schema
+        found.append(
+            LogChannel(
+                id=channel.id,
+                topic=channel.topic,
+                type_name=schema.name,
+                encoding=channel.message_encoding,
+                schema_encoding=schema.encoding,
+                messages=counts.get(channel.id, 0),
+                schema_data=schema.data,
+                metadata=channel.metadata,
+            )
         )
-        for channel in channels.values()
-        for schema in [schemas.get(channel.schema_id) or no_schema]
-    )
+    return tuple(found)
 
 
 class McapFile(ChunkedFile):
@@ -214,9 +252,8 @@ class McapFile(ChunkedFile):
         self._channels: dict[int, records.Channel] = {}
         self.metadata: list[records.Metadata] = []
         self.attachments: list[records.AttachmentIndex] = []
-        self._attachments: list[
-            tuple[int, int, int]
-        ] = []  # start and length without checksum, and this
+        # Of each attachment: its start and length without the checksum, and this.
+        self._attachments: list[tuple[int, int, int]] = []
         self._chunk_indexes: dict[int, records.ChunkIndex] = {}
         self._only: dict[int, tuple[int, Any]] = {}  # where the only record of a kind is, and this
         self._private = 0
@@ -231,9 +268,9 @@ class McapFile(ChunkedFile):
         self.library = header.library
         self.has_summary = self._announced is not None or bool(self._chunk_indexes)
         compressed = [chunk.compression or "none" for chunk in self._chunks if not chunk.is_loose]
-        self.chunk_count, self.compression = len(compressed), tuple(sorted(set(compressed)))
-        counts = self._counts()
-        self.channels = log_channels(self._channels, self.schemas, counts)
+        self.chunk_count = len(compressed)
+        self.compression = tuple(sorted(set(compressed)))
+        self.channels = log_channels(self._channels, self.schemas, self._counts())
 
     # --- What the file holds.
 
@@ -272,43 +309,40 @@ class McapFile(ChunkedFile):
         last = end
         while place < end:
             window = self.file.read(place, min(place + size, end))
-            found, others, stop, is_broken = walk(window, end - place)
-            self._private += others
-            is_message = found[:, 0] == Opcode.MESSAGE
-            edges = [0, *(np.flatnonzero(np.diff(is_message)) + 1).tolist(), len(found)]
-            for first, behind in pairwise(edges if len(found) else ()):
-                if is_message[first]:
-                    ids = gather(window, found[first:behind, 1] + HEADER_SIZE, np.dtype("<u2"))
-                    numbers, counts = (
-                        values.tolist() for values in np.unique(ids, return_counts=True)
-                    )
-                    start = int(found[first, 1])
-                    stops = int(found[behind - 1, 1:].sum()) + HEADER_SIZE
-                    counted = Counter(dict(zip(numbers, counts, strict=True)))
-                    self._chunks.append(
-                        Chunk(place + start, place + stops, is_loose=True, counts=counted)
-                    )
-                    continue
-                for kind, start, length in found[first:behind].tolist():
-                    with self.collected():
-                        self._take(kind, place + start, length, window[start + HEADER_SIZE :])
-            size = _LARGE_WINDOW if is_message.any() else _WINDOW
-            if not is_broken:
-                place += stop
+            found = walk(window, end - place)
+            self._private += found.others
+            self._take_all(window, place, found.records)
+            has_messages = bool(np.any(found.records[:, 0] == Opcode.MESSAGE))
+            size = _LARGE_WINDOW if has_messages else _WINDOW
+            if not found.is_broken:
+                place += found.end
                 continue
-            what = what_is_there(window[stop:], end - place - stop)
-            broken = place + stop
-            place = place + (int(found[-1, 1:].sum()) + HEADER_SIZE if len(found) else 0)
-            following = next_record(self.file, place + 1, end)
+            sound = place + _end_of(found.records)
+            following = next_record(self.file, sound + 1, end)
             if following == end and not self._is_closed:
-                last = place
+                last = sound
             else:
-                self.damage(broken, what)
-            if following < end or not self._take_cut_chunk(place, end):
-                self._passed.append((place, following))
+                what = what_is_there(window[found.end :], end - place - found.end)
+                self.damage(place + found.end, what)
+            if following < end or not self._take_cut_chunk(sound, end):
+                self._passed.append((sound, following))
             place = following
         if not self._is_closed:
             self.damages = {Damage(last, _CUT): None, **self.damages}
+
+    def _take_all(self, window: memoryview, place: int, found: NDArray[np.int64]) -> None:
+        """File the records of a window; messages that follow each other are as one chunk."""
+        if not len(found):
+            return
+        is_message = found[:, 0] == Opcode.MESSAGE
+        changes = np.flatnonzero(np.diff(is_message)) + 1
+        for first, behind in pairwise([0, *changes.tolist(), len(found)]):
+            if is_message[first]:
+                self._chunks.append(_loose_chunk(window, place, found[first:behind]))
+                continue
+            for kind, start, length in found[first:behind].tolist():
+                with self.collected():
+                    self._take(kind, place + start, length, window[start + HEADER_SIZE :])
 
     def _take_cut_chunk(self, place: int, end: int) -> bool:
         """Take a chunk without its end, which is the last thing that a recorder wrote; return whether it is one."""
@@ -324,32 +358,31 @@ class McapFile(ChunkedFile):
     def _take(self, kind: int, start: int, length: int, content: memoryview) -> None:
         """File a record; of its content as much is given as is in the window."""
         begin = start + HEADER_SIZE
-        end = start + HEADER_SIZE + length
         if kind == Opcode.CHUNK:
-            self._chunks.append(self._chunk(start, end))
+            self._chunks.append(self._chunk(start, begin + length))
         elif kind == Opcode.MESSAGE_INDEX:
-            chunk = self._chunks[-1] if self._chunks else Chunk(0, 0)
-            if chunk.index_end != start or chunk.is_loose:
-                raise DamageError(start, "an index does not follow a chunk")
-            channel_id, size = struct.unpack_from("<HI", content)
-            chunk.indexes.append((begin, end))
-            if size > length - 6 or size % _ENTRY.itemsize or channel_id in chunk.counts:
-                chunk.is_indexed = False
-                raise DamageError(
-                    start,
-                    f"an index of {length} bytes says it has {size} bytes of channel {channel_id}",
-                )
-            chunk.counts[channel_id] = size // _ENTRY.itemsize
+            self._take_index(start, length, content)
         elif kind == Opcode.ATTACHMENT:
             self._take_attachment(begin, length)
         elif kind in _SUMMARY_ONLY and Opcode.DATA_END not in self._only:
             raise DamageError(start, f"a record of kind {kind} is among the messages")
         elif kind in _RECORDS:
-            self._take_record(
-                kind,
-                content[:length] if len(content) >= length else self.file.read(begin, end),
-                start,
-            )
+            if len(content) < length:
+                content = self.file.read(begin, begin + length)
+            self._take_record(kind, content[:length], start)
+
+    def _take_index(self, start: int, length: int, content: memoryview) -> None:
+        """Give the chunk before it an index of its messages of one channel."""
+        chunk = self._chunks[-1] if self._chunks else Chunk(0, 0)
+        if chunk.index_end != start or chunk.is_loose:
+            raise DamageError(start, "an index does not follow a chunk")
+        channel_id, size = struct.unpack_from("<HI", content)
+        chunk.indexes.append((start + HEADER_SIZE, start + HEADER_SIZE + length))
+        if size > length - 6 or size % _ENTRY.itemsize or channel_id in chunk.counts:
+            chunk.is_indexed = False
+            what = f"an index of {length} bytes says it has {size} bytes of channel {channel_id}"
+            raise DamageError(start, what)
+        chunk.counts[channel_id] = size // _ENTRY.itemsize
 
     def _take_record(self, kind: int, content: memoryview, offset: int) -> None:
         """Read a record whole; a schema or a channel may be repeated in the summary and in chunks."""
@@ -378,18 +411,16 @@ class McapFile(ChunkedFile):
             name = bytes(fields[32 : 32 + name_size]).decode("ascii", "replace")
             data_size = struct.unpack_from("<Q", fields, 32 + name_size)[0]
         except struct.error as error:
-            raise DamageError(
-                start, f"a chunk has {len(fields)} bytes, too few for its own header"
-            ) from error
+            what = f"a chunk has {len(fields)} bytes, too few for its own header"
+            raise DamageError(start, what) from error
         data_start = start + HEADER_SIZE + 40 + name_size
         return Chunk(start, end, False, name, data_start, data_size, size, crc, (first_ns, last_ns))
 
     def _take_attachment(self, begin: int, length: int) -> None:
         """Read an attachment's fields; its bytes are not touched."""
         try:
-            stream = ReadDataStream(
-                BytesIO(self.file.read(begin, begin + min(length, _LARGE_WINDOW)))
-            )
+            fields = self.file.read(begin, begin + min(length, _LARGE_WINDOW))
+            stream = ReadDataStream(BytesIO(fields))
             log_ns = stream.read8()
             create_ns = stream.read8()
             name = stream.read_prefixed_string()
@@ -417,46 +448,63 @@ class McapFile(ChunkedFile):
             if self._is_closed:
                 self.damage(end, "the record that ends the messages is missing")
             return
-        summary_start = self._only[Opcode.DATA_END][0] + HEADER_SIZE + 4
-        is_right = True
+        if not self._check_footer(end):
+            return
+        stated = self._record(Opcode.STATISTICS)
+        if stated is not None:
+            self._announced = Counter(stated.channel_message_counts)
+            self._announced_ns = stated.message_start_time, stated.message_end_time
+        self._check_chunk_indexes()
+
+    def _check_footer(self, end: int) -> bool:
+        """Hold the footer against the summary; return whether the summary can be believed."""
         footer_start, footer = self._only.get(Opcode.FOOTER, (0, None))
         if footer is None:
             if self._is_closed:
                 self.damage(end, "the footer before the closing bytes is missing")
-        else:
-            if footer.summary_start not in (0, summary_start):
-                self.damage(
-                    footer_start,
-                    f"the footer says that the summary starts at byte {footer.summary_start}",
-                )
-            # The checksum covers the footer up to itself.
-            covered = self.file.read(summary_start, footer_start + HEADER_SIZE + 16)
-            if footer.summary_crc and zlib_ng.crc32(covered) != footer.summary_crc:
-                self.damage(summary_start, "the checksum of the summary is wrong")
-                is_right = False
-                self._chunk_indexes = {}
-        if is_right and (stated := self._record(Opcode.STATISTICS)) is not None:
-            self._announced = Counter(stated.channel_message_counts)
-            self._announced_ns = stated.message_start_time, stated.message_end_time
-        starts = {chunk.start for chunk in [*self._chunks, *self._lost] if not chunk.is_loose}
-        spans = {chunk.span_ns for chunk in [*self._chunks, *self._lost]}
+            return True
+        summary_start = self._only[Opcode.DATA_END][0] + HEADER_SIZE + 4
+        if footer.summary_start not in (0, summary_start):
+            what = f"the footer says that the summary starts at byte {footer.summary_start}"
+            self.damage(footer_start, what)
+        # The checksum covers the footer up to itself.
+        covered = self.file.read(summary_start, footer_start + HEADER_SIZE + 16)
+        if footer.summary_crc and zlib_ng.crc32(covered) != footer.summary_crc:
+            self.damage(summary_start, "the checksum of the summary is wrong")
+            self._chunk_indexes = {}
+            return False
+        return True
+
+    def _check_chunk_indexes(self) -> None:
+        """Hold the chunks that the summary lists against those that were found."""
+        chunks = [*self._chunks, *self._lost]
+        starts = {chunk.start for chunk in chunks if not chunk.is_loose}
+        spans = {chunk.span_ns for chunk in chunks}
         for start, index in self._chunk_indexes.items():
             if start not in starts:
                 self.damage(start, "the summary has a chunk here, but there is none")
             if (index.message_start_time, index.message_end_time) not in spans:
                 self._missing.append(start)
-        for start in starts - self._chunk_indexes.keys() if self._chunk_indexes else ():
-            self.damage(start, "there is a chunk here that is not in the summary")
+        if self._chunk_indexes:
+            for start in starts - self._chunk_indexes.keys():
+                self.damage(start, "there is a chunk here that is not in the summary")
+
+    def _is_known(self, chunk: Chunk) -> bool:
+        """Return whether it is known without opening a chunk which messages it has, and how they are defined."""
+        if chunk.is_loose:
+            return True
+        if not chunk.indexes or not chunk.is_indexed:
+            return False
+        for channel_id in chunk.counts:
+            channel = self._channels.get(channel_id)
+            if channel is None or (channel.schema_id and channel.schema_id not in self.schemas):
+                return False
+        return True
 
     def _look_into_chunks(self) -> None:
         """Open the chunks of which it is not known what is in them, for definitions and counts."""
         for chunk in list(self._chunks):
-            channels = [self._channels.get(channel_id) for channel_id in chunk.counts]
-            is_defined = all(
-                channel and (not channel.schema_id or channel.schema_id in self.schemas)
-                for channel in channels
-            )
-            if not chunk.is_loose and not (chunk.indexes and chunk.is_indexed and is_defined):
+            if not self._is_known(chunk):
                 for content in self._contents([chunk]):
                     chunk.counts = content.counts()
         for channel_id, count in self._counts().items():
@@ -468,63 +516,73 @@ class McapFile(ChunkedFile):
 
     def _find_messages(self, chunk: Chunk, buffer: memoryview, behind: memoryview) -> Messages:
         """Find the messages of an open chunk by its indexes, if the records agree with them, else record by record."""
-        ids, log_ns, starts = self._entries(chunk, behind)
-        order = np.argsort(starts, kind="stable")
-        ids = ids[order]
-        log_ns = log_ns[order]
-        starts = starts[order]
+        entries = self._entries(chunk, behind)
+        ids, log_ns, starts = entries[:, np.argsort(entries[2], kind="stable")]
         inside = (starts >= 0) & (starts <= len(buffer) - MESSAGE.itemsize)
-        heads = (
-            gather(buffer, np.where(inside, starts, 0), MESSAGE)
-            if inside.any()
-            else np.zeros(starts.size, MESSAGE)
-        )
+        heads = np.zeros(starts.size, MESSAGE)
+        if inside.any():
+            heads = gather(buffer, np.where(inside, starts, 0), MESSAGE)
         ends = starts + HEADER_SIZE + heads["length"]
-        follows = np.append(starts, len(buffer))[1:]
-        right = (
-            inside
-            & (heads["opcode"] == Opcode.MESSAGE)
-            & (heads["channel"] == ids)
-            & (heads["log"] == log_ns)
-        )
-        right &= (heads["length"] >= _MESSAGE_FIELDS) & (ends <= follows)
-        if chunk.indexes and right.all():
-            gaps = [(0, int(starts[0]) if starts.size else len(buffer))]
-            gaps += zip(
-                ends[ends < follows].tolist(), follows[ends < follows].tolist(), strict=True
-            )
-            if not any(self._has_messages(chunk, buffer[start:end]) for start, end in gaps):
-                return _messages(heads, starts)
-        # Record by record, up to bytes that are none; behind them, those that the indexes know.
-        found, _, stop, is_broken = walk(buffer, len(buffer))
-        self._take_definitions(chunk, buffer, found)
+        right = inside & (heads["opcode"] == Opcode.MESSAGE) & (heads["channel"] == ids)
+        right &= (heads["log"] == log_ns) & (heads["length"] >= _MESSAGE_FIELDS)
+        right &= ends <= np.append(starts, len(buffer))[1:]
+        if chunk.indexes and right.all() and not self._has_others(chunk, buffer, starts, ends):
+            return _messages(heads, starts)
         named = set(zip(ids.tolist(), starts.tolist(), strict=True))
-        known = starts[right]
-        starts = found[found[:, 0] == Opcode.MESSAGE, 1]
-        if is_broken:
-            what = what_is_there(buffer[stop:], len(buffer) - stop)
-            if not len(found):
+        return self._find_by_record(chunk, buffer, named, starts[right])
+
+    def _has_others(
+        self,
+        chunk: Chunk,
+        buffer: memoryview,
+        starts: NDArray[np.int64],
+        ends: NDArray[np.int64],
+    ) -> bool:
+        """Take the definitions around messages; return whether other messages, or no records, are there."""
+        before = np.append(0, ends)
+        behind = np.append(starts, len(buffer))
+        is_gap = before < behind
+        for start, end in np.stack([before[is_gap], behind[is_gap]], axis=1).tolist():
+            found = walk(buffer[start:end], end - start)
+            self._take_definitions(chunk, buffer[start:end], found.records)
+            if found.is_broken or np.any(found.records[:, 0] == Opcode.MESSAGE):
+                return True
+        return False
+
+    def _find_by_record(
+        self,
+        chunk: Chunk,
+        buffer: memoryview,
+        named: set[tuple[int, int]],
+        sound: NDArray[np.int64],
+    ) -> Messages:
+        """Find messages record by record, up to bytes that are none; behind them, those that the indexes know.
+
+        The indexes name channel and place of messages, and those at some places are sound.
+        """
+        found = walk(buffer, len(buffer))
+        self._take_definitions(chunk, buffer, found.records)
+        starts = found.records[found.records[:, 0] == Opcode.MESSAGE, 1]
+        if found.is_broken:
+            what = what_is_there(buffer[found.end :], len(buffer) - found.end)
+            if not len(found.records):
                 raise DamageError(chunk.start, f"in the chunk no record is found: {what}")
             if not chunk.is_cut:
-                self.damage(chunk.start, f"in the chunk, {stop} bytes on, {what}")
-            starts = np.union1d(starts, known[known >= (starts[-1] if starts.size else 0)])
+                self.damage(chunk.start, f"in the chunk, {found.end} bytes on, {what}")
+            last = starts[-1] if starts.size else 0
+            starts = np.union1d(starts, sound[sound >= last])
         content = Content(buffer, _messages(gather(buffer, starts, MESSAGE), starts))
-        if chunk.indexes:
-            # Some recorders name one message more for a channel than they wrote; what else is named wrongly is damage.
-            there = set(zip(content.messages[0].tolist(), starts.tolist(), strict=True))
-            extra = Counter(id_ for id_, _ in named - there)
-            wrong = {id_ for id_, _ in there - named} | {
-                id_ for id_, count in extra.items() if count > 1
-            }
-            if wrong:
-                channels = listed(map(str, sorted(wrong)))
-                self.damage(
-                    chunk.start,
-                    f"the indexes of a chunk do not agree with its messages of channel {channels}",
-                )
-            if wrong or is_broken:
-                chunk.counts = content.counts()
-                chunk.is_indexed = False
+        if not chunk.indexes:
+            return content.messages
+        there = set(zip(content.messages[0].tolist(), starts.tolist(), strict=True))
+        wrong = _wrongly_named(named, there)
+        if wrong:
+            channels = listed(map(str, sorted(wrong)))
+            what = f"the indexes of a chunk do not agree with its messages of channel {channels}"
+            self.damage(chunk.start, what)
+        if wrong or found.is_broken:
+            chunk.counts = content.counts()
+            chunk.is_indexed = False
         return content.messages
 
     def _entries(self, chunk: Chunk, behind: memoryview) -> Messages:
@@ -545,12 +603,6 @@ class McapFile(ChunkedFile):
             return self._entries(chunk, self.file.read(chunk.end, chunk.index_end))
         return None
 
-    def _has_messages(self, chunk: Chunk, between: memoryview) -> bool:
-        """Take the definitions between messages; return whether there are messages, or bytes that are no record."""
-        found, _, _, is_broken = walk(between, len(between))
-        self._take_definitions(chunk, between, found)
-        return is_broken or bool(np.any(found[:, 0] == Opcode.MESSAGE))
-
     def _take_definitions(self, chunk: Chunk, buffer: memoryview, found: NDArray[np.int64]) -> None:
         for kind, start, length in found[found[:, 0] < Opcode.MESSAGE].tolist():
             if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -564,37 +616,32 @@ class McapFile(ChunkedFile):
         """Go over all bytes of the file, and check the checksums of all messages and of attachments."""
         end, data_end = self._only.get(Opcode.DATA_END, (0, None))
         digest = self.file.digest(end, data_end.data_section_crc if data_end else 0)
-        for start, length, crc in self._attachments:
-            found = 0
-            for place in range(start, start + length, _LARGE_WINDOW):
-                found = zlib_ng.crc32(
-                    self.file.read(place, min(place + _LARGE_WINDOW, start + length)), found
-                )
-            if crc and found != crc:
-                digest.damages.append(
-                    Damage(start, "the checksum of an attachment is not that of its bytes")
-                )
+        for start, length, stated in self._attachments:
+            if stated and self._checksum(start, start + length) != stated:
+                what = "the checksum of an attachment is not that of its bytes"
+                digest.damages.append(Damage(start, what))
         return digest
+
+    def _checksum(self, start: int, end: int) -> int:
+        crc = 0
+        for place in range(start, end, _LARGE_WINDOW):
+            crc = zlib_ng.crc32(self.file.read(place, min(place + _LARGE_WINDOW, end)), crc)
+        return crc
 
     @property
     def notes(self) -> tuple[Note, ...]:
         """What was found wrong so far."""
         notes = []
-        missing = (
-            self._record(Opcode.STATISTICS).message_count - self._counts().total()
-            if self._announced_ns
-            else 0
-        )
+        missing = 0
+        spans = [chunk.span_ns for chunk in self._chunks]
+        if self._announced_ns:
+            missing = self._record(Opcode.STATISTICS).message_count - self._counts().total()
+            spans = [self._announced_ns]
         if self.damages:
             notes.append(damage_note(self.path.name, self.damages, self._losses()))
         elif missing:
             text = f"the summary of {self.path.name} announces {missing:+d} messages compared with the log"
             notes.append(Note("log_summary", text, abs(missing), Severity.WARNING, COPY_AGAIN))
-        spans = (
-            [self._announced_ns]
-            if self._announced_ns
-            else [chunk.span_ns for chunk in self._chunks]
-        )
         last_ns = max((last for _, last in spans), default=0)
         if last_ns >= _END_OF_TIME_NS:
             text = (
@@ -613,3 +660,29 @@ def _messages(heads: NDArray[Any], starts: NDArray[np.int64]) -> Messages:
     """Return the messages whose heads begin at some places of a chunk."""
     columns = heads["channel"], heads["log"], heads["publish"], starts + MESSAGE.itemsize
     return np.stack([*columns, heads["length"] - _MESSAGE_FIELDS], dtype=np.int64)
+
+
+def _loose_chunk(window: memoryview, place: int, found: NDArray[np.int64]) -> Chunk:
+    """Return messages that are in no chunk, of a window at a place of the file, as one."""
+    ids = gather(window, found[:, 1] + HEADER_SIZE, np.dtype("<u2"))
+    numbers, counts = np.unique(ids, return_counts=True)
+    start = int(found[0, 1])
+    return Chunk(
+        place + start,
+        place + _end_of(found),
+        is_loose=True,
+        counts=Counter(dict(zip(numbers.tolist(), counts.tolist(), strict=True))),
+    )
+
+
+def _wrongly_named(named: set[tuple[int, int]], there: set[tuple[int, int]]) -> set[int]:
+    """Return the channels whose messages, each a channel and a place, are not those that the indexes name.
+
+    Some recorders name one message more for a channel than they wrote; what else is named wrongly is damage.
+    """
+    wrong = {channel_id for channel_id, _ in there - named}
+    extra = Counter(channel_id for channel_id, _ in named - there)
+    for channel_id, count in extra.items():
+        if count > 1:
+            wrong.add(channel_id)
+    return wrong

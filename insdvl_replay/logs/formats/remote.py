@@ -445,14 +445,14 @@ def _records(url: str, content: bytes) -> "defaultdict[int, list[Any]]":
     """Read the records of a summary, by their kind."""
     found = defaultdict[int, list[Any]](list)
     try:
-        heads, _, _, is_broken = walk(memoryview(content), len(content))
-        for kind, start, length in heads.tolist():
+        walked = walk(memoryview(content), len(content))
+        for kind, start, length in walked.records.tolist():
             if kind in _RECORDS:
                 stream = BytesIO(content[start + HEADER_SIZE : start + HEADER_SIZE + length])
                 found[kind].append(_RECORDS[kind].read(ReadDataStream(stream)))
     except (McapError, struct.error, UnicodeDecodeError, EOFError) as error:
         raise LogError(f"its summary cannot be read: {error}", _FETCH, shown_url(url)) from error
-    if is_broken:
+    if walked.is_broken:
         raise LogError(
             "its summary cannot be read: there are bytes that are no record", _FETCH, shown_url(url)
         )

@@ -37,12 +37,9 @@ _SHORTEST_HEADER: Final = 8  # bytes of the field that says the kind
 _MOST_OTHERS: Final = 1 << 16  # records of a chunk that are no messages: connections
 _MOST_CHANNELS: Final = 1 << 16
 _WORD: Final = np.dtype("<u4")
-_ENTRY: Final = np.dtype(
-    [("sec", "<u4"), ("nanosec", "<u4"), ("place", "<u4")]
-)  # of the index of a chunk
-_COUNT: Final = np.dtype(
-    [("connection", "<u4"), ("count", "<u4")]
-)  # of what the end of the bag says of a chunk
+# Of the index of a chunk, and of what the end of the bag says of a chunk.
+_ENTRY: Final = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("place", "<u4")])
+_COUNT: Final = np.dtype([("connection", "<u4"), ("count", "<u4")])
 Read = Callable[[int, int], memoryview]  # the bytes from a place to another
 
 
@@ -105,19 +102,43 @@ class BagFile(ChunkedFile):
         return ()
 
     def _read(self) -> None:
-        """Go through the records of the file, up to its end or to bytes that are none, and open its chunks."""
-        place = len(_MAGIC)
-        latest = -1
+        """Go through the records of the file, and open its chunks."""
+        found = self._records()
+        headers = found[_BAG]
+        if any(header.text(b"encryptor") for header in headers):
+            hint = "decrypt it with its key: `rosbag decompress`"
+            raise LogError("is encrypted", hint, self.path)
+        if len(headers) != 1:
+            self.damage(len(_MAGIC), f"the bag has {len(headers)} headers")
+        ends = [header.fields.get(b"index_pos", b"") for header in headers]
+        self.has_summary = any(end.strip(b"\0") for end in ends)
+        for record in found[_CONNECTION]:
+            with self.collected():
+                self._take_connection(record, self.file.read(record.start, record.end))
+        for record in found[_CHUNK]:
+            with self.collected():
+                self._chunks.append(_chunk(record))
+        self._limit_size()
+        for _ in self._contents(self._chunks):
+            pass
+        if self.has_summary:
+            for info in found[_CHUNK_INFO]:
+                with self.collected():
+                    self._take_info(info)
+
+    def _records(self) -> dict[int, list[_Record]]:
+        """Return the records of the file by their kinds, up to its end or to bytes that are none; file the indexes."""
         found: dict[int, list[_Record]] = {kind: [] for kind in range(_BAG, _CONNECTION + 1)}
+        place = len(_MAGIC)
+        latest = -1  # place of the chunk that indexes are behind
         with self.collected():
             while place < len(self.file):
                 record = _record_at(self.file.read, place, len(self.file))
                 if record.kind == _INDEX and latest >= 0:
                     self._indexes[latest].append(record)
                 elif record.kind not in found:
-                    raise DamageError(
-                        place, f"a record of kind {record.kind} is in the wrong place"
-                    )
+                    what = f"a record of kind {record.kind} is in the wrong place"
+                    raise DamageError(place, what)
                 else:
                     found[record.kind].append(record)
                     latest = place if record.kind == _CHUNK else -1
@@ -125,59 +146,35 @@ class BagFile(ChunkedFile):
                 place = record.end
         if place < len(self.file):
             self._passed.append((place, len(self.file)))
-        if any(header.text(b"encryptor") for header in found[_BAG]):
-            raise LogError(
-                "is encrypted", "decrypt it with its key: `rosbag decompress`", self.path
-            )
-        if len(found[_BAG]) != 1:
-            self.damage(len(_MAGIC), f"the bag has {len(found[_BAG])} headers")
-        self.has_summary = any(
-            header.fields.get(b"index_pos", b"").strip(b"\0") for header in found[_BAG]
-        )
-        for record in found[_CONNECTION]:
-            with self.collected():
-                self._take_connection(record, self.file.read(record.start, record.end))
-        for record in found[_CHUNK]:
-            with self.collected():
-                compression = record.text(b"compression").removeprefix("none")
-                size = record.number(b"size", 4)
-                length = record.end - record.start
-                self._chunks.append(
-                    Chunk(record.offset, record.end, False, compression, record.start, length, size)
-                )
-        self._limit_size()
-        for _ in self._contents(self._chunks):
-            pass
-        for info in found[_CHUNK_INFO] if self.has_summary else ():
-            with self.collected():
-                entries = self._entries(info, _COUNT)
-                numbers = entries["connection"].tolist()
-                counts = entries["count"].tolist()
-                announced = Counter(dict(zip(self._ids(numbers), counts, strict=True)))
-                self._announced = (self._announced or Counter()) + announced
-                place = info.number(b"chunk_pos", 8)
-                if not any(
-                    chunk.start == place and chunk.counts == announced for chunk in self._chunks
-                ):
-                    raise DamageError(
-                        info.offset, "the end of the bag does not agree with one of its chunks"
-                    )
+        return found
+
+    def _take_info(self, info: _Record) -> None:
+        """Add to the messages that are announced what the end of the bag says of a chunk, and hold it against this."""
+        entries = self._entries(info, _COUNT)
+        ids = self._ids(entries["connection"].tolist())
+        announced = Counter(dict(zip(ids, entries["count"].tolist(), strict=True)))
+        self._announced = (self._announced or Counter()) + announced
+        place = info.number(b"chunk_pos", 8)
+        chunks = [chunk for chunk in self._chunks if chunk.start == place]
+        if not any(chunk.counts == announced for chunk in chunks):
+            what = "the end of the bag does not agree with one of its chunks"
+            raise DamageError(info.offset, what)
 
     def _ids(self, connections: list[int]) -> list[int]:
         """Return the channels of connections; -1 where one is nowhere described."""
-        return [
-            self._connections[number].id if number in self._connections else -1
-            for number in connections
-        ]
+        ids = []
+        for number in connections:
+            channel = self._connections.get(number)
+            ids.append(-1 if channel is None else channel.id)
+        return ids
 
     def _take_connection(self, record: _Record, data: memoryview) -> None:
         """Make a channel of a connection; the same is in its chunk and at the end of the bag."""
         described = _Record(_fields(data, record.offset), record.offset, 0, 0)
         number = record.number(b"conn", 4)
+        before = self._connections.get(number)
         channel = LogChannel(
-            id=self._connections[number].id
-            if number in self._connections
-            else len(self._connections),
+            id=len(self._connections) if before is None else before.id,
             topic=record.text(b"topic"),
             type_name=described.text(b"type"),
             encoding="ros1",
@@ -187,11 +184,8 @@ class BagFile(ChunkedFile):
             metadata={name: described.text(name.encode()) for name in ("md5sum", "callerid")},
         )
         if channel.id >= _MOST_CHANNELS:
-            raise LogError(
-                "has more than 65536 connections",
-                "check the file: no vehicle records so many",
-                self.path,
-            )
+            hint = "check the file: no vehicle records so many"
+            raise LogError("has more than 65536 connections", hint, self.path)
         if self._connections.setdefault(number, channel) != channel:
             raise DamageError(record.offset, f"connection {number} is not the same in two places")
 
@@ -207,22 +201,13 @@ class BagFile(ChunkedFile):
         except DamageError as error:
             offset, what = error.damage
             raise DamageError(chunk.start, f"in the chunk, {offset} bytes on, {what}") from error
-        connection, time_ns, places, starts, sizes = messages
+        connection, time_ns, _, starts, sizes = messages
         indexes = self._indexes[chunk.start]
-        named = 0
         with self.collected():
-            for index in indexes:
-                entries = np.sort(self._entries(index, _ENTRY), order="place", kind="stable")
-                is_own = connection == index.number(b"conn", 4)
-                stamps_ns = _time_ns(entries["sec"], entries["nanosec"])
-                if np.array_equal(entries["place"], places[is_own]) and np.array_equal(
-                    stamps_ns, time_ns[is_own]
-                ):
-                    named += len(entries)
+            named = sum(self._count_named(index, messages) for index in indexes)
             if (indexes or self.has_summary) and named != connection.size:
-                raise DamageError(
-                    chunk.start, "the indexes of a chunk do not agree with its messages"
-                )
+                what = "the indexes of a chunk do not agree with its messages"
+                raise DamageError(chunk.start, what)
         numbers, rows, counts = np.unique(connection, return_inverse=True, return_counts=True)
         ids = np.array(self._ids(numbers.tolist()), np.int64)
         for number in numbers[ids < 0].tolist():
@@ -231,6 +216,17 @@ class BagFile(ChunkedFile):
         known = ids[rows] >= 0
         self._found[chunk.start] = np.stack([ids[rows], time_ns, time_ns, starts, sizes])[:, known]
         return self._found[chunk.start]
+
+    def _count_named(self, index: _Record, messages: NDArray[np.int64]) -> int:
+        """Return how many messages an index names, 0 if it is not right about all messages of its connection."""
+        entries = np.sort(self._entries(index, _ENTRY), order="place", kind="stable")
+        connection, time_ns, places, _, _ = messages
+        is_own = connection == index.number(b"conn", 4)
+        if not np.array_equal(entries["place"], places[is_own]):
+            return 0
+        if not np.array_equal(_time_ns(entries["sec"], entries["nanosec"]), time_ns[is_own]):
+            return 0
+        return len(entries)
 
     def _listed(self, chunk: Chunk) -> Messages | None:
         """Return channel and log time of the messages of a chunk and more, (5, k)."""
@@ -242,6 +238,18 @@ class BagFile(ChunkedFile):
         if rest or record.number(b"count", 4) != count:
             raise DamageError(record.offset, f"a record does not have its {count} entries")
         return np.frombuffer(self.file.read(record.start, record.end), dtype)
+
+
+def _chunk(record: _Record) -> Chunk:
+    """Return the chunk that a record is."""
+    return Chunk(
+        record.offset,
+        record.end,
+        compression=record.text(b"compression").removeprefix("none"),
+        data_start=record.start,
+        data_size=record.end - record.start,
+        size=record.number(b"size", 4),
+    )
 
 
 def _record_at(read: Read, place: int, end: int) -> _Record:
@@ -283,6 +291,40 @@ def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
 
     Of each message: connection, time, and where its record and its payload start and how long this is, (5, k).
     """
+    places, starts, ends = _bounds(buffer)
+    connections = np.full(places.size, -1, np.int64)
+    time_ns = np.zeros(places.size, np.int64)
+    others = []
+    is_first = True
+    for row in range(places.size):
+        if connections[row] >= 0:
+            continue
+        record = _record_in(buffer, int(places[row]))
+        if record.kind != _MESSAGE:
+            others.append(record)
+            if len(others) > _MOST_OTHERS:
+                what = f"more than {_MOST_OTHERS} records of a chunk are not messages"
+                raise DamageError(int(places[row]), what)
+            continue
+        nanosec, sec = divmod(record.number(b"time", 8), 1 << 32)
+        time_ns[row] = sec * NS_PER_S + nanosec
+        connections[row] = record.number(b"conn", 4)
+        if is_first:
+            # Nearly all messages have headers that differ from the first in connection and time alone.
+            alike = _alike(buffer, places, starts, row)
+            connections[alike.rows] = alike.connections
+            time_ns[alike.rows] = alike.time_ns
+        is_first = False
+    is_message = connections >= 0
+    return np.stack([connections, time_ns, places, starts, ends - starts])[:, is_message], others
+
+
+def _record_in(buffer: memoryview, place: int) -> _Record:
+    return _record_at(lambda first, last: buffer[first:last], place, len(buffer))
+
+
+def _bounds(buffer: memoryview) -> NDArray[np.int64]:
+    """Return where each record of a buffer starts, where its data start, and where these end, (3, k)."""
     place = 0
     end = len(buffer)
     bounds = array("q")
@@ -292,47 +334,37 @@ def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
         start = place + 8 + size
         behind = start + int.from_bytes(buffer[start - 4 : start], "little")
         if not _SHORTEST_HEADER <= size <= _LONGEST_HEADER or start > end or behind > end:
-            _record_at(lambda first, last: buffer[first:last], place, end)
+            _record_in(buffer, place)
             raise DamageError(place, f"a record says its header has {size} bytes")
         bounds.extend((place, start, behind))
         place = behind
-    places, starts, ends = np.frombuffer(bounds, np.int64).reshape(-1, 3).T
-    connections = np.full(places.size, -1, np.int64)
-    time_ns = np.zeros(places.size, np.int64)
-    others = []
-    is_tried = False
-    for row in range(places.size):
-        if connections[row] >= 0:
-            continue
-        record = _record_at(lambda first, last: buffer[first:last], int(places[row]), end)
-        if record.kind != _MESSAGE:
-            others.append(record)
-            if len(others) > _MOST_OTHERS:
-                raise DamageError(
-                    int(places[row]),
-                    f"more than {_MOST_OTHERS} records of a chunk are not messages",
-                )
-            continue
-        nanosec, sec = divmod(record.number(b"time", 8), 1 << 32)
-        connections[row], time_ns[row] = record.number(b"conn", 4), sec * NS_PER_S + nanosec
-        if not is_tried:
-            # Nearly all messages have headers that differ from the first in connection and time alone.
-            size = int(starts[row] - places[row]) - 8
-            rows = np.flatnonzero(starts - places == size + 8)
-            headers = gather(buffer, places[rows] + 4, np.dtype((np.bytes_, size)))
-            by_byte = headers.view(np.uint8).reshape(-1, size)
-            first = int(np.searchsorted(rows, row))
-            connection, time = (
-                bytes(by_byte[first]).index(name) + len(name) for name in (b"conn=", b"time=")
-            )
-            for varies in (slice(connection, connection + 4), slice(time, time + 8)):
-                by_byte[:, varies] = 0
-            rows = rows[headers == headers[first]]
-            at = places[rows] + 4
-            connections[rows] = gather(buffer, at + connection, _WORD)
-            time_ns[rows] = _time_ns(
-                gather(buffer, at + time, _WORD), gather(buffer, at + time + 4, _WORD)
-            )
-        is_tried = True
-    is_message = connections >= 0
-    return np.stack([connections, time_ns, places, starts, ends - starts])[:, is_message], others
+    return np.frombuffer(bounds, np.int64).reshape(-1, 3).T
+
+
+class _Alike(NamedTuple):
+    """Messages whose headers differ in connection and time alone."""
+
+    rows: NDArray[np.int64]
+    connections: NDArray[Any]
+    time_ns: TimeNs
+
+
+def _alike(
+    buffer: memoryview, places: NDArray[np.int64], starts: NDArray[np.int64], row: int
+) -> _Alike:
+    """Find the messages whose headers are like that of one, by where records and their data start, (k,)."""
+    size = int(starts[row] - places[row]) - 8
+    rows = np.flatnonzero(starts - places == size + 8)
+    headers = gather(buffer, places[rows] + 4, np.dtype((np.bytes_, size)))
+    by_byte = headers.view(np.uint8).reshape(-1, size)
+    first = int(np.searchsorted(rows, row))
+    model = bytes(by_byte[first])
+    connection = model.index(b"conn=") + len(b"conn=")
+    time = model.index(b"time=") + len(b"time=")
+    by_byte[:, connection : connection + 4] = 0
+    by_byte[:, time : time + 8] = 0
+    rows = rows[headers == headers[first]]
+    at = places[rows] + 4
+    sec = gather(buffer, at + time, _WORD)
+    nanosec = gather(buffer, at + time + 4, _WORD)
+    return _Alike(rows, gather(buffer, at + connection, _WORD), _time_ns(sec, nanosec))

@@ -8,13 +8,14 @@ file is opened, and then nothing of it is used. Source: rosbag2_storage_sqlite3 
 import os
 import sqlite3
 import weakref
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note, counted_clause
@@ -41,6 +42,19 @@ _JOURNALS: Final = {
     "-wal": ("holds messages that are not yet in it", "PRAGMA wal_checkpoint(TRUNCATE)"),
     "-journal": ("is of a change to it that broke off", "PRAGMA quick_check"),
 }
+
+
+class _Topic(NamedTuple):
+    name: str
+    type_name: str
+    encoding: str
+
+
+class _Definition(NamedTuple):
+    """How a type is defined."""
+
+    language: str
+    text: str
 
 
 class SqliteFile(LogFile):
@@ -86,12 +100,8 @@ class SqliteFile(LogFile):
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the messages of some channels, some megabytes at a time."""
-        ids = ",".join(
-            map(
-                str,
-                np.unique(self._topic_ids[np.isin(self._channel_ids, list(channel_ids))]).tolist(),
-            )
-        )
+        is_wanted = np.isin(self._channel_ids, list(channel_ids))
+        ids = ",".join(map(str, np.unique(self._topic_ids[is_wanted]).tolist()))
         query = (
             f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({ids}) ORDER BY id"
         )
@@ -112,7 +122,9 @@ class SqliteFile(LogFile):
         header = bytes(self.file.read(0, 100))
         page = int.from_bytes(header[16:18], "big")
         pages = int.from_bytes(header[28:32], "big")
-        size = (1 << 16 if page == 1 else page) * pages
+        if page == 1:
+            page = 1 << 16
+        size = page * pages
         if len(header) < 100 or size != len(self.file):
             raise self._damaged(f"it has {len(self.file)} bytes where its header says {size}")
         for ending, (what, statement) in _JOURNALS.items():
@@ -169,60 +181,79 @@ class SqliteFile(LogFile):
 
     def _read(self) -> None:
         """Read the topics, their definitions, and number, topic and time of each message."""
+        topics = self._topics()
+        definitions = self._definitions()
+        self._require_sound()
+        self._numbers = {topic_id: number for number, topic_id in enumerate(topics)}
+        self._ids, self._topic_ids, self._times = self._messages()
+        topic_ids, places, counts = np.unique(
+            self._topic_ids, return_inverse=True, return_counts=True
+        )
+        for topic_id, count in zip(topic_ids.tolist(), counts.tolist(), strict=True):
+            if topic_id not in self._numbers:
+                what = f"messages are of topic {topic_id}, which is not defined"
+                raise self._damaged(counted_clause(count, what))
+        numbers = [self._numbers[topic_id] for topic_id in topic_ids.tolist()]
+        self._channel_ids = np.array(numbers, np.int64)[places]
+        found = np.bincount(self._channel_ids, minlength=len(topics)).tolist()
+        self.channels = tuple(
+            _channel(number, topic, definitions, found[number])
+            for number, topic in enumerate(topics.values())
+        )
+
+    def _topics(self) -> dict[int, _Topic]:
+        """Return the topics by their ids."""
         query = f"SELECT id, name, type, serialization_format FROM topics LIMIT {_MOST_TOPICS + 1}"
-        topics = self._base.execute(query)
-        listed = {
-            id_: (str(name), str(kind), str(encoding)) for id_, name, kind, encoding in topics
-        }
-        if len(listed) > _MOST_TOPICS:
+        topics: dict[int, _Topic] = {}
+        for topic_id, name, type_name, encoding in self._base.execute(query):
+            topics[topic_id] = _Topic(str(name), str(type_name), str(encoding))
+        if len(topics) > _MOST_TOPICS:
             raise self._damaged(f"it lists more than {_MOST_TOPICS} topics")
-        definitions: dict[str, tuple[str, str]] = {}
-        if self._has("message_definitions"):
-            rows = self._base.execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-            )
+        return topics
+
+    def _definitions(self) -> dict[str, _Definition]:
+        """Return the definitions of types by their names, as far as the file has them."""
+        if not self._has("message_definitions"):
+            return {}
+        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+        definitions: dict[str, _Definition] = {}
+        for type_name, language, text in self._base.execute(query):
             # Those that the recorder did not find are empty.
-            definitions = {
-                str(kind): (str(word), str(text))
-                for kind, word, text in rows
-                if str(text or "").strip()
-            }
+            if str(text or "").strip():
+                definitions[str(type_name)] = _Definition(str(language), str(text))
+        return definitions
+
+    def _require_sound(self) -> None:
+        """Refuse a file with rows of messages that are none."""
         whole = "typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
-        wrong = self._base.execute(f"SELECT count(*) FROM messages WHERE NOT ({whole})").fetchone()[
-            0
-        ]
+        query = f"SELECT count(*) FROM messages WHERE NOT ({whole})"
+        [wrong] = self._base.execute(query).fetchone()
         if wrong:
             raise self._damaged(counted_clause(wrong, "rows of the table 'messages' are damaged"))
+
+    def _messages(self) -> NDArray[np.int64]:
+        """Return number, topic and time of each message, (3, k)."""
         cursor = self._base.execute("SELECT id, topic_id, timestamp FROM messages ORDER BY id")
         parts = [np.empty((3, 0), np.int64)]
         while batch := cursor.fetchmany(_ROWS):
             parts.append(np.array(batch, np.int64).T)
-        self._ids, self._topic_ids, self._times = np.concatenate(parts, axis=1)
-        self._numbers = {topic_id: number for number, topic_id in enumerate(listed)}
-        topic_ids, places, counts = np.unique(
-            self._topic_ids, return_inverse=True, return_counts=True
-        )
-        for id_, count in zip(topic_ids.tolist(), counts.tolist(), strict=True):
-            if id_ not in self._numbers:
-                raise self._damaged(
-                    counted_clause(count, f"messages are of topic {id_}, which is not defined")
-                )
-        self._channel_ids = np.array([self._numbers[id_] for id_ in topic_ids.tolist()], np.int64)[
-            places
-        ]
-        found = np.bincount(self._channel_ids, minlength=len(listed)).tolist()
-        self.channels = tuple(
-            LogChannel(
-                id=number,
-                topic=topic,
-                type_name=type_name,
-                encoding=encoding,
-                schema_encoding=definitions.get(type_name, ("", ""))[0],
-                messages=found[number],
-                schema_data=definitions.get(type_name, ("", ""))[1].encode("utf-8", "replace"),
-            )
-            for number, (topic, type_name, encoding) in enumerate(listed.values())
-        )
+        return np.concatenate(parts, axis=1)
+
+
+def _channel(
+    number: int, topic: _Topic, definitions: Mapping[str, _Definition], messages: int
+) -> LogChannel:
+    """Return the channel that a topic is."""
+    definition = definitions.get(topic.type_name, _Definition("", ""))
+    return LogChannel(
+        id=number,
+        topic=topic.name,
+        type_name=topic.type_name,
+        encoding=topic.encoding,
+        schema_encoding=definition.language,
+        messages=messages,
+        schema_data=definition.text.encode("utf-8", "replace"),
+    )
 
 
 def _blocks(found: dict[int, list[tuple[int, bytes]]]) -> Iterator[Block]:
