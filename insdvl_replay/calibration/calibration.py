@@ -34,7 +34,6 @@ from insdvl_replay.calibration.innovations import (
     SCALE,
     DiveInnovations,
     Geometry,
-    Mask,
     Parameter,
     ReadDive,
     moved_mounting,
@@ -58,7 +57,7 @@ from insdvl_replay.calibration.rows import (
     StartRow,
 )
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.dive_columns import Floats, Mask
 from insdvl_replay.core.tables import Number
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.notes import CLASSES

@@ -13,7 +13,6 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.calibration.free_mounting import (
     NEAR_QUARTER_RAD,
@@ -32,11 +31,10 @@ from insdvl_replay.calibration.innovations import (
     PARAMETERS,
     PRIOR_SD,
     DiveInnovations,
-    Mask,
     ReadDive,
 )
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import DvlColumns, Floats
+from insdvl_replay.core.dive_columns import DvlColumns, Floats, Integers, Mask
 from insdvl_replay.core.runtime import parallel_map, track_progress
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import look_down
@@ -87,7 +85,7 @@ class Fit:
     """A solution, and the dives linearised there."""
 
     rows: tuple[
-        NDArray[np.int64], ...
+        Integers, ...
     ]  # for each dive: indices of its p parameters among the unknowns, (p,)
     prior_sd: Floats  # (count,): prior sd of each unknown
     is_free: Mask  # (count,): whether each is estimated

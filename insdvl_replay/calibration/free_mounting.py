@@ -20,11 +20,10 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.checks.dvl import velocities_b
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, TimeNs, seconds
+from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, Mask, TimeNs, seconds
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.geometry.rotation import mat_from_vector, skew, vector_from_mat
 
@@ -61,8 +60,6 @@ _DELAY_SD_S: Final = 0.1
 _LEVEL_RAD: Final = 60.0 * DEG
 _LEVEL_SD_RAD: Final = 5.0 * DEG  # of a DVL's down axis from the vehicle's
 DELAY_STEPS_S: Final = (0.1, 0.1, 0.03, 0.01)
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

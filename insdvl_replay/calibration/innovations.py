@@ -14,10 +14,9 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from insdvl_replay.core.config import Config, Dvl, Reference
-from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, nanoseconds
+from insdvl_replay.core.dive_columns import Dive, Floats, Mask, ReferenceColumns, nanoseconds
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import Innovations
 from insdvl_replay.core.runtime import parallel_map
@@ -29,8 +28,6 @@ from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.prepared import Prepared, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import prepare_with_heading, run_one
-
-Mask = NDArray[np.bool_]
 
 
 class Parameter(NamedTuple):

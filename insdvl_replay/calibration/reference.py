@@ -18,7 +18,6 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.calibration.calibration import (
     MANY_TIMES,
@@ -45,7 +44,6 @@ from insdvl_replay.calibration.innovations import (
     SHARED_STEPS,
     DiveInnovations,
     Geometry,
-    Mask,
     ReadDive,
     central_differences,
     moved_mounting,
@@ -55,6 +53,8 @@ from insdvl_replay.calibration.innovations import (
 from insdvl_replay.calibration.rows import ReferenceDiveRow, StartRow
 from insdvl_replay.core.dive_columns import (
     Floats,
+    Integers,
+    Mask,
     ReferenceColumns,
     TimeNs,
     at_time,
@@ -107,7 +107,7 @@ class Compared:
     """Estimated minus reference."""
 
     time_s: Floats  # (k,), since the start
-    family: NDArray[np.int64]  # (k,): `ATTITUDE` and `LEVEL`, rad, or `MOTION`, m/s or m
+    family: Integers  # (k,): `ATTITUDE` and `LEVEL`, rad, or `MOTION`, m/s or m
     values: Floats  # (k, 3); NaN if unknown
     own: Floats  # (k, 3, 2): derivative by the dive's own unknowns
 
@@ -275,7 +275,7 @@ class ReferenceDive:
         return float(np.sqrt(np.nanmean(compared.values[compared.family == MOTION] ** 2))), track
 
 
-def thinned(time_ns: TimeNs, apart_s: float) -> NDArray[np.int64]:
+def thinned(time_ns: TimeNs, apart_s: float) -> Integers:
     """Choose rows that are at least this time apart, (m,)."""
     chosen: list[int] = []
     row = 0

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.checks.sentences import Remark, marked, refusal, warning
 from insdvl_replay.core.config import Imu
@@ -13,6 +12,7 @@ from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Floats,
     ImuColumns,
+    Mask,
     ReferenceColumns,
     TimeNs,
     find_runs,
@@ -63,7 +63,7 @@ def samples_in(imu: ImuColumns, length_s: float) -> int:
     return 1
 
 
-def lies_within(time_ns: TimeNs, others_ns: TimeNs) -> NDArray[np.bool_]:
+def lies_within(time_ns: TimeNs, others_ns: TimeNs) -> Mask:
     """Find which times are between the first and the last of others, which are in order."""
     return np.asarray((time_ns >= others_ns[0]) & (time_ns <= others_ns[-1]))
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.checks.dvl import (
     COHERENT,
@@ -48,6 +47,7 @@ from insdvl_replay.core.dive_columns import (
     DvlColumns,
     Floats,
     ImuColumns,
+    Mask,
     ReferenceColumns,
     TimeNs,
     find_runs,
@@ -344,9 +344,7 @@ def without_frozen(
     return replace(reference, position=position, mat_nb=mat_nb), tuple(notes)
 
 
-def _frozen_rows(
-    time_ns: TimeNs, rows: Floats, is_moving: Callable[[int, int], bool]
-) -> NDArray[np.bool_]:
+def _frozen_rows(time_ns: TimeNs, rows: Floats, is_moving: Callable[[int, int], bool]) -> Mask:
     """Return which rows repeat the one before, shape (k,), for long while the vehicle moves."""
     frozen = np.zeros(len(rows), np.bool_)
     known = np.flatnonzero(np.isfinite(rows).all(axis=1))

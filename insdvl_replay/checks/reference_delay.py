@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.checks.sentences import warning
 from insdvl_replay.core.config import Config
@@ -20,6 +19,8 @@ from insdvl_replay.core.dive_columns import (
     Dive,
     Floats,
     ImuColumns,
+    Integers,
+    Mask,
     ReferenceColumns,
     in_pauses,
     is_new,
@@ -117,8 +118,8 @@ class _Legs:
 
     from_s: Floats  # (k,), since the first sample of the IMU
     to_s: Floats  # (k,)
-    first: NDArray[np.int64]  # (k,), rows
-    last: NDArray[np.int64]  # (k,)
+    first: Integers  # (k,), rows
+    last: Integers  # (k,)
 
     def some(self, most: int) -> "_Legs":
         """Choose at most so many, evenly."""
@@ -128,7 +129,7 @@ class _Legs:
         keep = slice(None, None, stride)
         return _Legs(self.from_s[keep], self.to_s[keep], self.first[keep], self.last[keep])
 
-    def where(self, keep: NDArray[np.bool_]) -> "_Legs":
+    def where(self, keep: Mask) -> "_Legs":
         """Keep some, by a mask of shape (k,)."""
         return _Legs(self.from_s[keep], self.to_s[keep], self.first[keep], self.last[keep])
 
@@ -222,7 +223,7 @@ def _together(by_turns: Delay | None, by_accelerations: Delay | None) -> Referen
 # --- What is compared.
 
 
-def _legs(imu: ImuColumns, time_s: Floats, known: NDArray[np.bool_]) -> _Legs:
+def _legs(imu: ImuColumns, time_s: Floats, known: Mask) -> _Legs:
     """Return the legs between known rows of a reference, s since the first sample, that the IMU saw at any delay."""
     rows = np.flatnonzero(known)
     rows = rows[is_new(np.floor(time_s[rows] / _ROW_APART_S + 1e-6).astype(np.int64))]

@@ -17,7 +17,10 @@ from insdvl_replay.core.dive_record import Channel, ImuFingerprint, ReferenceDel
 from insdvl_replay.core.errors import Note
 
 Floats = NDArray[np.float64]
-TimeNs = NDArray[np.int64]
+Integers = NDArray[np.int64]
+Mask = NDArray[np.bool_]  # of the rows that are meant
+Array = NDArray[Any]  # of numbers of any kind
+TimeNs = Integers
 NS_PER_S: Final = 1_000_000_000
 _AT_A_TIME: Final = 1 << 14
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -34,14 +37,14 @@ def nanoseconds(time_s: float) -> int:
     return round(Fraction(time_s) * NS_PER_S)
 
 
-def is_new(values: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
+def is_new(values: NDArray[np.integer[Any]]) -> Mask:
     """Return which values, the first among them, are not the same as the one before, shape (k,)."""
     new = np.ones(values.size, np.bool_)
     new[1:] = values[1:] != values[:-1]
     return new
 
 
-def in_spans(time_ns: TimeNs, spans: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+def in_spans(time_ns: TimeNs, spans: Sequence[tuple[int, int]]) -> Mask:
     """Return which times lie after the start of any of some spans, up to its end, shape (k,).
 
     Spans are in the order of time and do not overlap: however many there are, each time looks at one.
@@ -59,15 +62,13 @@ def distinct(time_ns: TimeNs) -> TimeNs:
     return ordered[is_new(ordered)]
 
 
-def find_runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def find_runs(mask: Mask) -> tuple[Integers, Integers]:
     """Return where a mask, shape (k,), is true: the first row of each run, and the row behind its last."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return edges[::2], edges[1::2]
 
 
-def in_pauses(
-    from_ns: TimeNs, to_ns: TimeNs, sample_ns: TimeNs, longest_ns: float
-) -> NDArray[np.bool_]:
+def in_pauses(from_ns: TimeNs, to_ns: TimeNs, sample_ns: TimeNs, longest_ns: float) -> Mask:
     """Return which spans, shape (k,), have a part in a pause: between samples that are further apart than longest."""
     begins = np.flatnonzero(np.diff(sample_ns) > longest_ns)
     # Such a pause begins before the span ends, and ends after the span begins.
@@ -125,7 +126,7 @@ class Columns:
         tuple[str, ...]
     ] = ()  # the other fields that have a row at each time, or are None
 
-    def rows(self, keep: NDArray[np.bool_] | slice) -> Self:
+    def rows(self, keep: Mask | slice) -> Self:
         """Keep some of the rows, chosen by a mask of shape (k,) or, without copying them, by a slice."""
         columns = {name: getattr(self, name) for name in self.per_row}
         kept: dict[str, Any] = {
@@ -213,7 +214,7 @@ class ReferenceColumns(Columns):
     per_row = ("position", "velocity_n", "mat_nb")
 
     @cached_property
-    def known(self) -> dict[str, NDArray[np.bool_]]:
+    def known(self) -> dict[str, Mask]:
         """Which rows hold finite numbers, shape (k,), of the positions, heights, velocities and attitudes."""
         quantities = {
             "positions": self.position[:, :2],
@@ -254,7 +255,7 @@ class SolutionColumns:
     cov_ns: TimeNs  # (c,) times, evenly chosen, of which the covariance is kept
     cov: Floats  # (c, 9, 9) of velocity error, misalignment and position error, all in n, SI; NaN where not given
 
-    def where(self, keep: Callable[[TimeNs], NDArray[np.bool_]]) -> "SolutionColumns":
+    def where(self, keep: Callable[[TimeNs], Mask]) -> "SolutionColumns":
         """Keep the rows of some of the times, shape (k,), of which a mask says which."""
         rows = keep(self.motion.time_ns)
         of_cov = keep(self.cov_ns)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs
+from insdvl_replay.core.dive_columns import Floats, Mask, ReferenceColumns, TimeNs
 from insdvl_replay.core.states import POSITION, STATES, State
 
 
@@ -24,14 +24,14 @@ class Innovations:
     innovation: Floats  # (m, s) predicted minus measured
     sd: Floats  # (m, s) square roots of the diagonal of S = H P H' + R
     nis: Floats  # (m,) z' S^-1 z
-    used: NDArray[np.bool_]  # (m,) false where the gate rejected it
+    used: Mask  # (m,) false where the gate rejected it
     log_det: Floats  # (m,) logarithm of the determinant of S, for the likelihood
     gate: float  # largest NIS that was used; infinite where none was rejected; negative of a held-out sensor
     reopen_after: (
         int  # rejections in a row after which the velocity's uncertainty was opened; 0: never
     )
     # (m,) used in spite of the gate, after so many rejections in a row; NIS and standard deviations are those before
-    reopened: NDArray[np.bool_]
+    reopened: Mask
     noise_factor: float = (
         1.0  # by which R is larger at the end than configured; 1 but for adaptive noise
     )
@@ -99,7 +99,7 @@ class History:
     corrected: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
     @property
-    def predicted(self) -> NDArray[np.bool_]:
+    def predicted(self) -> Mask:
         """Which states have a standard deviation, shape (n,): all of a filter that was run, even if it diverged."""
         return np.asarray(np.isfinite(self.sd).any(axis=0) | (not self.is_partial))
 

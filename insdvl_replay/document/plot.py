@@ -15,9 +15,8 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.dive_columns import Floats, Integers
 from insdvl_replay.core.errors import visible
 from insdvl_replay.document.parts import (
     REFERENCE,
@@ -202,7 +201,7 @@ _FEW: Final = 4  # Up to this many curves and bands have all columns. More have 
 _COARSER: Final = 1.35  # with twice as many, they have all together fewer points.
 
 
-def envelope(x: Floats, y: Floats, columns: int = COLUMNS) -> NDArray[np.int64]:
+def envelope(x: Floats, y: Floats, columns: int = COLUMNS) -> Integers:
     """Return the rows with the lowest and the highest value of each column; x does not decrease.
 
     NaN remains where all of a column is missing. Lines of up to two points for each column are left as they are.
@@ -220,7 +219,7 @@ def envelope(x: Floats, y: Floats, columns: int = COLUMNS) -> NDArray[np.int64]:
     return np.unique(np.concatenate([lowest, highest, missing]))
 
 
-def without_standstill(x: Floats, y: Floats, step: float) -> NDArray[np.int64]:
+def without_standstill(x: Floats, y: Floats, step: float) -> Integers:
     """Return the rows of the first point of each stay in a cell of a grid ``step`` wide, and of the last point."""
     cells = np.floor(np.column_stack([x, y]) / step)
     moved = np.ones(len(x), dtype=bool)
@@ -465,7 +464,7 @@ def _steps_of_time(time_s: Floats) -> str:
     return " ".join(map(str, np.diff(np.rint(100.0 * time_s).astype(np.int64), prepend=0).tolist()))
 
 
-def _one_of_each_cell(x: Floats, y: Floats) -> NDArray[np.int64]:
+def _one_of_each_cell(x: Floats, y: Floats) -> Integers:
     """Return the first row in each occupied cell of a coarse grid."""
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     cells = np.round(np.column_stack([x[known], y[known]]) / _POINT)

@@ -9,10 +9,9 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betainc, chdtr, chdtri
 
-from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.dive_columns import Floats, Mask
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import HELD_OUT, axis_of, is_reserved
 from insdvl_replay.core.states import MORE_STATES, SENSORS
@@ -198,14 +197,14 @@ def _nis_verdict(nis: Floats, dof: int, components: Floats | None) -> MeanVerdic
     return mean_verdict(nis, dof, samples)
 
 
-def rejected(innovations: Innovations) -> NDArray[np.bool_]:
+def rejected(innovations: Innovations) -> Mask:
     """Find the innovations that the gate rejected, shape (m,)."""
     return ~innovations.used & np.isfinite(innovations.nis)
 
 
 def autocorrelation(
     standardised: Floats,  # (m, n), innovations in their own standard deviations, in the order of time
-    used: NDArray[np.bool_],  # (m,), which of them the gate let pass; both of a pair have to
+    used: Mask,  # (m,), which of them the gate let pass; both of a pair have to
 ) -> tuple[float, float]:
     """Return the lag-1 correlation of innovations, and its limit for 95 % of white innovations.
 

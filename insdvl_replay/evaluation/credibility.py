@@ -11,10 +11,16 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtr
 
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, TruthColumns
+from insdvl_replay.core.dive_columns import (
+    Floats,
+    Integers,
+    Mask,
+    ReferenceColumns,
+    TimeNs,
+    TruthColumns,
+)
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
@@ -44,7 +50,7 @@ FAR_SMALLER: Final = 0.25
 MANY_FAR_OFF: Final = 0.01
 LEVEL: Final = slice(PHI.start, PHI.stop - 1)
 
-States = NDArray[np.int64]
+States = Integers
 
 
 # --- Errors in the filter's states, with P.
@@ -59,7 +65,7 @@ class StateErrors:
     error: Floats  # (k, n), SI units, see `reference_errors.errors_at`; NaN where neither reference nor truth has them
     cov: Floats  # (k, n, n), P
     heading: Floats  # (k,), of the reference, rad
-    has_sd: NDArray[np.bool_]  # (n,), states for which the filter has a standard deviation
+    has_sd: Mask  # (n,), states for which the filter has a standard deviation
     exact_start: bool = (
         True  # it starts on the reference, so its errors are below sigma for a while
     )
@@ -180,7 +186,7 @@ def credibility_table(
         in_vehicle = about_vehicle(errors[name])
         n = in_n.error.shape[1]
         has_sd = in_n.has_sd
-        ever: NDArray[np.bool_] = np.any(np.isfinite(in_n.error), axis=0)
+        ever: Mask = np.any(np.isfinite(in_n.error), axis=0)
         samples = np.array([_samples_of(in_n, state) for state in range(n)])
         samples_in_vehicle = samples.copy()
         samples_in_vehicle[LEVEL] = [

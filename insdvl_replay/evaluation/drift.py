@@ -16,7 +16,14 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Floats,
+    Integers,
+    ReferenceColumns,
+    TimeNs,
+    seconds,
+)
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import DRIFT_QUANTITIES, TRACK_FIT_QUANTITIES
 from insdvl_replay.core.states import DEG
@@ -52,8 +59,8 @@ Complexes = NDArray[np.complex128]
 class Segments(NamedTuple):
     """m pairs of the compared times, the same for all filters of a dive."""
 
-    first: NDArray[np.int64]  # rows of the compared times
-    last: NDArray[np.int64]
+    first: Integers  # rows of the compared times
+    last: Integers
 
 
 class CourseErrors(NamedTuple):
@@ -309,8 +316,7 @@ def heading_fit(
     per_bias_m: Floats,  # (k, 2), m/(rad/s)
     reference_m: Floats,  # (k, 2)
     known_bias: tuple[float, float],  # the track's bias minus its prior, and the prior's sd, rad/s
-    piece: NDArray[np.int64]
-    | None = None,  # (k,), number of the piece of the track that each time is in
+    piece: Integers | None = None,  # (k,), number of the piece of the track that each time is in
 ) -> HeadingFit | None:
     """Fit heading and gyro bias at the start by least squares, with a scale, which is the DVL's, and shifts.
 

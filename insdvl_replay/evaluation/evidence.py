@@ -21,9 +21,8 @@ from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.dive_columns import Floats, Integers, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
@@ -224,7 +223,7 @@ def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[st
     return {quantity: errors for quantity, errors in found.items() if len(errors.errors) > 1}
 
 
-Rows = NDArray[np.int64]
+Rows = Integers
 
 
 def _averaged(innovations: Innovations, values: Floats) -> tuple[Rows, Rows, Floats]:

@@ -12,9 +12,16 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, is_new, seconds
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Floats,
+    Integers,
+    Mask,
+    TimeNs,
+    is_new,
+    seconds,
+)
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import OUTAGE_WINDOWS_S
 from insdvl_replay.core.tables import OutageRow, finite
@@ -38,9 +45,9 @@ GEOMETRY: Final = 10.0  # mean NIS per degree of freedom that no noise of the se
 ALARM: Final = 2.0  # A smaller mean NIS per degree of freedom is no alarm: sigma is too small by less than 30 %.
 SURELY: Final = 0.999  # Probability of no alarm by chance, for each filter and length.
 
-Rows = NDArray[np.int64]
+Rows = Integers
 # Whether the IMU has a long gap between some times and others, as `nav.timeline.Gaps.overlap`.
-InGap = Callable[[TimeNs, TimeNs], NDArray[np.bool_]]
+InGap = Callable[[TimeNs, TimeNs], Mask]
 
 
 # --- The windows of a dive.

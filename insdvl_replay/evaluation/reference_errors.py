@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import (
     Floats,
+    Mask,
     ReferenceColumns,
     TimeNs,
     TruthColumns,
@@ -41,7 +41,7 @@ DEAD_RECKONED: Final = ("position_h", "depth", "position_h_pct")
 
 NO_ERRORS: Final[Floats] = np.empty(0)
 
-Known = NDArray[np.bool_]
+Known = Mask
 
 
 # --- What the reference covers, and how far the vehicle went.

@@ -12,9 +12,8 @@ mean of squares); Sokal, "Monte Carlo methods in statistical mechanics", 1997 (w
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, TimeNs, nanoseconds
+from insdvl_replay.core.dive_columns import Floats, Integers, TimeNs, nanoseconds
 
 # The bias depends on the correlation time that it biases; this many iterations converge.
 BIAS_ROUNDS: Final = 3
@@ -28,7 +27,7 @@ WINDOW_TIMES: Final = 5.0
 # --- Independent samples of one series.
 
 
-def thinned(time_ns: TimeNs, step_s: float) -> NDArray[np.int64]:
+def thinned(time_ns: TimeNs, step_s: float) -> Integers:
     """Return the first row in every step of time."""
     if not len(time_ns):
         return np.empty(0, np.int64)

@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
+    Array,
     Dive,
     DvlColumns,
     Floats,
+    Integers,
     ReferenceColumns,
     SensorColumns,
     TimeNs,
@@ -71,7 +73,7 @@ _RECORD_HEAD: Final = [
 ]
 
 
-Column = NDArray[Any] | str | float | tuple[float, ...]
+Column = Array | str | float | tuple[float, ...]
 """Values of one field: an array with one row per message, or what all messages share."""
 
 
@@ -304,7 +306,7 @@ def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
         done = done + own
 
 
-def _by_channel(channel: NDArray[np.int64]) -> list[tuple[int, NDArray[np.intp]]]:
+def _by_channel(channel: Integers) -> list[tuple[int, NDArray[np.intp]]]:
     """Return the channels in the order of their first messages, each with the rows of all its messages."""
     numbers, first = np.unique(channel, return_index=True)
     return [

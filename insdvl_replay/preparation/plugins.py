@@ -11,10 +11,9 @@ from functools import cache
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, TimeNs, in_spans
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, Mask, TimeNs, in_spans
 from insdvl_replay.core.errors import ConfigError, Note, UserError, error_context, listed
 from insdvl_replay.core.quantities import COMPONENTS
 from insdvl_replay.core.runtime import plain
@@ -335,7 +334,7 @@ def given_dive(
     }
     mixed = {name for name, role in carried.items() if role.startswith(("reference", "filters."))}
 
-    def known(time_ns: TimeNs, *, dvl: bool = True) -> NDArray[np.bool_]:
+    def known(time_ns: TimeNs, *, dvl: bool = True) -> Mask:
         return np.asarray((time_ns <= end_ns) & ~in_spans(time_ns, outages if dvl else ()))
 
     reference = None if held_out else dive.reference

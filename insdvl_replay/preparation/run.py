@@ -15,10 +15,9 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 from msgspec.structs import replace as changed
-from numpy.typing import NDArray
 
 from insdvl_replay.core.config import Config, Initial
-from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, TimeNs, nanoseconds
+from insdvl_replay.core.dive_columns import Dive, Integers, ReferenceColumns, TimeNs, nanoseconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
@@ -500,7 +499,7 @@ def _before_a_gap(time_ns: TimeNs, gaps: Gaps) -> TimeNs:
     return before_ns if is_enough else time_ns
 
 
-def _tracked(time_ns: TimeNs, ping_ns: TimeNs) -> tuple[TimeNs, NDArray[np.int64]]:
+def _tracked(time_ns: TimeNs, ping_ns: TimeNs) -> tuple[TimeNs, Integers]:
     """Return the times that are not in a long pause of the DVL, and in which piece of the track between pauses each is.
 
     Without DVL a track drifts by more in half a minute than a wrong heading moves it.

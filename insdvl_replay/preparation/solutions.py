@@ -5,13 +5,14 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.core.config import Solution
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Floats,
     ImuColumns,
+    Integers,
+    Mask,
     ReferenceColumns,
     SolutionColumns,
     TimeNs,
@@ -219,9 +220,7 @@ def _turned(solution: SolutionColumns, mat: Floats) -> SolutionColumns:
     return replace(solution, motion=turned, moved_n=moved_n, cov=blocks.reshape(solution.cov.shape))
 
 
-def _between(
-    time_ns: TimeNs, known: NDArray[np.bool_], at_ns: TimeNs
-) -> tuple[NDArray[np.int64], Floats]:
+def _between(time_ns: TimeNs, known: Mask, at_ns: TimeNs) -> tuple[Integers, Floats]:
     """Return the known rows around each time, shape (2, k), and its share of the step between them, shape (k,).
 
     The share is NaN outside, and where the step is longer than `LONGEST_STEP`.
@@ -259,7 +258,7 @@ def interpolated_attitude(time_ns: TimeNs, mat_nb: Floats, at_ns: TimeNs) -> Flo
     found = np.full((len(at_ns), 3, 3), np.nan)
     given = np.flatnonzero(np.isfinite(share))
 
-    def partway(block: NDArray[np.int64]) -> Floats:
+    def partway(block: Integers) -> Floats:
         first, second = mat_nb[rows[:, block]]
         turn = vector_from_mat(np.swapaxes(first, 1, 2) @ second)
         return np.asarray(first @ mat_from_vector(share[block, None] * turn))

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 from zipfile import BadZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, Integers, TimeNs
 from insdvl_replay.core.errors import ConfigError, require_known
 from insdvl_replay.core.quantities import AXES
 from insdvl_replay.core.report import Row
@@ -131,7 +130,7 @@ def trajectory_of(replay: "Replay") -> Trajectory:
     )
 
 
-def _last_before(time_ns: TimeNs, grid_ns: TimeNs) -> NDArray[np.int64]:
+def _last_before(time_ns: TimeNs, grid_ns: TimeNs) -> Integers:
     return np.asarray(
         np.maximum(np.searchsorted(time_ns, grid_ns, side="right") - 1, 0), dtype=np.int64
     )

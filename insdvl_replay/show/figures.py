@@ -6,12 +6,12 @@ from html import escape
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Dive,
     Floats,
+    Mask,
     ReferenceColumns,
     TimeNs,
     seconds,
@@ -176,11 +176,9 @@ def _error_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
     )
 
 
-def _settled(time_ns: TimeNs, clock: Clock) -> NDArray[np.bool_]:
+def _settled(time_ns: TimeNs, clock: Clock) -> Mask:
     """Find which times are after the settling at the start, shape (k,)."""
-    settled: NDArray[np.bool_] = time_ns - clock.start_ns >= SETTLED * (
-        clock.end_ns - clock.start_ns
-    )
+    settled: Mask = time_ns - clock.start_ns >= SETTLED * (clock.end_ns - clock.start_ns)
     return settled
 
 
@@ -606,7 +604,7 @@ def coverage_strips(replay: Replay) -> str:
     return f'<div class="strips">{"".join(rows)}<div></div><svg class="times">{times}</svg></div>'
 
 
-def _sources(dive: Dive) -> Iterator[tuple[str, TimeNs, NDArray[np.bool_]]]:
+def _sources(dive: Dive) -> Iterator[tuple[str, TimeNs, Mask]]:
     """Yield name, times and validity of the samples of each sensor, or of each beam."""
     yield "IMU", dive.imu.time_ns, np.ones(len(dive.imu.time_ns), dtype=bool)
     if dive.dvl.beam_velocity_mps is not None:
@@ -626,7 +624,7 @@ def _sources(dive: Dive) -> Iterator[tuple[str, TimeNs, NDArray[np.bool_]]]:
 
 
 def covered_shares(
-    time_ns: TimeNs, valid: NDArray[np.bool_], start_ns: int, end_ns: int, columns: int = _COLUMNS
+    time_ns: TimeNs, valid: Mask, start_ns: int, end_ns: int, columns: int = _COLUMNS
 ) -> Floats:
     """Return the share of each column of a span, (columns,), that valid samples, (k,), cover, from 0 to 1."""
     if len(time_ns) < 2:

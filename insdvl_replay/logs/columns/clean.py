@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Floats,
+    Mask,
     Scalar,
     TimeNs,
     is_new,
@@ -24,7 +25,6 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.tables import (
     RECORDER_STAMPS,
     SAME_CLOCK_S,
-    Mask,
     Rows,
     Table,
     find_order,

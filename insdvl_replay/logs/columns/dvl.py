@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.core.config import Dvl
-from insdvl_replay.core.dive_columns import DvlColumns, Floats, find_runs, seconds
+from insdvl_replay.core.dive_columns import DvlColumns, Floats, Mask, find_runs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note, listed
 from insdvl_replay.core.states import FASTEST_MPS
 from insdvl_replay.core.units import VELOCITY_UNITS
@@ -34,7 +34,7 @@ from insdvl_replay.logs.columns.clean import (
 )
 from insdvl_replay.logs.columns.flags import flag_columns, marks_some
 from insdvl_replay.logs.columns.imu import FRD, in_frd
-from insdvl_replay.logs.columns.tables import Mask, Table
+from insdvl_replay.logs.columns.tables import Table
 from insdvl_replay.logs.columns.topics import UNUSED_FLAGS
 from insdvl_replay.logs.formats.fields import split_paths
 

@@ -12,7 +12,14 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.core.config import Imu
-from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, TruthColumns, nanoseconds
+from insdvl_replay.core.dive_columns import (
+    Floats,
+    ImuColumns,
+    Mask,
+    TimeNs,
+    TruthColumns,
+    nanoseconds,
+)
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import DEG, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS
 from insdvl_replay.core.units import ANGULAR_RATE_UNITS, SPECIFIC_FORCE_UNITS
@@ -25,7 +32,7 @@ from insdvl_replay.logs.columns.clean import (
     note_gaps,
     note_lost_samples,
 )
-from insdvl_replay.logs.columns.tables import Mask, Table
+from insdvl_replay.logs.columns.tables import Table
 
 FRD: Final = "frd"  # the project's axes, the default
 _NAMED_AXES: Final = {FRD: "+x+y+z", "flu": "+x-y-z"}

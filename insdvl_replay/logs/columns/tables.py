@@ -12,15 +12,17 @@ import sys
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
+    Array,
     Floats,
+    Integers,
+    Mask,
     TimeNs,
     distinct,
     find_runs,
@@ -46,8 +48,7 @@ from insdvl_replay.logs.formats.log_file import Block, LogChannel, damaged_file_
 from insdvl_replay.logs.formats.readers import column_of, open_reader
 from insdvl_replay.logs.formats.recording import CHANNELS_OF_A_PART, Recording
 
-Rows = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+Rows = Integers
 
 RECORDER_STAMPS: Final = ("log_time", "publish_time")  # stamps that are in no message
 # Quantities that change slowly, and are large.
@@ -140,7 +141,7 @@ class Table:
         return single
 
     @property
-    def stamp_numbers(self) -> NDArray[Any] | None:
+    def stamp_numbers(self) -> Array | None:
         """Stamps that are plain numbers, shape (k,); None where they are times."""
         values = self.columns[stamp_path(self.source.stamp)]
         is_time = (
@@ -273,11 +274,11 @@ class Column:
 
     def __init__(self, announced: int) -> None:
         self._announced = announced
-        self._first: NDArray[Any] = np.empty((1, 0), np.int64)
-        self._rows: NDArray[Any] | None = None
+        self._first: Array = np.empty((1, 0), np.int64)
+        self._rows: Array | None = None
         self._count = 0
 
-    def add(self, values: NDArray[Any]) -> None:
+    def add(self, values: Array) -> None:
         """Add rows, (k, n); whole numbers stay whole until others come, and shorter rows are filled up with NaN."""
         done = self._count
         end = self._count + len(values)
@@ -306,14 +307,14 @@ class Column:
             _fill(self._rows[:done], before)
         _fill(self._rows[done:end], values)
 
-    def values(self) -> NDArray[Any]:
+    def values(self) -> Array:
         """Return the rows so far."""
         if self._rows is None:
             return np.broadcast_to(self._first, (self._count, self._first.shape[1]))
         return self._rows[: self._count]
 
 
-def _fill(rows: NDArray[Any], values: NDArray[Any]) -> None:
+def _fill(rows: Array, values: Array) -> None:
     rows[:, : values.shape[1]] = values
     if values.shape[1] < rows.shape[1]:
         rows[:, values.shape[1] :] = np.nan
@@ -613,7 +614,7 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
     return (*offsets, *unsteady, *apart)
 
 
-def stamp_unit(values: NDArray[Any], log_time_ns: TimeNs) -> tuple[int, str]:
+def stamp_unit(values: Array, log_time_ns: TimeNs) -> tuple[int, str]:
     """Find the unit of stamps that are mere numbers, shape (k,): its nanoseconds, and its name.
 
     It shows in how far they run while the recorder's clock runs on, which holds for the time since power-up too. Where

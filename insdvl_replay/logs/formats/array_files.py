@@ -13,9 +13,9 @@ from io import BytesIO
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
+from insdvl_replay.core.dive_columns import Array
 from insdvl_replay.logs.formats.log_file import most_opened
 
 MOST_COLUMNS: Final = 4096
@@ -25,7 +25,7 @@ _MOST_TIMES: Final = (
 )
 _NUMBERS: Final = "biufM"  # kinds of arrays that are columns
 
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, Array]
 
 
 @dataclass
@@ -211,7 +211,7 @@ class _MatlabReader:
             inner = _text(_Element(0, names[start : start + length]))
             self._take(next(parts).data, f"{above}.{inner}", level + 1)
 
-    def _numbers(self, element: _Element) -> NDArray[Any]:
+    def _numbers(self, element: _Element) -> Array:
         """Return the numbers of an element, (k,)."""
         if element.type not in _NUMBER_TYPES:
             raise ValueError(f"an element of type {element.type} is where numbers should be")

@@ -17,8 +17,8 @@ from typing import Any, Final, Self
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl_replay.core.dive_columns import Array
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.formats.definitions import MOST_LEVELS, MOST_PATHS, too_large
 from insdvl_replay.logs.formats.fields import NUMBER, TEXT, Columns, Kinds, check_path
@@ -110,7 +110,7 @@ class DecodedFields:
         }
 
 
-def _as_rows(rows: Sequence[Sequence[float]]) -> NDArray[Any]:
+def _as_rows(rows: Sequence[Sequence[float]]) -> Array:
     """Return rows of numbers, (k, n), int64 where all are whole; shorter rows are filled up with NaN."""
     widths = {len(row) for row in rows}
     if len(widths) > 1:

@@ -20,6 +20,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.core.dive_columns import Array
 from insdvl_replay.core.errors import LogError, most_like, nearest
 from insdvl_replay.logs.formats.definitions import (
     LEAVE_OUT,
@@ -30,7 +31,7 @@ from insdvl_replay.logs.formats.definitions import (
 from insdvl_replay.logs.formats.log_file import Block, LogChannel
 
 Columns = dict[
-    str, NDArray[Any]
+    str, Array
 ]  # by path, (k, n): a row per message; int64 where all are whole, else float64
 Kinds = Mapping[str, str]  # every path that a type knows, with the type of what is there
 ROWS: Final = (

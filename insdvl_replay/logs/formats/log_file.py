@@ -22,10 +22,9 @@ from typing import Any, Final, NamedTuple
 import lz4.frame
 import numpy as np
 import zstandard
-from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
-from insdvl_replay.core.dive_columns import TimeNs, seconds
+from insdvl_replay.core.dive_columns import Array, Integers, TimeNs, seconds
 from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, listed
 from insdvl_replay.core.words import Severity
 
@@ -75,8 +74,8 @@ class Block:
 
     channel_id: int
     buffer: memoryview
-    offsets: NDArray[np.int64]  # (k,) where in the buffer each payload starts
-    sizes: NDArray[np.int64]  # (k,) bytes of each payload
+    offsets: Integers  # (k,) where in the buffer each payload starts
+    sizes: Integers  # (k,) bytes of each payload
     log_time: TimeNs  # (k,) ns, when each was recorded
     publish_time: TimeNs  # (k,) ns; the same where the container has no other
 
@@ -84,7 +83,7 @@ class Block:
         """Return the number of messages."""
         return int(self.offsets.size)
 
-    def part(self, rows: slice | NDArray[np.int64]) -> "Block":
+    def part(self, rows: slice | Integers) -> "Block":
         """Return some of the messages."""
         columns = {
             name: getattr(self, name)[rows]
@@ -93,15 +92,13 @@ class Block:
         return replace(self, **columns)
 
 
-def gather(buffer: memoryview, offsets: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+def gather(buffer: memoryview, offsets: Integers, dtype: np.dtype[Any]) -> Array:
     """Copy a structure from many places of a buffer, (k,); each must end within the buffer."""
     if not offsets.size or not dtype.itemsize:
         return np.empty(offsets.size, dtype)
     # As mere bytes, structures are copied six times as fast.
     copied: Any = dtype if dtype.fields is None else (np.void, dtype.itemsize)
-    windows: NDArray[Any] = np.ndarray(
-        (len(buffer) - dtype.itemsize + 1,), copied, buffer, strides=(1,)
-    )
+    windows: Array = np.ndarray((len(buffer) - dtype.itemsize + 1,), copied, buffer, strides=(1,))
     return windows[offsets].view(dtype)
 
 
@@ -422,7 +419,7 @@ _LISTED: Final = 4  # topics that a note lists
 _LONGEST_NS: Final = 10**15  # no recording covers more
 
 # (5, k): channel, log time, publish time, and start and size of the payload.
-Messages = NDArray[np.int64]
+Messages = Integers
 
 
 @dataclass(eq=False)
@@ -483,7 +480,7 @@ def _may_be_opened(ahead: Collection[tuple[Chunk, Opening]], chunk: Chunk) -> bo
     return len(ahead) <= _AHEAD and size <= _MOST_OPEN
 
 
-def _by_channel(channel: NDArray[np.int64], log_ns: TimeNs) -> dict[int, TimeNs]:
+def _by_channel(channel: Integers, log_ns: TimeNs) -> dict[int, TimeNs]:
     """Return the log times of each channel, in the order of the file."""
     return {channel_id: log_ns[channel == channel_id] for channel_id in np.unique(channel).tolist()}
 

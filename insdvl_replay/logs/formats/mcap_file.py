@@ -17,9 +17,9 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
+from insdvl_replay.core.dive_columns import Array, Integers
 from insdvl_replay.core.errors import Note, counted_clause, listed
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.log_file import (
@@ -91,7 +91,7 @@ def can_be_record(kind: int, length: int) -> bool:
 class Walk(NamedTuple):
     """The records of a buffer, one behind the other."""
 
-    records: NDArray[np.int64]  # (k, 3): kind, and start and length of the content of each
+    records: Integers  # (k, 3): kind, and start and length of the content of each
     others: int  # of kinds that are not MCAP's own
     end: int  # where they end
     is_broken: bool  # whether bytes that are no record are there
@@ -102,7 +102,7 @@ def walk(buffer: memoryview, room: int) -> Walk:
 
     A message before bytes that are no record may have a false length, and is left out.
     """
-    parts: list[NDArray[np.int64]] = []
+    parts: list[Integers] = []
     found: list[tuple[int, int, int]] = []
     place = 0
     others = 0
@@ -153,7 +153,7 @@ def _count_alike(buffer: memoryview, place: int, head: tuple[int, int], most: in
     return ahead if alike.all() else int(alike.argmin())
 
 
-def _rows_alike(head: tuple[int, int], place: int, count: int) -> NDArray[np.int64]:
+def _rows_alike(head: tuple[int, int], place: int, count: int) -> Integers:
     """Return records that have one head, one behind the other, as rows."""
     kind, length = head
     rows = np.empty((count, 3), np.int64)
@@ -163,11 +163,11 @@ def _rows_alike(head: tuple[int, int], place: int, count: int) -> NDArray[np.int
     return rows
 
 
-def _as_rows(found: Sequence[tuple[int, int, int]]) -> NDArray[np.int64]:
+def _as_rows(found: Sequence[tuple[int, int, int]]) -> Integers:
     return np.array(found, np.int64).reshape(-1, 3)
 
 
-def _end_of(records: NDArray[np.int64]) -> int:
+def _end_of(records: Integers) -> int:
     """Return where the last of some records ends; 0 without any."""
     if not len(records):
         return 0
@@ -330,7 +330,7 @@ class McapFile(ChunkedFile):
         if not self._is_closed:
             self.damages = {Damage(last, _CUT): None, **self.damages}
 
-    def _take_all(self, window: memoryview, place: int, found: NDArray[np.int64]) -> None:
+    def _take_all(self, window: memoryview, place: int, found: Integers) -> None:
         """File the records of a window; messages that follow each other are as one chunk."""
         if not len(found):
             return
@@ -535,8 +535,8 @@ class McapFile(ChunkedFile):
         self,
         chunk: Chunk,
         buffer: memoryview,
-        starts: NDArray[np.int64],
-        ends: NDArray[np.int64],
+        starts: Integers,
+        ends: Integers,
     ) -> bool:
         """Take the definitions around messages; return whether other messages, or no records, are there."""
         before = np.append(0, ends)
@@ -554,7 +554,7 @@ class McapFile(ChunkedFile):
         chunk: Chunk,
         buffer: memoryview,
         named: set[tuple[int, int]],
-        sound: NDArray[np.int64],
+        sound: Integers,
     ) -> Messages:
         """Find messages record by record, up to bytes that are none; behind them, those that the indexes know.
 
@@ -603,7 +603,7 @@ class McapFile(ChunkedFile):
             return self._entries(chunk, self.file.read(chunk.end, chunk.index_end))
         return None
 
-    def _take_definitions(self, chunk: Chunk, buffer: memoryview, found: NDArray[np.int64]) -> None:
+    def _take_definitions(self, chunk: Chunk, buffer: memoryview, found: Integers) -> None:
         for kind, start, length in found[found[:, 0] < Opcode.MESSAGE].tolist():
             if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
                 with self.collected():
@@ -656,13 +656,13 @@ class McapFile(ChunkedFile):
         return tuple(notes)
 
 
-def _messages(heads: NDArray[Any], starts: NDArray[np.int64]) -> Messages:
+def _messages(heads: Array, starts: Integers) -> Messages:
     """Return the messages whose heads begin at some places of a chunk."""
     columns = heads["channel"], heads["log"], heads["publish"], starts + MESSAGE.itemsize
     return np.stack([*columns, heads["length"] - _MESSAGE_FIELDS], dtype=np.int64)
 
 
-def _loose_chunk(window: memoryview, place: int, found: NDArray[np.int64]) -> Chunk:
+def _loose_chunk(window: memoryview, place: int, found: Integers) -> Chunk:
     """Return messages that are in no chunk, of a window at a place of the file, as one."""
     ids = gather(window, found[:, 1] + HEADER_SIZE, np.dtype("<u2"))
     numbers, counts = np.unique(ids, return_counts=True)

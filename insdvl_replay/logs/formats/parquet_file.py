@@ -13,8 +13,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from insdvl_replay.core.dive_columns import Array
 from insdvl_replay.logs.formats.array_files import Found, require_few, require_room
 
 _NUMBER_SIZE: Final = 8  # bytes of a cell
@@ -91,7 +91,7 @@ def _letters(column: Any) -> int:
     return total
 
 
-def _as_numpy(column: Any) -> NDArray[Any]:
+def _as_numpy(column: Any) -> Array:
     """Return the cells of a column, (k,), of which missing numbers are NaN and texts are objects."""
     types = pa.types
     if not _is_number(column.type):
@@ -107,7 +107,7 @@ def _as_numpy(column: Any) -> NDArray[Any]:
         column = column.cast(pa.timestamp("ms"))
     elif types.is_timestamp(kind):
         column = column.cast(pa.timestamp(kind.unit))  # from its time zone to UTC
-    values: NDArray[Any] = column.to_numpy()
+    values: Array = column.to_numpy()
     return values
 
 

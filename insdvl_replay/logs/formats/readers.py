@@ -11,8 +11,8 @@ from itertools import count, takewhile
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl_replay.core.dive_columns import Array, Integers, Mask
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.formats.definitions import (
     Definitions,
@@ -43,7 +43,7 @@ _ENCAPSULATIONS: Final = {
     0x0A: "a big-endian XCDR2 parameter list", 0x0B: "an XCDR2 parameter list",
 }  # fmt: skip
 
-Rows = NDArray[np.int64]  # numbers of messages in a block
+Rows = Integers  # numbers of messages in a block
 
 
 def channel_paths(channel: LogChannel) -> Kinds:
@@ -149,7 +149,7 @@ class _Plan:
         }
         self.dtype: np.dtype[Any] = np.dtype(columns | {"itemsize": size})
 
-    def numbers(self, values: NDArray[Any], path: str) -> NDArray[Any]:
+    def numbers(self, values: Array, path: str) -> Array:
         """Return the numbers of a path, (k, n), as integers if all are whole."""
         parts = []
         for name in self.fields[path]:
@@ -248,7 +248,7 @@ class BinaryReader:
             **columns,
         }
 
-    def _next_group(self, block: Block, left: Rows) -> tuple[Rows, _Plan, NDArray[Any]]:
+    def _next_group(self, block: Block, left: Rows) -> tuple[Rows, _Plan, Array]:
         """Read all messages that share a layout: the latest one if any has it, else that of the first message."""
         if self._latest is not None:
             rows, values = self._with_layout(block, left, self._latest)
@@ -277,7 +277,7 @@ class BinaryReader:
             )
         return rows, plan, values
 
-    def _with_layout(self, block: Block, rows: Rows, plan: _Plan) -> tuple[Rows, NDArray[Any]]:
+    def _with_layout(self, block: Block, rows: Rows, plan: _Plan) -> tuple[Rows, Array]:
         """Read those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
         # All that is read of a message is inside its record, since none is shorter than the layout.
         padding = block.sizes[rows] - plan.size
@@ -307,7 +307,7 @@ class BinaryReader:
                 "record with the default middleware, or convert the log with `ros2 bag convert`",
             )
 
-    def _wanted(self, plan: _Plan, values: NDArray[Any], element: Element) -> NDArray[np.bool_]:
+    def _wanted(self, plan: _Plan, values: Array, element: Element) -> Mask:
         """Find the elements with the texts that are wanted, (messages, elements)."""
         end = b"\0" if self._is_cdr else b""
         asked = [np.frombuffer(text.encode() + end, np.uint8) for text in element.texts]
@@ -334,7 +334,7 @@ class BinaryReader:
         return wanted
 
 
-def _joined(parts: Sequence[tuple[Rows, NDArray[Any]]]) -> NDArray[Any]:
+def _joined(parts: Sequence[tuple[Rows, Array]]) -> Array:
     """Bring the rows of several layouts into the order of the messages."""
     if len(parts) == 1:
         return parts[0][1]

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs, nanoseconds
+from insdvl_replay.core.dive_columns import NS_PER_S, Mask, TimeNs, nanoseconds
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.words import Severity
 
@@ -25,7 +24,7 @@ class OneClock:
     to_ns: int
     unused: int  # messages of other parts
 
-    def holds(self, log_time_ns: TimeNs) -> NDArray[np.bool_]:
+    def holds(self, log_time_ns: TimeNs) -> Mask:
         """Return which messages are of this part."""
         return np.asarray((log_time_ns >= self.first_ns) & (log_time_ns <= self.last_ns))
 

@@ -13,9 +13,8 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, Array, Integers, TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.log_file import (
@@ -217,7 +216,7 @@ class BagFile(ChunkedFile):
         self._found[chunk.start] = np.stack([ids[rows], time_ns, time_ns, starts, sizes])[:, known]
         return self._found[chunk.start]
 
-    def _count_named(self, index: _Record, messages: NDArray[np.int64]) -> int:
+    def _count_named(self, index: _Record, messages: Integers) -> int:
         """Return how many messages an index names, 0 if it is not right about all messages of its connection."""
         entries = np.sort(self._entries(index, _ENTRY), order="place", kind="stable")
         connection, time_ns, places, _, _ = messages
@@ -232,7 +231,7 @@ class BagFile(ChunkedFile):
         """Return channel and log time of the messages of a chunk and more, (5, k)."""
         return self._found[chunk.start]
 
-    def _entries(self, record: _Record, dtype: np.dtype[Any]) -> NDArray[Any]:
+    def _entries(self, record: _Record, dtype: np.dtype[Any]) -> Array:
         """Read the entries of an index, (k,)."""
         count, rest = divmod(record.end - record.start, dtype.itemsize)
         if rest or record.number(b"count", 4) != count:
@@ -282,7 +281,7 @@ def _fields(header: memoryview, place: int) -> dict[bytes, bytes]:
     return fields
 
 
-def _time_ns(sec: NDArray[Any], nanosec: NDArray[Any]) -> TimeNs:
+def _time_ns(sec: Array, nanosec: Array) -> TimeNs:
     return np.asarray(sec.astype(np.int64) * NS_PER_S + nanosec)
 
 
@@ -323,7 +322,7 @@ def _record_in(buffer: memoryview, place: int) -> _Record:
     return _record_at(lambda first, last: buffer[first:last], place, len(buffer))
 
 
-def _bounds(buffer: memoryview) -> NDArray[np.int64]:
+def _bounds(buffer: memoryview) -> Integers:
     """Return where each record of a buffer starts, where its data start, and where these end, (3, k)."""
     place = 0
     end = len(buffer)
@@ -344,14 +343,12 @@ def _bounds(buffer: memoryview) -> NDArray[np.int64]:
 class _Alike(NamedTuple):
     """Messages whose headers differ in connection and time alone."""
 
-    rows: NDArray[np.int64]
-    connections: NDArray[Any]
+    rows: Integers
+    connections: Array
     time_ns: TimeNs
 
 
-def _alike(
-    buffer: memoryview, places: NDArray[np.int64], starts: NDArray[np.int64], row: int
-) -> _Alike:
+def _alike(buffer: memoryview, places: Integers, starts: Integers, row: int) -> _Alike:
     """Find the messages whose headers are like that of one, by where records and their data start, (k,)."""
     size = int(starts[row] - places[row]) - 8
     rows = np.flatnonzero(starts - places == size + 8)

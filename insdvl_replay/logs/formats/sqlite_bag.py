@@ -15,9 +15,8 @@ from typing import Final, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import TimeNs
+from insdvl_replay.core.dive_columns import Integers, TimeNs
 from insdvl_replay.core.errors import LogError, Note, counted_clause
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.log_file import (
@@ -231,7 +230,7 @@ class SqliteFile(LogFile):
         if wrong:
             raise self._damaged(counted_clause(wrong, "rows of the table 'messages' are damaged"))
 
-    def _messages(self) -> NDArray[np.int64]:
+    def _messages(self) -> Integers:
         """Return number, topic and time of each message, (3, k)."""
         cursor = self._base.execute("SELECT id, topic_id, timestamp FROM messages ORDER BY id")
         parts = [np.empty((3, 0), np.int64)]

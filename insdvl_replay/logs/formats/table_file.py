@@ -16,9 +16,8 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, Array, Floats, Mask, TimeNs
 from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, listed
 from insdvl_replay.core.extras import install_hint
 from insdvl_replay.core.units import TIME_UNITS_NS, spelled, title_without_unit, unit_of
@@ -101,7 +100,7 @@ class _Table:
     """One table of a file."""
 
     topic: str
-    columns: dict[str, NDArray[Any]]  # by name, (k,), or (k, n) for a quantity of several numbers
+    columns: dict[str, Array]  # by name, (k,), or (k, n) for a quantity of several numbers
     units: dict[str, str]  # by column, as far as the file has them
     periods_ns: dict[str, int] = field(
         default_factory=dict
@@ -128,7 +127,7 @@ class _Times:
     """The times of a table's rows."""
 
     time_ns: TimeNs  # (k,)
-    known: NDArray[np.bool_]  # (k,) which rows have one
+    known: Mask  # (k,) which rows have one
     column: str = ""
     period_ns: int = 0  # after which times of day repeat
     unread: str = ""  # why the rows are only counted
@@ -152,7 +151,7 @@ class TableFile(LogFile):
         self._is_text = True
         self._commas = 0  # numbers with a decimal comma in the table that is read
         self._rows: list[
-            NDArray[np.float64]
+            Floats
         ] = []  # of each channel, (k, 1 + n): number of the row, then the columns
         self._time_ns: list[TimeNs] = []
         self.periods_ns: dict[
@@ -388,7 +387,7 @@ class TableFile(LogFile):
             clause = counted_clause(len(rows), "rows of numbers begin with # or % and are left out")
             self._note("table_comments", name, clause, len(rows), warn=False)
 
-    def _require_rows(self, name: str, fits: NDArray[np.bool_], width: int) -> None:
+    def _require_rows(self, name: str, fits: Mask, width: int) -> None:
         """Refuse a table with many rows of another width, and report a few."""
         wrong = int(np.count_nonzero(~fits))
         if wrong > max(1.0, _FEW * len(fits)):
@@ -408,7 +407,7 @@ class TableFile(LogFile):
                 "copy it again",
             )
 
-    def _named(self, topic: str, columns: Iterable[tuple[str, NDArray[Any]]]) -> _Table:
+    def _named(self, topic: str, columns: Iterable[tuple[str, Array]]) -> _Table:
         """Make a table of columns by their titles; what is not a number in a column of numbers is missing."""
         table = _Table(topic, {}, {})
         names = ColumnNames()
@@ -451,7 +450,7 @@ class TableFile(LogFile):
                 what, "write the columns of the IMU, the DVL and the reference to tables", self.path
             )
 
-    def _read_text(self, table: _Table, name: str, title: str, cells: NDArray[Any]) -> NDArray[Any]:
+    def _read_text(self, table: _Table, name: str, title: str, cells: Array) -> Array:
         """Read cells that are not all numbers: dates and times, else numbers; text alone has none."""
         if not (TIME_NAME.search(name) or DATE_NAME.search(name)):
             return self._numbers(table.topic, title, cells)
@@ -468,9 +467,9 @@ class TableFile(LogFile):
             table.unread[name] = str(texts.iloc[0])[:40]
         return values
 
-    def _numbers(self, topic: str, title: str, cells: NDArray[Any]) -> NDArray[Any]:
+    def _numbers(self, topic: str, title: str, cells: Array) -> Array:
         """Read cells that are not all numbers; a column of text has none."""
-        series = pd.Series(cells)
+        series: Any = pd.Series(cells)
         quoted = series.astype(str).str.fullmatch(r'\s*"[^"]*"\s*')
         if quoted.any():
             inside = series[quoted].astype(str).str.strip().str.strip('"')
@@ -480,7 +479,8 @@ class TableFile(LogFile):
         texts = series[is_text].astype(str)
         words = texts.str.strip().str.lower().map(_FLAG_WORDS)
         if len(words) and words.notna().all():
-            return numbers.where(~is_text, words.reindex(series.index)).to_numpy(np.float64)
+            flags = numbers.where(~is_text, words.reindex(series.index))
+            return np.asarray(flags.to_numpy(np.float64))
         if len(texts) and texts.str.fullmatch(_DECIMAL_COMMA.pattern).mean() > 1.0 - _FEW:
             numbers = pd.to_numeric(series.astype(str).str.replace(",", "."), errors="coerce")
             self._commas += len(texts)
@@ -506,11 +506,11 @@ class TableFile(LogFile):
                 count,
                 "copy it again",
             )
-        return numbers.to_numpy()
+        return np.asarray(numbers.to_numpy())
 
     # --- Arrays.
 
-    def _of_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> Iterator[_Table]:
+    def _of_arrays(self, arrays: Mapping[str, Array]) -> Iterator[_Table]:
         """Make tables of arrays: those with the same number of rows and one time are one table."""
         self._require_few(len(arrays))
         tables = _tables_of(arrays)
@@ -565,7 +565,7 @@ class TableFile(LogFile):
         self._note("table_without_times", table.topic, text, hint=hint)
         return _one_second_apart(table)
 
-    def _time_unit(self, table: _Table, name: str, values: NDArray[Any]) -> str:
+    def _time_unit(self, table: _Table, name: str, values: Array) -> str:
         """Return the unit of a column of times: that of its title, else by the rate of a sensor; empty for none."""
         stated = table.units.get(name, "")
         if stated and stated not in TIME_UNITS_NS:
@@ -587,9 +587,7 @@ class TableFile(LogFile):
             self._note("table_time_unit", table.topic, text, warn=False)
         return unit
 
-    def _note_days(
-        self, table: _Table, name: str, values: NDArray[Any], calendar: Calendar
-    ) -> None:
+    def _note_days(self, table: _Table, name: str, values: Array, calendar: Calendar) -> None:
         """Report how exact times are that are days of a calendar; rounded ones concern every row."""
         text = (
             f"the times '{name}' were read as {calendar.name}, exact to {exact_to_s(values):.2g} s"
@@ -638,7 +636,7 @@ def _days_of(table: _Table, name: str) -> TimeNs | None:
 # --- Which arrays are one table.
 
 
-def _as_columns(array: NDArray[Any]) -> NDArray[Any] | None:
+def _as_columns(array: Array) -> Array | None:
     """Return an array with a row for each sample, (k,) or (k, n); None where it has none or is too wide."""
     values = array.squeeze()
     if values.ndim not in (1, 2):
@@ -650,7 +648,7 @@ def _as_columns(array: NDArray[Any]) -> NDArray[Any] | None:
     return values
 
 
-def _tables_of(arrays: Mapping[str, NDArray[Any]]) -> dict[_Label, Arrays]:
+def _tables_of(arrays: Mapping[str, Array]) -> dict[_Label, Arrays]:
     """Sort arrays into tables: those of one structure with the same number of rows and one time.
 
     Arrays outside structures are labelled by the first word of the first of them. Where several times have words of
@@ -691,7 +689,7 @@ def _first_word(name: str) -> str:
 # --- The rows of a table.
 
 
-def _popped(arrays: dict[str, NDArray[Any]]) -> Iterator[tuple[str, NDArray[Any]]]:
+def _popped(arrays: dict[str, Array]) -> Iterator[tuple[str, Array]]:
     """Give arrays away one by one, as of a long dive they are large."""
     while arrays:
         name = next(iter(arrays))
@@ -706,7 +704,7 @@ def _memory_of(table: _Table) -> int:
     return np.dtype(np.float64).itemsize * numbers
 
 
-def _rows_of(table: _Table, kept: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _rows_of(table: _Table, kept: Mask) -> Floats:
     """Return the numbers of the rows and their cells, (k, 1 + n), and let go of the columns."""
     rows = np.empty((int(np.count_nonzero(kept)), 1 + sum(table.widths().values())))
     rows[:, 0] = np.flatnonzero(kept)
@@ -720,7 +718,7 @@ def _rows_of(table: _Table, kept: NDArray[np.bool_]) -> NDArray[np.float64]:
     return rows
 
 
-def _clear_missing(rows: NDArray[np.float64]) -> int:
+def _clear_missing(rows: Floats) -> int:
     """Set cells that are no finite number to NaN; return how many there are in columns that have others."""
     some = 0
     for column in rows.T:
@@ -786,7 +784,7 @@ def _name_by_title(path: str) -> str:
     return clean_name(path)
 
 
-def _read_times(table: _Table, name: str, series: Any, texts: Any) -> NDArray[Any] | None:
+def _read_times(table: _Table, name: str, series: Any, texts: Any) -> Array | None:
     """Read cells as times of day, dates and times, or dates; None if they are none of these."""
     times = None if len(texts) and _ISO_DATE.match(texts.iloc[0]) else text_times(series)
     if times is not None:

@@ -8,9 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, Array, Floats, Mask, TimeNs
 from insdvl_replay.core.units import TIME_UNITS_NS
 
 TIME_NAME: Final = re.compile(
@@ -63,18 +62,18 @@ class TextTimes:
     time_ns: (
         TimeNs  # (k,) of day, or since 1970 where the cells have a date; 0 where a cell has none
     )
-    known: NDArray[np.bool_]  # (k,)
+    known: Mask  # (k,)
     period_ns: int  # after which they repeat: an hour, a day, or 0 with a date
 
 
-def calendar_of(values: NDArray[Any]) -> Calendar | None:
+def calendar_of(values: Array) -> Calendar | None:
     """Return the calendar in which numbers are days from 2000 to 2050, the first that is possible; None without one."""
     middle = float(np.median(values))
     found = (known for known in CALENDARS if _FIRST_DAY <= middle - known.zero < _LAST_DAY)
     return next(found, None)
 
 
-def zero_of(values: NDArray[Any], unit: str) -> float:
+def zero_of(values: Array, unit: str) -> float:
     """Return the number from which times in a unit are counted: of days that of 1970 in their calendar."""
     calendar = calendar_of(values) if unit == "d" and values.size else None
     if calendar:
@@ -82,7 +81,7 @@ def zero_of(values: NDArray[Any], unit: str) -> float:
     return 0.0
 
 
-def in_ns(values: NDArray[Any], unit: str) -> TimeNs:
+def in_ns(values: Array, unit: str) -> TimeNs:
     """Return times in a unit as ns, (k,); days of a calendar are counted from 1970."""
     if values.dtype.kind != "f" and unit != "d":
         return np.asarray(values.astype(np.int64) * TIME_UNITS_NS[unit])
@@ -90,7 +89,7 @@ def in_ns(values: NDArray[Any], unit: str) -> TimeNs:
     return np.asarray(np.rint((values - zero) * TIME_UNITS_NS[unit]).astype(np.int64))
 
 
-def usual_step(values: NDArray[Any]) -> float:
+def usual_step(values: Array) -> float:
     """Return the median step between times that rise; 0 where none does."""
     steps = np.diff(values.astype(np.float64))
     if (steps > 0.0).any():
@@ -98,7 +97,7 @@ def usual_step(values: NDArray[Any]) -> float:
     return 0.0
 
 
-def likely_unit(values: NDArray[Any]) -> str:
+def likely_unit(values: Array) -> str:
     """Return the unit of times by the rate that a sensor can have, and best by a size that counts from 1970.
 
     Days are told by their calendar too. Empty where no unit gives a possible rate.
@@ -138,7 +137,7 @@ def guessed_units(step: float) -> str:
     return ""
 
 
-def exact_to_s(days: NDArray[np.float64]) -> float:
+def exact_to_s(days: Floats) -> float:
     """Return to which part of a second days are written or stored."""
     some = days[:1000]
     stored = float(np.spacing(np.abs(some).max()))
@@ -151,7 +150,7 @@ def exact_to_s(days: NDArray[np.float64]) -> float:
     return stored * DAY_S
 
 
-def is_coarse(days: NDArray[np.float64]) -> bool:
+def is_coarse(days: Floats) -> bool:
     """Return whether days are rounded so much that the steps between them are not those of the sensor."""
     return exact_to_s(days) > _COARSE * usual_step(days) * DAY_S
 
@@ -228,7 +227,7 @@ def _days_since_1970(numbers: _DateNumbers, *, is_month_first: bool) -> int:
     return date(year, month, day).toordinal() - date(1970, 1, 1).toordinal()
 
 
-def unwrapped(time_ns: TimeNs, known: NDArray[np.bool_], period_ns: int) -> TimeNs:
+def unwrapped(time_ns: TimeNs, known: Mask, period_ns: int) -> TimeNs:
     """Return times that go on where an hour or a day begins anew, (k,)."""
     rising = time_ns.copy()
     steps = np.diff(time_ns[known])
