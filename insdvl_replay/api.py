@@ -6,18 +6,18 @@ change.
 
 import os
 import sys
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
 from insdvl_replay.core.config_file import toml_value
-from insdvl_replay.core.errors import ConfigError, ResultError, UserError, hint_for
+from insdvl_replay.core.errors import ConfigError, ResultError, hint_for
 from insdvl_replay.core.path_kinds import result_hint, result_named
 from insdvl_replay.core.report import Report
+from insdvl_replay.core.settings_layers import SettingsLayers
 from insdvl_replay.document.parts import (
     Block,
     Callout,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from insdvl_replay.batch.jobs import Outcome, ReplayJob
+    from insdvl_replay.batch.jobs import ReplayJob
     from insdvl_replay.preparation.replay import Replay
     from insdvl_replay.results.trajectory import Trajectory
 
@@ -149,14 +149,14 @@ def _logs(given: Paths, name: str = "log") -> list[Path]:
     return paths
 
 
-def _settings(given: Settings | None, name: str = "config") -> Config:
+def _settings(given: Settings | None, name: str = "config") -> SettingsLayers:
     """Return an argument as settings; paths are read as `load_config` reads them, and None gives the defaults."""
     if given is None:
-        return load_config()
+        return SettingsLayers()
     if isinstance(given, Config):
-        return given
+        return SettingsLayers(ready=given)
     if isinstance(given, str | os.PathLike | list | tuple):
-        return load_config(*_paths(given, name))
+        return SettingsLayers(files=_paths(given, name))
     if isinstance(given, Mapping):
         raise WrongArgumentError(
             f"{name}: is not settings, but a {type(given).__name__}",
@@ -202,28 +202,17 @@ def replay_log(
     ConfigError
         The settings do not fit the log.
     """
-    from insdvl_replay.calibration.fitted_noise import fit_noise_of_logs
-    from insdvl_replay.preparation.replay import replay_log as replayed
+    from insdvl_replay.batch.in_memory import replay_in_memory
+    from insdvl_replay.batch.jobs import ReplayOptions
+    from insdvl_replay.batch.search import with_search
     from insdvl_replay.show.result_files import report_of
 
     paths = _logs(log)
-    settings = _settings(config)
-    run = partial(replayed, paths, allow_damaged=allow_damaged, name=name)
-    fitted = fit_noise_of_logs(
-        [paths], settings, allow_damaged=allow_damaged, must_be_described=auto
-    )
-    try:
-        replay = run(fitted.config, require_fit=auto)
-        replay = replace(replay, notes=(*fitted.notes, *replay.notes))
-    except UserError:
-        if not auto:
-            raise
-        from insdvl_replay.calibration.found import Given
-        from insdvl_replay.inspection.automatic import find_settings
-
-        found = find_settings([paths], Given(settings), allow_damaged=allow_damaged)
-        replay = run(found.config)
-        replay = replace(replay, notes=(*found.notes, *replay.notes))
+    layers = _settings(config)
+    options = ReplayOptions(layers.load(), allow_damaged=allow_damaged)
+    if auto:
+        options = with_search(options, layers)
+    replay = replay_in_memory(paths, options, name)
     return DiveResult(report_of(replay), _replay=replay)
 
 
@@ -324,7 +313,7 @@ def inspect(
 
     paths = _logs(log)
     inventory = inspect_log(
-        paths, _settings(config).without_code(), deep=deep, allow_damaged=allow_damaged
+        paths, _settings(config).load().without_code(), deep=deep, allow_damaged=allow_damaged
     )
     return CommandResult(inspection_result(inventory, " ".join(map(str, paths))))
 
@@ -337,9 +326,9 @@ def propose(
     from insdvl_replay.inspection.automatic import settings_file
 
     dives = [[path] for path in _logs(logs, "logs")]
-    found = settings_file(
-        dives, Given(_settings(config).without_code()), allow_damaged=allow_damaged
-    )
+    layers = _settings(config)
+    given = Given(layers.load().without_code(), layers.keys())
+    found = settings_file(dives, given, allow_damaged=allow_damaged)
     sentences = [
         f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}"
         for note in found.notes
@@ -392,7 +381,7 @@ def calibrate(
     )
 
     groups = require_groups(only, reference=reference)
-    settings = _settings(config)
+    settings = _settings(config).load()
     dives = [
         read_dive([path], settings, allow_damaged=allow_damaged) for path in _logs(logs, "logs")
     ]
@@ -460,33 +449,41 @@ def compare_settings(
     force : bool
         Replace other results.
     """
-    from insdvl_replay.batch.fitted_noise import with_same_noise
+    from insdvl_replay.batch.against import compare_sides, plan_both_sides, require_change
     from insdvl_replay.batch.found import FoundDive
-    from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_both_sides
-    from insdvl_replay.batch.runs import replay_jobs
+    from insdvl_replay.batch.jobs import ReplayOptions
+    from insdvl_replay.batch.replaying import Replaying
+    from insdvl_replay.batch.search import outcomes
     from insdvl_replay.calibration.fitted_noise import with_noise_of
+    from insdvl_replay.changes.comparison_document import comparison_document, comparison_result
 
-    options = (
-        ReplayOptions(_settings(before, "before"), allow_damaged),
-        ReplayOptions(_settings(after, "after"), allow_damaged),
-    )
-    dives = [*map(FoundDive, _logs(logs, "logs"))]
-    (old, old_jobs), (new, new_jobs) = plan_both_sides(dives, _path("folder", folder), options)
-    old_jobs, new_jobs = with_same_noise(
-        old_jobs,
-        new_jobs,
-        lambda job, fitted: with_noise_of(job.options.config, fitted),
-        force=force,
-    )
-    jobs = [*old_jobs, *new_jobs]
-    for outcome in replay_jobs(jobs, known_reports(jobs, force=force), None):
+    def changed(job: "ReplayJob", fitted: Config) -> Config:
+        return with_noise_of(job.options.config, fitted)
+
+    old = _settings(before, "before").load()
+    new = _settings(after, "after").load()
+    dives = [FoundDive(path) for path in _logs(logs, "logs")]
+    require_change({None: old}, {None: new}, "after")
+    options = ReplayOptions(old, allow_damaged), ReplayOptions(new, allow_damaged)
+    how = Replaying(force=force)
+    sides = plan_both_sides(dives, _path("folder", folder), options, ({}, {}), changed, how)
+    done = []
+    for outcome in outcomes(sides.jobs, how):
         if isinstance(outcome.result, Exception):
             raise outcome.result
-    return compare(old, new, dives=[job.target.name for job in old_jobs])
+        done.append(outcome.result.log.name)
+    found = compare_sides(sides, done)
+    assert found is not None
+    return CommandResult(comparison_result(found, comparison_document(found)))
 
 
 def check(
-    gates: Text, dives: Paths = (), config: Settings | None = None, *, results: Text = "checked"
+    gates: Text,
+    dives: Paths = (),
+    config: Settings | None = None,
+    *,
+    results: Text = "checked",
+    update: bool = False,
 ) -> "CommandResult":
     """Check dives against gates: table gates has the status of each gate on each dive.
 
@@ -497,44 +494,29 @@ def check(
     dives : str, Path or sequence of them
         Logs or result folders. Default: those named in ``gates``.
     config : Config, str, Path or sequence of them, optional
-        Settings for logs. Default: those named in ``gates``.
+        Settings for logs, as files above the preset that ``gates`` names. Default: those named in ``gates``.
     results : str or Path
         Folder for the results of logs, which are replayed if something has changed.
+    update : bool
+        Store the values of the dives as expected before the gates are evaluated, as ``--update`` does.
     """
-    from insdvl_replay.batch.dive_paths import find_dives
-    from insdvl_replay.batch.fitted_noise import with_fitted_noise
-    from insdvl_replay.batch.jobs import ReplayOptions, checked_dives, known_reports
+    from insdvl_replay.batch.check import checked_dives, plan_check
     from insdvl_replay.batch.manifest import fetch_dives
-    from insdvl_replay.batch.runs import replay_jobs
+    from insdvl_replay.batch.replaying import Replaying
     from insdvl_replay.changes.formats import check_result
-    from insdvl_replay.changes.gate_file import load_gates
-    from insdvl_replay.changes.gates import evaluate_gates
+    from insdvl_replay.changes.gate_file import load_gates, settings_of
 
     found = load_gates(_path("gates", gates))
-    named, base = (
-        ([*map(str, _paths(dives, "dives"))], Path())
-        if dives
-        else (found.content.dives, found.path.parent)
+    named = [str(path) for path in _paths(dives, "dives")] if dives else []
+    layers = _settings(config)
+    if layers.ready is None:
+        files = layers.files or settings_of(found)
+        layers = SettingsLayers(found.content.preset, files)
+    planned = plan_check(found, named, layers.load)
+    done = checked_dives(
+        planned, _path("results", results), Replaying(force=True), fetch_dives, update=update
     )
-    files = [base / found.content.config] if found.content.config and config is None else []
-    settings = _load_config(found.content.preset, files) if config is None else _settings(config)
-    options = ReplayOptions(settings, allow_damaged=found.content.allow_damaged, histories=False)
-    meant = find_dives(named, base, results=True)
-    own_files = {file for dive in meant if (file := dive.settings) is not None and config is None}
-
-    def replay(jobs: "Sequence[ReplayJob]") -> "Generator[Outcome, None, None]":
-        fitted = with_fitted_noise(jobs, force=True)
-        return replay_jobs(fitted, known_reports(fitted, force=True), None)
-
-    checked = checked_dives(
-        found,
-        fetch_dives(meant),
-        Path(results),
-        options,
-        replay,
-        {file: _load_config(found.content.preset, [file, *files]) for file in own_files},
-    )
-    return CommandResult(check_result(evaluate_gates(found, checked)))
+    return CommandResult(check_result(done.found))
 
 
 def run_as_program(candidate: type[Candidate]) -> None:

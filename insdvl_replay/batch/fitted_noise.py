@@ -4,13 +4,13 @@ Results of earlier runs keep it in their `vehicle.toml`. It is fitted anew once 
 """
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Final
 
 import msgspec
 
 from insdvl_replay.batch.jobs import ReplayJob, known_reports
+from insdvl_replay.batch.replaying import Replaying
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import UserError
@@ -18,17 +18,10 @@ from insdvl_replay.core.report import Report
 from insdvl_replay.results.folder import VEHICLE_FILE
 
 FITTED_NOTE: Final = "found_noise"
+FITTING: Final = "fitting the noise"
 
 
-def with_fitted_noise(
-    jobs: Sequence[ReplayJob],
-    *,
-    force: bool,
-    rerun: bool = False,
-    while_fitting: Callable[
-        [], AbstractContextManager[object]
-    ] = nullcontext,  # shows that it takes time
-) -> list[ReplayJob]:
+def with_fitted_noise(jobs: Sequence[ReplayJob], how: Replaying) -> list[ReplayJob]:
     """Return jobs whose settings have a noise. A noise that was given stays.
 
     Results with a noise that was fitted to other dives may be replaced; any other in the way is a ConfigError.
@@ -39,10 +32,10 @@ def with_fitted_noise(
             continue
         same = [other for other in range(place, len(jobs)) if _is_alike(jobs[other], job)]
         group = [jobs[other] for other in same]
-        known = [] if rerun else _with_known_noise(group)
+        known = [] if how.rerun else _with_known_noise(group)
         if not known:
-            group = [_replacing(job, job, force=force, rerun=rerun) for job in group]
-            with while_fitting():
+            group = [_replacing(job, job, how) for job in group]
+            with how.working(FITTING):
                 known = _with_new_noise(group)
         fitted |= dict(zip(same, known, strict=True))
     return [fitted.get(place, job) for place, job in enumerate(jobs)]
@@ -60,13 +53,10 @@ def with_same_noise(
     changed: Callable[
         [ReplayJob, Config], Config
     ],  # settings of a job after the change, by those with a noise before
-    *,
-    force: bool,
-    rerun: bool = False,
-    while_fitting: Callable[[], AbstractContextManager[object]] = nullcontext,
+    how: Replaying,
 ) -> tuple[list[ReplayJob], list[ReplayJob]]:
     """Return the jobs before and after a change, the same dives each, with a noise that is fitted before it alone."""
-    known = with_fitted_noise(before, force=force, rerun=rerun, while_fitting=while_fitting)
+    known = with_fitted_noise(before, how)
     others = list[ReplayJob]()
     for planned, fitted, job in zip(before, known, after, strict=True):
         config = fitted.options.config
@@ -75,18 +65,19 @@ def with_same_noise(
             stored = _stored_noise(planned)
             if stored is not None and stored != config:
                 earlier = replace(job, options=replace(job.options, config=changed(job, stored)))
-                job = _replacing(job, earlier, force=force, rerun=rerun)
+                job = _replacing(job, earlier, how)
             job = replace(job, options=options)
         others.append(job)
-    return known, with_fitted_noise(others, force=force, rerun=rerun, while_fitting=while_fitting)
+    return known, with_fitted_noise(others, how)
 
 
-def _replacing(job: ReplayJob, earlier: ReplayJob, *, force: bool, rerun: bool) -> ReplayJob:
+def _replacing(job: ReplayJob, earlier: ReplayJob, how: Replaying) -> ReplayJob:
     """Let a job replace its result if that has the same settings, but for a noise that was fitted to other dives."""
     stored = _stored_noise(earlier)
     if stored is not None:
         earlier = replace(earlier, options=replace(earlier.options, config=stored))
-    known_reports([earlier], force=force, rerun=rerun)  # raises if it may not be replaced
+    # It is an error if the result may not be replaced.
+    known_reports([earlier], force=how.force, rerun=how.rerun)
     return replace(job, may_replace=not earlier.options.config.noise.fit)
 
 
@@ -129,7 +120,7 @@ def _with_known_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:
         report = _report_with(job, config)
         if report is None:
             return []
-        notes = tuple(note for note in report.notes if note.code.startswith("found_"))
+        notes = tuple(note for note in report.notes if note.is_finding)
         known.append(replace(job, options=replace(job.options, config=config, found=notes)))
     return known
 

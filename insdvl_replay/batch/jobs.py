@@ -7,12 +7,11 @@ interrupted run goes on where it stopped. With measurements of the user's own ev
 
 import hashlib
 import os
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import msgspec
 
@@ -41,9 +40,6 @@ from insdvl_replay.results.folder import (
     require_replaceable_folder,
     trajectory_file,
 )
-
-if TYPE_CHECKING:
-    from insdvl_replay.changes.gate_file import Checked, Gates
 
 CONTROL_NOTE: Final = "control_fitted"
 DAMAGE_NOTE: Final = "log_damaged"
@@ -147,23 +143,6 @@ def plan_jobs(
             logs, firsts, unique_names(givers), files, errors, vehicles, strict=True
         )
     ]  # fmt: skip
-
-
-def plan_both_sides(
-    dives: Sequence[FoundDive],
-    output: Path,
-    options: tuple[ReplayOptions, ReplayOptions],
-    configs: Sequence[Mapping[Path | None, Config]] = ({}, {}),
-    *,
-    one_dive: bool = False,
-) -> tuple[tuple[Path, list[ReplayJob]], tuple[Path, list[ReplayJob]]]:
-    """Plan the replays before and after a change of settings, each side in its folder below the output."""
-    old = output / "before"
-    new = output / "after"
-    return (
-        (old, plan_jobs(dives, old, options[0], configs[0], one_dive=one_dive)),
-        (new, plan_jobs(dives, new, options[1], configs[1], one_dive=one_dive)),
-    )
 
 
 def known_reports(
@@ -300,42 +279,6 @@ def _made_otherwise(job: ReplayJob) -> str:
     if reasons:
         return f"holds a result {', '.join(reasons)}"
     return ""
-
-
-def checked_dives(
-    gates: "Gates",
-    dives: Sequence[FoundDive],  # logs and results
-    output: Path,  # of the replays
-    options: ReplayOptions,
-    replay: Callable[[Sequence[ReplayJob]], Generator[Outcome, None, None]],
-    configs: Mapping[Path | None, Config] = MappingProxyType({}),
-) -> "list[Checked]":
-    """Return the dives of a check in their order: results as they are, logs with the result of their replay."""
-    from insdvl_replay.changes.gate_file import Checked, require_known_filters
-    from insdvl_replay.changes.gates import checked_results
-
-    logs = [
-        dive
-        for dive in dives
-        if dive.path.suffix != ".json" and not (dive.path / COMPLETE).is_file()
-    ]
-    jobs = plan_jobs(logs, output, options, configs)
-    if len(logs) == len(dives):  # stored results may have other filters
-        require_known_filters(
-            gates, list(dict.fromkeys(name for job in jobs for name in job.options.config.filters))
-        )
-    checked = list[Checked]()
-    with closing(replay(jobs)) as replays:
-        for dive in dives:
-            folder = dive.path
-            if dive in logs:
-                outcome = next(replays)
-                folder = outcome.job.target
-                if isinstance(outcome.result, Exception):
-                    checked.append(Checked(outcome.result, folder))
-                    continue
-            checked += checked_results(folder)
-    return checked
 
 
 def log_digest(job: ReplayJob) -> str:

@@ -32,9 +32,10 @@ def replay_jobs(
     known: dict[Path, Report],
     pool: Pool | None,
     *,
+    work: Callable[[ReplayJob], bytes] | None = None,
     elsewhere: bool = False,
 ) -> Generator[Outcome, None, None]:
-    """Replay dives, each into its folder. One that fails does not stop the others.
+    """Replay dives, each into its folder, or by another work. One that fails does not stop the others.
 
     Those that `known_reports` has found need no replay; they are taken out on the way. Outcomes are in the order of
     the jobs. Workers elsewhere may be in other folders, on other machines.
@@ -44,7 +45,7 @@ def replay_jobs(
     steps = track_progress("dive", todo)
     next(steps, None)
     sent = list(parallel_map(_for_elsewhere, todo)) if elsewhere else todo
-    with closing(do_each(replay_into, sent, pool)) as replays:
+    with closing(do_each(work or replay_into, sent, pool)) as replays:
         for job in jobs:
             if job.target in known:
                 yield Outcome(job, known.pop(job.target), unchanged=True)
@@ -102,6 +103,27 @@ def _with_assay(job: ReplayJob, replay: "Replay") -> "Replay":
     )
 
 
+def replayed(job: ReplayJob, name: str | None) -> "Replay":
+    """Replay one dive as its job asks for; without a name it has that of its log."""
+    # Heavy, and often no dive is replayed.
+    from insdvl_replay.preparation.replay import Replay, replay_log
+
+    options = job.options
+    run: Callable[..., Replay] = replay_log
+    if options.control:
+        from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
+
+        run = replay_with_tuned_baseline
+    elif options.require_fit:
+        run = partial(replay_log, require_fit=True)
+    replay = run(job.logs, job.config, allow_damaged=options.allow_damaged, name=name)
+    if options.assay:
+        replay = _with_assay(job, replay)
+    if options.found:
+        replay = replace(replay, notes=(*options.found, *replay.notes))
+    return replay
+
+
 def replay_into(job: ReplayJob) -> bytes:
     """Replay one dive into its folder, and return its report.
 
@@ -120,24 +142,11 @@ def replay_into(job: ReplayJob) -> bytes:
         options = job.options
     if not job.replaces and isinstance(known_report(job), Report):
         return (job.target / COMPLETE).read_bytes()
-    # Heavy, and often no dive is replayed.
-    from insdvl_replay.preparation.replay import Replay, replay_log
-    from insdvl_replay.show.result_files import save_histories, save_replay
+    from insdvl_replay.show.result_files import save_histories, save_replay  # heavy
 
-    run: Callable[..., Replay] = (
-        partial(replay_log, require_fit=True) if options.require_fit else replay_log
-    )
-    if options.control:
-        from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
-
-        run = replay_with_tuned_baseline
     started_at = datetime.now(UTC).isoformat(timespec="seconds")
     start_s = time.perf_counter()
-    replay = run(job.logs, job.config, allow_damaged=options.allow_damaged, name=job.target.name)
-    if options.assay:
-        replay = _with_assay(job, replay)
-    if options.found:
-        replay = replace(replay, notes=(*options.found, *replay.notes))
+    replay = replayed(job, job.target.name)
     if job.sha256 is not None and replay.dive.sha256 != job.sha256:
         raise LogError(
             f"{job.name}: the worker has another file there: its SHA-256 is {replay.dive.sha256}, where the replay "

@@ -196,6 +196,18 @@ def load_gates(path: Path) -> Gates:
     return found
 
 
+def settings_of(gates: Gates) -> list[Path]:
+    """Return the file of settings that a gate file names, relative to its own folder, if it names one."""
+    if gates.content.config is None:
+        return []
+    named = gates.path.parent / gates.content.config
+    with looked_for(named):
+        if not named.is_file():
+            text = f"{gates.path}: config names {named}, which is not a file"
+            raise ConfigError(text, "paths are relative to the gate file")
+    return [named]
+
+
 def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gates:
     """Keep the gates whose names match a pattern of ``only`` and none of ``skip``."""
     names = [gate.name for gate in gates.gates]
@@ -414,6 +426,13 @@ def with_expected(
             for dive in dives:
                 if isinstance(dive.result, StoredReport) and gate.applies_to(dive.name):
                     yield gate, dive, dive.result
+
+
+def require_expected(gates: Gates) -> None:
+    """Raise a ConfigError if no gate has expected values."""
+    if all(gate.expected is None for gate in gates.gates):
+        text = f"{gates.path}: no gate has expected values"
+        raise ConfigError(text, 'expected = "expected/{log}.json"')
 
 
 def write_expected(gates: Gates, dives: Sequence[Checked]) -> list[Path]:

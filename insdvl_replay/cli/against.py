@@ -3,11 +3,10 @@
 import shlex
 from collections.abc import Generator, Sequence
 from contextlib import closing
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from insdvl_replay.cli.messages import (
-    is_finding,
     log_failure,
     log_findings,
     log_notes,
@@ -16,8 +15,10 @@ from insdvl_replay.cli.messages import (
 from insdvl_replay.core.errors import LimitError, Note, visible
 
 if TYPE_CHECKING:
+    from insdvl_replay.batch.against import BothSides
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
     from insdvl_replay.changes.comparison import Comparison
+    from insdvl_replay.core.report import Report
 
 
 def print_comparison(
@@ -47,49 +48,69 @@ def print_comparison(
 
 
 def answer_against(
-    sides: "Sequence[tuple[Path, Sequence[ReplayJob]]]",  # folder and replays before, and after a change of settings
+    sides: "BothSides",
     replays: "Generator[Outcome, None, None]",  # of both
-    fail_on: str | None,
+    limit: float | str | None,  # of what may be worse
     format_: str,
     verbose: int,
     *,
     quiet: bool,
 ) -> int:
-    """Replay dives with the settings and with changed ones, and print the comparison as `compare` does."""
-    from insdvl_replay.changes import comparison as changes
-    from insdvl_replay.results.folder import VEHICLE_FILE
+    """Print what there is to say of the replays before and after a change, and their comparison as `compare` does."""
+    from insdvl_replay.batch.against import compare_sides
+    from insdvl_replay.changes.comparison import find_violation, only_changed
 
-    limit = changes.parse_limit(fail_on)
-    (old, old_jobs), (new, _) = sides
-    failures = dict[str, int]()  # exit code by sentence, as both sides may say the same
     done = list[str]()
-    said = set[tuple[Note, ...]]()
+    failures = dict[str, int]()  # exit code by sentence, as both sides may say the same
+    before = _Before(sides.before.jobs, verbose)
     with closing(replays):
         for outcome in replays:
             report = outcome.result
-            if not isinstance(report, Exception):
-                done.append(report.log.name)
-                if outcome.job in old_jobs and not quiet:
-                    found_noise = tuple(filter(is_finding, report.notes))
-                    if found_noise not in said:
-                        said.add(found_noise)
-                        log_findings(found_noise, outcome.job.target / VEHICLE_FILE)
-                    dive = report.log.name if len(old_jobs) > 1 else ""
-                    log_notes(report.notes, verbose=verbose > 0, dive=dive)
-            elif str(report) not in failures:
-                failures[str(report)] = log_failure(report, verbose)
-    if both := [name for name in dict.fromkeys(done) if done.count(name) > 1]:
-        found = changes.compare_results(old, new, dives=both)
-        command = f"{shlex.join(['insdvl-replay', 'compare', str(old), str(new)])} "
-        print_comparison(
-            found,
-            changes.only_changed(found),
-            format_,
-            verbose,
-            quiet=quiet,
-            all_values=False,
-            command=command,
-        )
-        if worse := changes.find_violation(found, limit):
-            failures[worse] = log_failure(LimitError(worse), verbose)
+            if isinstance(report, Exception):
+                if str(report) not in failures:
+                    failures[str(report)] = log_failure(report, verbose)
+                continue
+            done.append(report.log.name)
+            if not quiet:
+                before.tell(outcome.job, report)
+    found = compare_sides(sides, done)
+    if found is None:
+        return max(failures.values(), default=0)
+    compare = shlex.join(["insdvl-replay", "compare", found.old, found.new])
+    print_comparison(
+        found,
+        only_changed(found),
+        format_,
+        verbose,
+        quiet=quiet,
+        all_values=False,
+        command=f"{compare} ",
+    )
+    worse = find_violation(found, limit)
+    if worse:
+        failures[worse] = log_failure(LimitError(worse), verbose)
     return max(failures.values(), default=0)
+
+
+@dataclass
+class _Before:
+    """What is said of the replays before a change; those after it would say the same."""
+
+    jobs: "Sequence[ReplayJob]"
+    verbose: int
+    _said: set[tuple[Note, ...]] = field(default_factory=set)  # which noise was found
+
+    def tell(self, job: "ReplayJob", report: "Report") -> None:
+        """Report the notes of a dive, if it is one before the change."""
+        from insdvl_replay.results.folder import VEHICLE_FILE
+
+        if job not in self.jobs:
+            return
+        found = tuple(note for note in report.notes if note.is_finding)
+        if found not in self._said:
+            self._said.add(found)
+            log_findings(found, job.target / VEHICLE_FILE)
+        dive = ""
+        if len(self.jobs) > 1:
+            dive = report.log.name
+        log_notes(report.notes, verbose=self.verbose > 0, dive=dive)

@@ -10,7 +10,6 @@ import typer
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.against import print_comparison
 from insdvl_replay.cli.messages import (
-    is_finding,
     log_failure,
     log_findings,
     log_info,
@@ -23,12 +22,12 @@ from insdvl_replay.core.errors import (
     LimitError,
     Note,
     error_context,
-    looked_for,
 )
 
 if TYPE_CHECKING:
+    from insdvl_replay.batch.check import Part
     from insdvl_replay.changes.gate_file import Checked
-    from insdvl_replay.core.config import Config
+    from insdvl_replay.changes.gates import CheckResult
 
 GATE_FAILED = 1
 
@@ -153,7 +152,9 @@ def _log_fitted_noise(checked: "Sequence[Checked]") -> None:
 
     said = set[tuple[Note, ...]]()
     for result, folder in checked:
-        found = () if isinstance(result, Exception) else tuple(filter(is_finding, result.notes))
+        if isinstance(result, Exception):
+            continue
+        found = tuple(note for note in result.notes if note.is_finding)
         if found not in said:
             said.add(found)
             log_findings(found, folder / VEHICLE_FILE)
@@ -248,104 +249,109 @@ def check(
       insdvl-replay check gates.toml replay/dive
       insdvl-replay check gates.toml --only "position*" --shard 1/4
     """
-    from insdvl_replay.batch.dive_paths import find_dives
-    from insdvl_replay.batch.jobs import ReplayOptions, checked_dives
-    from insdvl_replay.changes import formats
-    from insdvl_replay.changes import gates as gating
-    from insdvl_replay.changes.gate_file import chosen_gates, load_gates, write_expected
-    from insdvl_replay.cli.run import outcomes
-    from insdvl_replay.cli.screen import fetch_with_progress
-    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.batch.check import checked_dives, plan_check
+    from insdvl_replay.changes.formats import check_sentence, update_text
+    from insdvl_replay.changes.gate_file import chosen_gates, load_gates, settings_of
+    from insdvl_replay.cli.screen import fetch_with_progress, replaying
+    from insdvl_replay.core.settings_layers import SettingsLayers
     from insdvl_replay.core.words import GateStatus
-    from insdvl_replay.results.folder import require_replaceable_file, result_file
 
-    # Arguments
-    part, slash, parts = shard.partition("/")
-    if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
-        raise ConfigError(
-            f"--shard {shard}: is not a part such as 1/4", "--shard 1/4, --shard 2/4 and so on"
-        )
+    part = _part(shard)
     chosen = chosen_gates(load_gates(gates), only, skip)
-    content = chosen.content
-    if not (dives or content.dives):
-        raise ConfigError(
-            f"{gates}: names no dives",
-            f'`insdvl-replay check {gates} DIVE...`, or dives = ["*.mcap"]',
-        )
-    names, folder = (dives, Path()) if dives else (content.dives, gates.parent)
-    found_dives = find_dives(names, folder, results=True)[int(part) - 1 :: int(parts)]
+    layers = SettingsLayers(
+        preset or chosen.content.preset, config or settings_of(chosen), settings, allow_code
+    )
+    planned = plan_check(
+        chosen,
+        dives,
+        partial(layers.load, report=log_info),
+        part=part,
+        allow_damaged=allow_damaged,
+        histories=histories,
+    )
     for option, file in (("--output", output), ("--summary-file", summary)):
         if file is not None:
             with error_context(option):
-                require_replaceable_file(file, force=True)
-                if file.resolve() in {
-                    read.resolve() for read in (gates, *(dive.path for dive in found_dives))
-                }:
-                    raise ConfigError(f"{file}: is an input of this check", "give it another name")
-    if not config and content.config is not None:
-        named = gates.parent / content.config
-        with looked_for(named):
-            if not named.is_file():
-                text = f"{gates}: config names {named}, which is not a file"
-                raise ConfigError(text, "paths are relative to the gate file")
-        config = [named]
-
-    def load(own: Path | None = None) -> "Config":
-        files = opt.settings_files(own, config)
-        return load_config(
-            preset or content.preset, files, settings, allow_code=allow_code, report=log_info
-        )
-
-    configs = {file: load(file) for file in {dive.settings for dive in found_dives}}
-    options = ReplayOptions(
-        load(),
-        allow_damaged=allow_damaged or content.allow_damaged,
-        histories=histories,
-    )
-    replayed = partial(outcomes, jobs=jobs, scheduler=scheduler, force=True, rerun=rerun)
-    checked = checked_dives(
-        chosen,
-        fetch_with_progress(found_dives, offline=offline),
+                _require_no_input(file, planned.inputs)
+    done = checked_dives(
+        planned,
         results,
-        options,
-        replayed,
-        configs,
+        replaying(jobs, scheduler, force=True, rerun=rerun, quiet=quiet),
+        partial(fetch_with_progress, offline=offline),
+        update=update,
     )
-    codes = [log_failure(result, verbose) for result, _ in checked if isinstance(result, Exception)]
+    codes = [
+        log_failure(dive.result, verbose)
+        for dive in done.dives
+        if isinstance(dive.result, Exception)
+    ]
     if not quiet:
-        _log_fitted_noise(checked)
-    if update:
-        if all(gate.expected is None for gate in chosen.gates):
-            raise ConfigError(
-                f"{gates}: no gate has expected values", 'expected = "expected/{log}.json"'
-            )
-        write_stdout(formats.update_text(gating.compare_with_expected(chosen, checked)))
-        for file in write_expected(chosen, checked):
+        _log_fitted_noise(done.dives)
+    if done.expected is not None:
+        write_stdout(update_text(done.expected.changes))
+        for file in done.expected.files:
             log_to_stderr(f"wrote {file}")
-    found = gating.evaluate_gates(chosen, checked)
+    _print_check(done.found, format_, output, summary, quiet=quiet)
+    codes += [GATE_FAILED] * done.found.count(GateStatus.FAILED)
+    if codes:
+        first = done.found.outcomes[0]
+        reasons = "; ".join(first.explained)
+        sentence = check_sentence(done.found)
+        log_to_stderr(f"error: {sentence}; the first: {first.dive}: {first.gate}: {reasons}")
+    return max(codes, default=0)
 
-    # Output
-    sentence = formats.check_sentence(found)
-    text = f"{sentence}\n" if quiet and format_ == "text" else formats.in_format(found, format_)
+
+def _part(shard: str) -> "Part":
+    """Read the value of ``--shard``."""
+    from insdvl_replay.batch.check import Part
+
+    number, _, parts = shard.partition("/")
+    if number.isdecimal() and parts.isdecimal() and 1 <= int(number) <= int(parts):
+        return Part(int(number), int(parts))
+    raise ConfigError(
+        f"--shard {shard}: is not a part such as 1/4", "--shard 1/4, --shard 2/4 and so on"
+    )
+
+
+def _require_no_input(file: Path, inputs: "Sequence[Path]") -> None:
+    """Raise a ConfigError if a file cannot be written, or is one of those that are read."""
+    from insdvl_replay.results.folder import require_replaceable_file
+
+    require_replaceable_file(file, force=True)
+    if file.resolve() in {read.resolve() for read in inputs}:
+        raise ConfigError(f"{file}: is an input of this check", "give it another name")
+
+
+def _print_check(
+    found: "CheckResult",
+    format_: opt.CheckFormat,
+    output: Path | None,
+    summary: Path | None,
+    *,
+    quiet: bool,
+) -> None:
+    """Print what the gates say, and write it into the files that are asked for."""
+    from insdvl_replay.changes.formats import check_sentence, check_text, in_format
+    from insdvl_replay.results.folder import result_file
+
+    text = in_format(found, format_)
+    if quiet and format_ == "text":
+        text = f"{check_sentence(found)}\n"
     if output is None:
         write_stdout(text, commands=format_ == "github")
     else:
         with result_file(output, force=True) as file:
             file.write_text(text, "utf-8")
-        write_stdout(formats.check_text(found))
+        write_stdout(check_text(found))
     if summary is not None:
-        try:
-            with summary.open(
-                "a", encoding="utf-8"
-            ) as stream:  # other steps of a job also write to it
-                stream.write(formats.in_format(found, "md"))
-        except OSError as error:
-            hint = "check the path of --summary-file"
-            raise ConfigError(f"{summary}: cannot be written: {error.strerror}", hint) from error
-    codes += [GATE_FAILED] * found.count(GateStatus.FAILED)
-    if codes:
-        first = found.outcomes[0]
-        log_to_stderr(
-            f"error: {sentence}; the first: {first.dive}: {first.gate}: {'; '.join(first.explained)}"
-        )
-    return max(codes, default=0)
+        _append(summary, in_format(found, "md"))
+
+
+def _append(file: Path, text: str) -> None:
+    """Write at the end of a file, to which other steps of a job write, too."""
+    try:
+        with file.open("a", encoding="utf-8") as stream:
+            stream.write(text)
+    except OSError as error:
+        hint = "check the path of --summary-file"
+        raise ConfigError(f"{file}: cannot be written: {error.strerror}", hint) from error

@@ -91,19 +91,9 @@ def log_failure(error: Exception, verbosity: int) -> int:
     return code
 
 
-def is_finding(note: Note) -> bool:
-    """Return whether a note reports settings that were found."""
-    return note.code.startswith("found_")
-
-
-def own_findings(notes: Iterable[Note]) -> list[Note]:
-    """Return the notes that a dive has settings of its own."""
-    return [note for note in notes if note.code == "found_own"]
-
-
 def log_findings(notes: Iterable[Note], file: Path) -> None:
     """Print what was found or assumed of a vehicle without settings, or without a noise, warnings first."""
-    findings = [note for note in notes if is_finding(note)]
+    findings = [note for note in notes if note.is_finding]
     for note in findings[:MOST_FINDINGS]:
         log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
     if more := findings[MOST_FINDINGS:]:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final, Literal
 from rich.console import Console, RenderableType
 from rich.text import Text
 
-from insdvl_replay.cli.messages import log_to_stderr
-from insdvl_replay.core.errors import visible
+from insdvl_replay.cli.messages import log_notes, log_to_stderr
+from insdvl_replay.core.errors import Note, visible
 from insdvl_replay.core.runtime import (
     LEAST_TO_COMPILE_BYTES,
     cache_problem,
@@ -27,6 +27,7 @@ from insdvl_replay.document.text import for_terminal
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.found import FoundDive
+    from insdvl_replay.batch.replaying import Paused, Replaying
 
 PIPED_COLUMNS = 10_000
 """Width without a terminal, so that no line is wrapped."""
@@ -182,6 +183,34 @@ def fetch_with_progress(
 
     with progress("fetching logs") if any(dive.url for dive in dives) else nullcontext():
         return fetch_dives(dives, offline=offline)
+
+
+def replaying(
+    jobs: int, scheduler: str | None, *, force: bool, rerun: bool, quiet: bool
+) -> "Replaying":
+    """Return how a command replays dives, and shows its progress."""
+    from insdvl_replay.batch.replaying import Replaying
+
+    def while_working(text: str) -> "AbstractContextManager[Paused]":
+        return progress(text, REPLAY, compiling())
+
+    def report_note(note: Note) -> None:
+        log_notes([note], verbose=True)
+
+    def say(line: str) -> None:
+        if not quiet:
+            log_to_stderr(line)
+
+    return Replaying(
+        jobs=jobs,
+        scheduler=scheduler,
+        code_apart=True,
+        force=force,
+        rerun=rerun,
+        working=while_working,
+        report_note=report_note,
+        say=say,
+    )
 
 
 def compiling() -> str:

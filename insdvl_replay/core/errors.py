@@ -117,6 +117,16 @@ class Note:
     severity: Severity = Severity.INFO
     hint: str = ""
 
+    @property
+    def is_finding(self) -> bool:
+        """Whether it reports settings that were found or assumed."""
+        return self.code.startswith("found_")
+
+    @property
+    def is_own_finding(self) -> bool:
+        """Whether it says that a dive has settings of its own, other than those of its vehicle."""
+        return self.code == "found_own"
+
 
 @contextmanager
 def error_context(*where: object) -> Iterator[None]:

@@ -1,0 +1,159 @@
+"""A check of dives against gates: which dives, with which settings, their results, and what the gates say of them."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from insdvl_replay.batch.dive_paths import find_dives
+from insdvl_replay.batch.found import FoundDive
+from insdvl_replay.batch.jobs import Outcome, ReplayOptions, plan_jobs
+from insdvl_replay.batch.replaying import Replaying
+from insdvl_replay.batch.search import outcomes
+from insdvl_replay.changes.gate_file import (
+    Checked,
+    Gates,
+    require_expected,
+    require_known_filters,
+    write_expected,
+)
+from insdvl_replay.changes.gates import (
+    CheckResult,
+    Finding,
+    checked_results,
+    compare_with_expected,
+    evaluate_gates,
+)
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.results.folder import COMPLETE
+
+Fetch = Callable[[Sequence[FoundDive]], Sequence[FoundDive]]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Every how many-th dive is checked, and the first of them: several machines share the work."""
+
+    number: int = 1
+    parts: int = 1
+
+
+@dataclass(frozen=True)
+class Check:
+    """The dives of a check, and how its logs are replayed."""
+
+    gates: Gates
+    dives: Sequence[FoundDive]  # logs and results
+    options: ReplayOptions
+    configs: Mapping[Path | None, Config]  # of dives with a file of settings of their own, by it
+
+    @property
+    def inputs(self) -> list[Path]:
+        """The files and folders that are read."""
+        return [self.gates.path, *(dive.path for dive in self.dives)]
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What was stored as expected."""
+
+    changes: Sequence[tuple[str, Finding]]  # dive and cell, with the value that was expected before
+    files: Sequence[Path]
+
+
+@dataclass(frozen=True)
+class CheckedDives:
+    """The results of the dives, and what the gates say of them."""
+
+    dives: Sequence[Checked]
+    found: CheckResult
+    expected: Expected | None  # if it was to be stored
+
+
+def plan_check(
+    gates: Gates,
+    names: Sequence[str],  # of the dives; without any those that the gate file names
+    load: Callable[[Path | None], Config],  # settings, with a dive's own file of them if it has one
+    *,
+    part: Part = Part(),
+    allow_damaged: bool = False,
+    histories: bool = False,
+) -> Check:
+    """Find the dives of a check, or of a part of it, and their settings.
+
+    Raises
+    ------
+    ConfigError
+        No dive is named, a name is wrong, or a file of settings.
+    """
+    content = gates.content
+    folder = Path()
+    if not names:
+        names = content.dives
+        folder = gates.path.parent
+    if not names:
+        hint = f'`insdvl-replay check {gates.path} DIVE...`, or dives = ["*.mcap"]'
+        raise ConfigError(f"{gates.path}: names no dives", hint)
+    dives = find_dives(names, folder, results=True)[part.number - 1 :: part.parts]
+    options = ReplayOptions(
+        load(None), allow_damaged=allow_damaged or content.allow_damaged, histories=histories
+    )
+    own_files = {dive.settings for dive in dives if dive.settings is not None}
+    return Check(gates, dives, options, {file: load(file) for file in own_files})
+
+
+def checked_dives(
+    check: Check,
+    output: Path,  # of the replays
+    how: Replaying,
+    fetch: Fetch,  # of remote logs
+    *,
+    update: bool = False,  # store what is found as expected, before the gates are evaluated
+) -> CheckedDives:
+    """Replay the logs of a check, and evaluate its gates.
+
+    Raises
+    ------
+    ConfigError
+        A gate is about a filter that no replay has, results cannot be stored in the output, no gate has expected values
+        that could be updated, or gates do not agree on a file of them.
+    """
+    if update:
+        require_expected(check.gates)
+    dives = _results_of(check, output, how, fetch)
+    expected = None
+    if update:
+        changes = compare_with_expected(check.gates, dives)
+        expected = Expected(changes, write_expected(check.gates, dives))
+    return CheckedDives(dives, evaluate_gates(check.gates, dives), expected)
+
+
+def _results_of(check: Check, output: Path, how: Replaying, fetch: Fetch) -> list[Checked]:
+    """Return the dives of a check in their order: results as they are, logs with the result of their replay."""
+    dives = fetch(check.dives)
+    logs = [dive for dive in dives if not _is_result(dive)]
+    jobs = plan_jobs(logs, output, check.options, check.configs)
+    if len(logs) == len(dives):  # stored results may have other filters
+        names = dict.fromkeys(name for job in jobs for name in job.options.config.filters)
+        require_known_filters(check.gates, list(names))
+    checked: list[Checked] = []
+    with closing(outcomes(jobs, how)) as replays:
+        for dive in dives:
+            if _is_result(dive):
+                checked += checked_results(dive.path)
+            else:
+                checked += _replayed(next(replays))
+    return checked
+
+
+def _is_result(dive: FoundDive) -> bool:
+    return dive.path.suffix == ".json" or (dive.path / COMPLETE).is_file()
+
+
+def _replayed(outcome: Outcome) -> Iterator[Checked]:
+    """Yield the result of a replay, or why there is none."""
+    if isinstance(outcome.result, Exception):
+        yield Checked(outcome.result, outcome.job.target)
+    else:
+        yield from checked_results(outcome.job.target)

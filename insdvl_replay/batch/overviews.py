@@ -1,0 +1,42 @@
+"""The files about all dives of a run, beside the folders of its results."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from insdvl_replay.batch.jobs import ReplayJob
+from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.report import Report
+from insdvl_replay.results.folder import require_replaceable_file, result_file
+from insdvl_replay.show.answers import Failure
+from insdvl_replay.show.dives import OVERVIEWS
+
+_BEGINNING = 1000  # bytes at the start of a file that identify an overview of this tool
+
+
+def require_overviews(dives: Sequence[ReplayJob], output: Path, *, force: bool) -> None:
+    """Raise a ConfigError if an overview cannot be written; a file with its name that is none is not replaced."""
+    for name, (_, beginning) in OVERVIEWS.items():
+        path = output / name
+        for dive in dives:
+            if dive.target == path:
+                text = f"{dive.name}: its results would have the name of an overview"
+                raise ConfigError(text, "rename it, or replay it alone")
+        if not os.path.lexists(path):
+            continue
+        if path.is_symlink() or not path.is_file():
+            text = f"{path}: is a link or a folder, and is not replaced"
+            raise ConfigError(text, f"rm {path}")
+        is_ours = beginning in path.read_bytes()[:_BEGINNING]
+        require_replaceable_file(path, force=force or is_ours)
+
+
+def write_overviews(reports: Sequence[Report | Failure], output: Path) -> list[Path]:
+    """Write the overviews of all dives, and return their paths."""
+    output.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, (write, _) in OVERVIEWS.items():
+        with result_file(output / name, force=True) as file:
+            file.write_bytes(write(reports))
+        written.append(output / name)
+    return written
