@@ -10,6 +10,7 @@ from insdvl_replay.batch.found import FoundDive
 from insdvl_replay.batch.jobs import Outcome, ReplayOptions, plan_jobs
 from insdvl_replay.batch.replaying import Replaying
 from insdvl_replay.batch.search import outcomes
+from insdvl_replay.changes.findings import CheckResult, Finding
 from insdvl_replay.changes.gate_file import (
     Checked,
     Gates,
@@ -17,13 +18,7 @@ from insdvl_replay.changes.gate_file import (
     require_known_filters,
     write_expected,
 )
-from insdvl_replay.changes.gates import (
-    CheckResult,
-    Finding,
-    checked_results,
-    compare_with_expected,
-    evaluate_gates,
-)
+from insdvl_replay.changes.gates import checked_results, compare_with_expected, evaluate_gates
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.results.folder import COMPLETE

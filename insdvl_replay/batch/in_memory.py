@@ -1,9 +1,9 @@
 """One dive that is replayed as the command does it, and kept in memory instead of a folder."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions
 from insdvl_replay.batch.replaying import Replaying
@@ -13,6 +13,9 @@ from insdvl_replay.core.report import as_json
 
 if TYPE_CHECKING:
     from insdvl_replay.preparation.replay import Replay
+
+_NOWHERE: Final = Path(os.devnull, "dive")
+"""The folder of a result that is not stored: below a file there is none, so that no earlier result is found."""
 
 
 def replay_in_memory(
@@ -30,10 +33,8 @@ def replay_in_memory(
         kept.append(replayed(job, name))
         return as_json(report_of(kept[-1]))
 
-    with TemporaryDirectory() as folder:  # where nothing is stored, and nothing of earlier runs is
-        first = name_giver(logs)
-        job = ReplayJob(tuple(logs), first, Path(folder) / first.stem, options)
-        (outcome,) = outcomes([job], Replaying(work=keep))
+    job = ReplayJob(tuple(logs), name_giver(logs), _NOWHERE, options)
+    (outcome,) = outcomes([job], Replaying(work=keep))
     if isinstance(outcome.result, Exception):
         raise outcome.result
     return kept[-1]
