@@ -6,9 +6,9 @@ protobuf and JSON in `decoded`.
 
 import math
 import re
-from collections.abc import Iterator, Sequence
-from itertools import count, takewhile
-from typing import Any, Final
+from collections.abc import Collection, Iterator, Sequence
+from itertools import count
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -86,6 +86,34 @@ def open_reader(
 # --- Messages of ROS 2 and ROS 1.
 
 
+class _Taken:
+    """Parts of a message that are read together, as the fields of one structure."""
+
+    def __init__(self) -> None:
+        self._formats: list[Any] = []
+        self._offsets: list[int] = []
+
+    def add(self, format_: Any, offset: int) -> str:
+        """Take what is at a place of the message; return the field of the structure."""
+        self._formats.append(format_)
+        self._offsets.append(offset)
+        return str(len(self._formats) - 1)
+
+    def dtype(self) -> np.dtype[Any]:
+        """Return the structure, which ends where the last of its parts does."""
+        size = 0
+        for format_, offset in zip(self._formats, self._offsets, strict=True):
+            size = max(size, offset + np.dtype(format_).itemsize)
+        columns: Any = {
+            "names": [str(number) for number in range(len(self._formats))],
+            "formats": self._formats,
+            "offsets": self._offsets,
+            "itemsize": size,
+        }
+        dtype: np.dtype[Any] = np.dtype(columns)
+        return dtype
+
+
 class _Plan:
     """What is read of the messages of one layout, as one structure: words that must agree, numbers and texts."""
 
@@ -93,61 +121,30 @@ class _Plan:
         self, layout: Layout, paths: Sequence[str], element: Element | None, *, is_cdr: bool
     ) -> None:
         self.size = layout.size
-        formats: list[Any] = []
-        offsets: list[int] = []
-
-        def take(format_: Any, offset: int) -> str:
-            formats.append(format_)
-            offsets.append(offset)
-            return str(len(formats) - 1)
-
-        self.checks: dict[str, int] = {take("<u2", 0): _LITTLE_ENDIAN} if is_cdr else {}
+        taken = _Taken()
+        self.checks: dict[str, int] = {}  # what words must hold, by the fields of the structure
+        if is_cdr:
+            self.checks[taken.add("<u2", 0)] = _LITTLE_ENDIAN
         for offset, length in zip(layout.length_offsets, layout.lengths, strict=True):
-            self.checks[take("<u4", offset)] = length
-        total = len(formats)
-        self.fields: dict[str, list[str]] = {}
+            self.checks[taken.add("<u4", offset)] = length
+        total = len(self.checks)
+        self.fields: dict[str, list[str]] = {}  # with the numbers of each path
         for path in paths:
-            runs: list[
-                tuple[np.dtype[Any], int, int]
-            ] = []  # kind, offset and count of numbers that are side by side
-            for dtype, offset in _leaves(layout.dtype, path):
-                base = dtype.base
-                start = offset
-                number = math.prod(dtype.shape)
-                total += number
-                if total > MOST_NUMBERS:
-                    raise LogError(
-                        f"'{path}' means more than {MOST_NUMBERS} numbers of a message", "use fewer"
-                    )
-                if (
-                    runs
-                    and runs[-1][0] == base
-                    and runs[-1][1] + runs[-1][2] * base.itemsize == offset
-                ):
-                    _, start, before = runs.pop()
-                    number += before
-                runs.append((base, start, number))
-            self.fields[path] = [take((base, (number,)), start) for base, start, number in runs]
+            runs = _runs(layout.dtype, path)
+            total += sum(run.length for run in runs)
+            if total > MOST_NUMBERS:
+                text = f"'{path}' means more than {MOST_NUMBERS} numbers of a message"
+                raise LogError(text, "use fewer")
+            self.fields[path] = [taken.add((run.kind, (run.length,)), run.offset) for run in runs]
         self.texts: list[list[str]] = []  # of each element of the list that is meant
-        known = dict(layout.dtype.fields or {})
         if element is not None:
-            names = (
-                [f"{element.list_name}[{i}].{name}" for name in element.fields] for i in count()
-            )
-            for texts in takewhile(lambda texts: texts[0] in known, names):
+            known = dict(layout.dtype.fields or {})
+            for names in _texts_of_elements(element, known):
+                places = [known[name] for name in names]
                 self.texts.append(
-                    [take((np.uint8, (known[name][0].itemsize,)), known[name][1]) for name in texts]
+                    [taken.add((np.uint8, (place[0].itemsize,)), place[1]) for place in places]
                 )
-        size = max(
-            (np.dtype(one).itemsize + offset for one, offset in zip(formats, offsets, strict=True)),
-            default=0,
-        )
-        columns: Any = {
-            "names": [*map(str, range(len(formats)))],
-            "formats": formats,
-            "offsets": offsets,
-        }
-        self.dtype: np.dtype[Any] = np.dtype(columns | {"itemsize": size})
+        self.dtype = taken.dtype()
 
     def numbers(self, values: Array, path: str) -> Array:
         """Return the numbers of a path, (k, n), as integers if all are whole."""
@@ -156,10 +153,45 @@ class _Plan:
             part = values[name]
             if part.dtype.kind == "b":
                 part = part.view(np.uint8) != 0
-            parts.append(part.astype(np.float64 if part.dtype.kind == "f" else np.int64))
+            kind = np.float64 if part.dtype.kind == "f" else np.int64
+            parts.append(part.astype(kind))
         if len(parts) == 1:
             return parts[0]
         return np.concatenate([np.empty((len(values), 0), np.int64), *parts], axis=1)
+
+
+class _Run(NamedTuple):
+    """Numbers of one kind that are side by side in a message."""
+
+    kind: np.dtype[Any]
+    offset: int
+    length: int  # how many they are
+
+    @property
+    def end(self) -> int:
+        """Where they end."""
+        return self.offset + self.length * self.kind.itemsize
+
+
+def _runs(dtype: np.dtype[np.void], path: str) -> list[_Run]:
+    """Return the numbers of a layout that a path means."""
+    runs: list[_Run] = []
+    for leaf, offset in _leaves(dtype, path):
+        run = _Run(leaf.base, offset, math.prod(leaf.shape))
+        if runs and runs[-1].kind == run.kind and runs[-1].end == run.offset:
+            before = runs.pop()
+            run = _Run(run.kind, before.offset, before.length + run.length)
+        runs.append(run)
+    return runs
+
+
+def _texts_of_elements(element: Element, known: Collection[str]) -> Iterator[list[str]]:
+    """Give the fields with the texts of each element that a list has."""
+    for number in count():
+        names = [f"{element.list_name}[{number}].{name}" for name in element.fields]
+        if names[0] not in known:
+            return
+        yield names
 
 
 def _leaves(dtype: np.dtype[np.void], path: str) -> Iterator[tuple[np.dtype[Any], int]]:
@@ -205,9 +237,8 @@ class BinaryReader:
         self._plans: dict[tuple[int, ...], _Plan] = {}  # by the lengths of strings and sequences
         self._latest: _Plan | None = None
         self._is_found = False
-        self.seen: dict[
-            tuple[str, ...], None
-        ] = {}  # the texts of other elements, while none was found
+        # The texts of other elements, while none was found.
+        self.seen: dict[tuple[str, ...], None] = {}
         self.known: Kinds = dict(binary_paths(definitions, self._type_name))
         for path in paths:
             check_path(path, self.known, self._type_name)
@@ -221,9 +252,7 @@ class BinaryReader:
         left = np.arange(len(block))
         while left.size:
             rows, plan, values = self._next_group(block, left)
-            left = (
-                left[:0] if rows.size == left.size else np.setdiff1d(left, rows, assume_unique=True)
-            )
+            left = _without(left, rows)
             found = {path: plan.numbers(values, path) for path in self._paths}
             if self._element is not None:
                 wanted = self._wanted(plan, values, self._element)
@@ -236,9 +265,9 @@ class BinaryReader:
                     for path, one in found.items()
                 }
             parts.append((rows, found))
-        columns = {
-            path: _joined([(rows, found[path]) for rows, found in parts]) for path in self._paths
-        }
+        columns: Columns = {}
+        for path in self._paths:
+            columns[path] = _joined([(rows, found[path]) for rows, found in parts])
         if self._element is None:
             return columns
         if not parts:
@@ -271,10 +300,8 @@ class BinaryReader:
         self._latest = plan = self._plans[layout.lengths]
         rows, values = self._with_layout(block, left, plan)
         if not rows.size:
-            raise LogError(
-                f"a message of {size} bytes has {layout.size} by its schema ({self._type_name})",
-                "the schema in the log does not match the messages",
-            )
+            text = f"a message of {size} bytes has {layout.size} by its schema ({self._type_name})"
+            raise LogError(text, "the schema in the log does not match the messages")
         return rows, plan, values
 
     def _with_layout(self, block: Block, rows: Rows, plan: _Plan) -> tuple[Rows, Array]:
@@ -282,14 +309,15 @@ class BinaryReader:
         # All that is read of a message is inside its record, since none is shorter than the layout.
         padding = block.sizes[rows] - plan.size
         fits = (padding >= 0) & (padding <= (3 if self._is_cdr else 0))
-        rows = rows if fits.all() else rows[fits]
+        if not fits.all():
+            rows = rows[fits]
         values = gather(block.buffer, block.offsets[rows], plan.dtype)
         fits = np.ones(rows.size, np.bool_)
         for name, word in plan.checks.items():
             fits &= values[name] == word
         if fits.all():
-            return (rows, values)
-        return (rows[fits], values[fits])
+            return rows, values
+        return rows[fits], values[fits]
 
     def _require_little_endian(self, block: Block) -> None:
         if np.any(block.sizes < len(ENCAPSULATION)):
@@ -314,24 +342,37 @@ class BinaryReader:
         wanted = np.zeros((len(values), len(plan.texts)), np.bool_)
         for i, names in enumerate(plan.texts):
             texts = [values[name] for name in names]
-            if asked and all(
-                text.shape[1] == one.size for text, one in zip(texts, asked, strict=True)
-            ):
-                wanted[:, i] = np.all(
-                    [(text == one).all(axis=1) for text, one in zip(texts, asked, strict=True)],
-                    axis=0,
-                )
+            wanted[:, i] = _are_equal(texts, asked)
             if not self._is_found and not wanted[:, i].any():
-                for row in np.unique(np.concatenate(texts, axis=1), axis=0)[:_MOST_SEEN]:
-                    parts = np.split(row, np.cumsum([text.shape[1] for text in texts])[:-1])
-                    if len(self.seen) < _MOST_SEEN:
-                        decoded = (
-                            part.tobytes().removesuffix(end).decode("utf-8", "replace")
-                            for part in parts
-                        )
-                        self.seen[tuple(decoded)] = None
+                self._remember(texts, end)
         self._is_found |= bool(wanted.any())
         return wanted
+
+    def _remember(self, texts: Sequence[Array], end: bytes) -> None:
+        """Remember the texts of elements that are not wanted, for an error."""
+        ends = np.cumsum([text.shape[1] for text in texts])
+        for row in np.unique(np.concatenate(texts, axis=1), axis=0)[:_MOST_SEEN]:
+            if len(self.seen) >= _MOST_SEEN:
+                return
+            parts = [part.tobytes().removesuffix(end) for part in np.split(row, ends[:-1])]
+            self.seen[tuple(part.decode("utf-8", "replace") for part in parts)] = None
+
+
+def _are_equal(texts: Sequence[Array], asked: Sequence[Array]) -> Mask:
+    """Find the rows in which some texts, (k, letters), are those that are asked for; none where none are."""
+    equal = np.full(len(texts[0]), bool(asked))
+    for text, one in zip(texts, asked, strict=bool(asked)):
+        if text.shape[1] != one.size:
+            return np.zeros(len(text), np.bool_)
+        equal &= (text == one).all(axis=1)
+    return equal
+
+
+def _without(left: Rows, rows: Rows) -> Rows:
+    """Return the messages that are left after some of them."""
+    if rows.size == left.size:
+        return left[:0]
+    return np.setdiff1d(left, rows, assume_unique=True)
 
 
 def _joined(parts: Sequence[tuple[Rows, Array]]) -> Array:
@@ -340,10 +381,11 @@ def _joined(parts: Sequence[tuple[Rows, Array]]) -> Array:
         return parts[0][1]
     rows = np.concatenate([np.empty(0, np.int64), *(rows for rows, _ in parts)])
     places = np.empty_like(rows)
-    width = max((values.shape[1] for _, values in parts), default=0)
     places[np.argsort(rows, kind="stable")] = np.arange(rows.size)
-    same = all(values.shape[1] == width and values.dtype == np.int64 for _, values in parts)
-    joined = np.zeros((rows.size, width), np.int64) if same else np.full((rows.size, width), np.nan)
+    width = max((values.shape[1] for _, values in parts), default=0)
+    joined = np.full((rows.size, width), np.nan)
+    if all(values.shape[1] == width and values.dtype == np.int64 for _, values in parts):
+        joined = np.zeros((rows.size, width), np.int64)
     start = 0
     for found, values in parts:
         joined[places[start : start + found.size], : values.shape[1]] = values

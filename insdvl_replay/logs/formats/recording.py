@@ -1,15 +1,16 @@
 """What can be read: a log, several files that are one dive, or a bag, the folder of a recorder that split its file."""
 
 import hashlib
+import math
 import os
 import re
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cached_property
-from itertools import accumulate
+from itertools import chain
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 import msgspec
 
@@ -32,11 +33,15 @@ from insdvl_replay.logs.formats.log_file import (
     Digest,
     FileBytes,
     LogFile,
+    Span,
     UnusableFileError,
     damaged_file_error,
 )
 from insdvl_replay.logs.formats.mcap_file import MAGIC, McapFile
 from insdvl_replay.logs.formats.recorder_clock import OneClock, one_clock, spans_a_step
+
+if TYPE_CHECKING:
+    from insdvl_replay.logs.formats.table_file import TableFile
 
 _COMMON_CLOCK_NS: Final = 10**17  # times after 1973 are those of a clock that counts from 1970
 CHANNELS_OF_A_PART: Final = 1 << 16  # a channel id has 16 bits
@@ -94,78 +99,79 @@ class Recording:
         if any(channel.time_column for part in opened for channel in part.channels):
             _align_times_of_day(opened)
         if len(opened) > 1:  # by their first log times, files without messages last
-            opened.sort(
-                key=lambda part: (part.span_ns[0] if part.span_ns else float("inf"), part.path.name)
-            )
+            opened.sort(key=_begin)
         self.parts = tuple(opened)
         self._is_one_file = len(files) == 1 and self.parts[0].path == path
-        self.channels = (
-            tuple(  # of all parts; their ids count on from part to part, so that none occurs twice
-                replace(channel, id=channel.id + number * CHANNELS_OF_A_PART)
-                for number, part in enumerate(self.parts)
-                for channel in part.channels
-            )
-        )
+        channels = []
+        for number, part in enumerate(self.parts):
+            first = number * CHANNELS_OF_A_PART  # ids count on, so that none occurs twice
+            channels += [replace(channel, id=channel.id + first) for channel in part.channels]
+        self.channels = tuple(channels)
         self._raise_if_damaged()
 
     @property
     def notes(self) -> tuple[Note, ...]:
         """Notes on damage found so far, and on files that were read as one."""
-        notes = [note for part in self.parts for note in part.notes]
+        notes: list[Note] = []
+        if len(self.parts) > 1:
+            names = ", ".join(part.path.name for part in self.parts)
+            notes.append(Note("joined_files", f"read as one dive: {names}", len(self.parts)))
+        for part in self.parts:
+            notes += part.notes
         for error in self._unusable.values():
             text = f"{error.message}; the whole file is lost (unknown number of messages, unknown time)"
             notes.append(Note("log_damaged", text, 1, Severity.WARNING, COPY_AGAIN))
         if self.one_clock is not None:
             notes.append(self.one_clock.note)
         if len(self.parts) > 1:
-            names = ", ".join(part.path.name for part in self.parts)
-            notes.insert(0, Note("joined_files", f"read as one dive: {names}", len(self.parts)))
-            logs = [
-                part
-                for part in self.parts
-                if not all(channel.encoding == TABLE for channel in part.channels)
-            ]
-            at_0 = [
-                part.path.name
-                for part in self.parts
-                if part not in logs and part.span_ns and not part.span_ns[0]
-            ]
-            if len(at_0) > 1:
-                text = f"tables that begin at 0 s may have no common clock: {', '.join(at_0)}"
-                hint = "to shift one: dvl.latency_s or reference.latency_s"
-                notes.append(Note("tables_from_0", text, len(at_0), hint=hint))
-            spans = [part.span_ns for part in logs if part.span_ns]
-            reached = accumulate((last for _, last in spans), max)
-            following = zip(reached, spans[1:], strict=False)
-            overlaps = [(end - start) * 1e-9 for end, (start, _) in following if end >= start]
-            if overlaps:
-                clause = f"files overlap with the file before, by up to {max(overlaps):.3f} s"
-                text = counted_clause(len(overlaps), clause)
-                notes.append(Note("files_overlap", text, len(overlaps)))
+            notes += self._notes_on_clocks()
         return tuple(notes)
+
+    def _notes_on_clocks(self) -> Iterator[Note]:
+        """Note tables that may have no common clock, and logs that were recorded at the same time."""
+        at_0 = []
+        for part in self.parts:
+            if _holds_tables(part) and part.span_ns and part.span_ns[0] == 0:
+                at_0.append(part.path.name)
+        if len(at_0) > 1:
+            text = f"tables that begin at 0 s may have no common clock: {', '.join(at_0)}"
+            hint = "to shift one: dvl.latency_s or reference.latency_s"
+            yield Note("tables_from_0", text, len(at_0), hint=hint)
+        overlaps_s = _overlaps_s(self._spans_of_logs())
+        if overlaps_s:
+            clause = f"files overlap with the file before, by up to {max(overlaps_s):.3f} s"
+            text = counted_clause(len(overlaps_s), clause)
+            yield Note("files_overlap", text, len(overlaps_s))
+
+    def _logs(self) -> list[LogFile]:
+        """Return the parts that a recorder wrote, with times of its clock."""
+        return [part for part in self.parts if not _holds_tables(part)]
+
+    def _spans_of_logs(self) -> list[Span]:
+        spans = [part.span_ns for part in self._logs()]
+        return [span for span in spans if span is not None]
 
     @cached_property
     def one_clock(self) -> OneClock | None:
         """The part of a recording with one clock that is used; None where its clock was not set."""
-        logs = [
-            part
-            for part in self.parts
-            if not all(channel.encoding == TABLE for channel in part.channels)
-        ]
-        spans = [part.span_ns for part in logs if part.span_ns]
-        if not spans or not spans_a_step(
-            min(first for first, _ in spans), max(last for _, last in spans)
-        ):
+        spans = self._spans_of_logs()
+        if not spans:
             return None
-        return one_clock([times for part in logs for times in part.log_times().values()])
+        first_ns = min(first for first, _ in spans)
+        last_ns = max(last for _, last in spans)
+        if not spans_a_step(first_ns, last_ns):
+            return None
+        times: list[TimeNs] = []
+        for part in self._logs():
+            times += part.log_times().values()
+        return one_clock(times)
 
     def log_times(self) -> dict[int, TimeNs]:
         """Return the log times of all messages by channel, (k,) ns."""
-        times = {
-            channel_id + number * CHANNELS_OF_A_PART: times
-            for number, part in enumerate(self.parts)
-            for channel_id, times in part.log_times().items()
-        }
+        times = {}
+        for number, part in enumerate(self.parts):
+            for channel_id, time_ns in part.log_times().items():
+                times[channel_id + number * CHANNELS_OF_A_PART] = time_ns
         self._raise_if_damaged()
         return times
 
@@ -174,10 +180,10 @@ class Recording:
 
         It changes nothing here, so that another thread can do it.
         """
-        unusable = [
-            Digest(hashlib.sha256(file.read_bytes()).hexdigest(), []) for file in self._unusable
-        ]
-        return [part.digest() for part in self.parts] + unusable
+        digests = [part.digest() for part in self.parts]
+        for file in self._unusable:
+            digests.append(Digest(hashlib.sha256(file.read_bytes()).hexdigest(), []))
+        return digests
 
     def sha256(self, digests: Sequence[Digest] | None = None) -> str:
         """Return the digest of the file, or of the digests of all files, and note wrong checksums."""
@@ -220,14 +226,14 @@ class Recording:
 
     def damage_error(self) -> LogError | None:
         """Return the error with which the files would be refused, by the damage found so far."""
-        faults = [
-            *(fault for part in self.parts for fault in part.faults()),
-            *self._unusable.values(),
-        ]
-        saved = (times for part in self.parts for times in part.saved_times())
-        if faults:
-            return damaged_file_error(faults, saved)
-        return None
+        faults: list[LogError] = []
+        for part in self.parts:
+            faults += part.faults()
+        faults += self._unusable.values()
+        if not faults:
+            return None
+        saved = chain.from_iterable(part.saved_times() for part in self.parts)
+        return damaged_file_error(faults, saved)
 
     def _raise_if_damaged(self) -> None:
         if not self.allow_damaged and (error := self.damage_error()) is not None:
@@ -236,37 +242,86 @@ class Recording:
             raise error
 
 
+def _begin(part: LogFile) -> tuple[float, str]:
+    """Sort parts by their first log times, those without messages last."""
+    if part.span_ns is None:
+        return math.inf, part.path.name
+    return part.span_ns[0], part.path.name
+
+
+def _holds_tables(part: LogFile) -> bool:
+    """Return whether a part has tables, whose times are their own, or nothing."""
+    return all(channel.encoding == TABLE for channel in part.channels)
+
+
+def _overlaps_s(spans: Sequence[Span]) -> list[float]:
+    """Return by how much each span begins before the ones before it have ended, where it does."""
+    overlaps_s: list[float] = []
+    reached_ns = -math.inf
+    for first_ns, last_ns in spans:
+        if reached_ns >= first_ns:
+            overlaps_s.append((reached_ns - first_ns) * 1e-9)
+        reached_ns = max(reached_ns, last_ns)
+    return overlaps_s
+
+
+class _OpenTable(NamedTuple):
+    """A table whose times of day have no date or no hour."""
+
+    file: "TableFile"
+    channel_id: int
+    period_ns: int  # after which they repeat
+    bounds: Span
+
+    @property
+    def topic(self) -> str:
+        """The name of the table."""
+        return self.file.channels[self.channel_id].topic
+
+
 def _align_times_of_day(parts: Sequence[LogFile]) -> None:
     """Shift tables without date or hour so that they overlap the others the most: those with a date, else the first."""
     from insdvl_replay.logs.formats.table_file import TableFile
-    from insdvl_replay.logs.formats.table_times import Bounds, joined_bounds, shift_ns
+    from insdvl_replay.logs.formats.table_times import joined_bounds, shift_ns
 
-    fixed: list[Bounds] = []
-    open_ones: list[tuple[int, TableFile, int, Bounds]] = []
+    fixed: list[Span] = []
+    open_ones: list[_OpenTable] = []
     for part in parts:
-        if not isinstance(part, TableFile):
-            fixed += [part.span_ns] if part.span_ns else []
-            continue
-        for channel_id, times in part.log_times().items():
-            channel = part.channels[channel_id]
-            if not times.size or not channel.time_column:
-                continue
-            bounds = int(times.min()), int(times.max())
-            if channel_id in part.periods_ns:
-                open_ones.append((part.periods_ns[channel_id], part, channel_id, bounds))
-            elif bounds[0] > _COMMON_CLOCK_NS:
-                fixed.append(bounds)
+        if isinstance(part, TableFile):
+            dated, without_date = _sorted_tables(part)
+            fixed += dated
+            open_ones += without_date
+        elif part.span_ns:
+            fixed.append(part.span_ns)
     # Those that lack the date alone are shifted before those that lack the hour.
-    for period_ns, part, channel_id, bounds in sorted(open_ones, key=lambda found: -found[0]):
-        shift = shift_ns(bounds, period_ns, joined_bounds(fixed)) if fixed else 0
+    for table in sorted(open_ones, key=lambda table: -table.period_ns):
+        shift: int | None = 0
+        if fixed:
+            shift = shift_ns(table.bounds, table.period_ns, joined_bounds(fixed))
         if shift is None:
-            what = f"the times of day of {part.channels[channel_id].topic} fit the other tables in several hours"
-            raise LogError(
-                what, "write them with date and hour, such as 2021-06-08T10:41:07.25", part.path
-            )
+            what = f"the times of day of {table.topic} fit the other tables in several hours"
+            hint = "write them with date and hour, such as 2021-06-08T10:41:07.25"
+            raise LogError(what, hint, table.file.path)
         if shift:
-            part.shift(channel_id, shift, "shifted to overlap the other tables, by")
-        fixed.append((bounds[0] + shift, bounds[1] + shift))
+            table.file.shift(table.channel_id, shift, "shifted to overlap the other tables, by")
+        first_ns, last_ns = table.bounds
+        fixed.append((first_ns + shift, last_ns + shift))
+
+
+def _sorted_tables(file: "TableFile") -> tuple[list[Span], list[_OpenTable]]:
+    """Return the spans of the tables of a file that have dates, and those that lack a date or an hour."""
+    dated: list[Span] = []
+    without_date: list[_OpenTable] = []
+    for channel_id, times in file.log_times().items():
+        if not times.size or not file.channels[channel_id].time_column:
+            continue
+        bounds = (int(times.min()), int(times.max()))
+        if channel_id in file.periods_ns:
+            period_ns = file.periods_ns[channel_id]
+            without_date.append(_OpenTable(file, channel_id, period_ns, bounds))
+        elif bounds[0] > _COMMON_CLOCK_NS:
+            dated.append(bounds)
+    return dated, without_date
 
 
 def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) -> Recording:
@@ -283,7 +338,9 @@ def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) 
             )
     if len(given) == 1 and not given[0].is_dir():
         return Recording(given[0], given, allow_damaged=allow_damaged)
-    files = [file for part in given for file in (bag_parts(part) if part.is_dir() else (part,))]
+    files: list[Path] = []
+    for part in given:
+        files += bag_parts(part) if part.is_dir() else (part,)
     # A file that is named twice is read once.
     unique = {os.path.realpath(file): file for file in files}
     return Recording(name_giver(given), unique.values(), allow_damaged=allow_damaged)
@@ -309,44 +366,50 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
     """Return the files of a bag: those that its list names, which must be all that are there, or all logs."""
     metadata = path / METADATA
     found = _logs_in(path)
-    by_name = f"{path / f'*{found[0].suffix if found else LOG_SUFFIXES[0]}'} --one-dive"
-    parts = tuple(found)
+    suffix = found[0].suffix if found else LOG_SUFFIXES[0]
+    by_name = f"{path / f'*{suffix}'} --one-dive"
+    parts = found
     if metadata.is_file():
-        # A part that the list has as it was packed may be there as the user has unpacked it.
-        listed = [path / name for name in _listed(metadata, by_name)]
-        plain = [part.with_suffix("") if part.suffix == _PACKED else part for part in listed]
-        parts = tuple(
-            unpacked if _is_file(unpacked) else part
-            for part, unpacked in zip(listed, plain, strict=True)
-        )
-        for part in parts:
-            if not _is_file(part):
-                hint = f"copy the whole bag, or read the existing parts: {by_name}"
-                raise LogError(f"lists {part.name}, which is not there", hint, metadata)
+        parts = _listed_parts(metadata, by_name)
         for other in found:
             if other not in parts:
                 what = f"does not list {other.name}, which is in the folder of the bag"
-                raise LogError(
-                    what,
-                    f"move it to another folder, or read all logs of the folder: {by_name}",
-                    metadata,
-                )
+                hint = f"move it to another folder, or read all logs of the folder: {by_name}"
+                raise LogError(what, hint, metadata)
     for packed in _logs_in(path, _PACKED):
         if packed.with_suffix("") not in parts:
-            raise LogError(
-                "is compressed as a whole with zstd", f"unpack it: `zstd -d {packed}`", packed
-            )
-    parts = parts or tuple(
-        file for file in sorted(path.iterdir()) if file.suffix.lower() in TABLE_SUFFIXES
-    )
+            hint = f"unpack it: `zstd -d {packed}`"
+            raise LogError("is compressed as a whole with zstd", hint, packed)
+    if not parts:
+        parts = [file for file in sorted(path.iterdir()) if file.suffix.lower() in TABLE_SUFFIXES]
     if not parts:
         what = f"is a folder without {' or '.join(LOG_SUFFIXES)} files, and without tables"
         raise LogError(what, "give a log, or a folder with the parts of one", path)
+    return tuple(parts)
+
+
+def _listed_parts(metadata: Path, by_name: str) -> list[Path]:
+    """Return the files that the list of a bag names, all of which must be there."""
+    parts = []
+    for name in _listed(metadata, by_name):
+        part = metadata.parent / name
+        # A part that the list has as it was packed may be there as the user has unpacked it.
+        if part.suffix == _PACKED and _is_file(part.with_suffix("")):
+            part = part.with_suffix("")
+        parts.append(part)
+    for part in parts:
+        if not _is_file(part):
+            hint = f"copy the whole bag, or read the existing parts: {by_name}"
+            raise LogError(f"lists {part.name}, which is not there", hint, metadata)
     return parts
 
 
 def _logs_in(folder: Path, behind: str = "") -> list[Path]:
-    return sorted(path for suffix in LOG_SUFFIXES for path in folder.glob(f"*{suffix}{behind}"))
+    """Return the logs of a folder, whose endings may have something behind them."""
+    found: list[Path] = []
+    for suffix in LOG_SUFFIXES:
+        found += folder.glob(f"*{suffix}{behind}")
+    return sorted(found)
 
 
 def _is_file(path: Path) -> bool:
@@ -408,23 +471,33 @@ OTHER_FORMATS: Final = msgspec.toml.decode(
 def other_format(path: Path, start: bytes) -> OtherFormat | None:
     """Return the format of a file by its first 16 bytes, of several by the ending of its name too; else by this."""
     ending = path.suffix.lower()
-    alike = [
-        known
-        for known in OTHER_FORMATS
-        if start.startswith(tuple(map(bytes.fromhex, known.starts)))
-    ]
+    alike = [known for known in OTHER_FORMATS if _begins_as(known, start)]
+    for known in alike:
+        if ending in known.endings:
+            return known
     if alike:
-        return next((known for known in alike if ending in known.endings), alike[-1])
-    # MAVLink: each message is behind its time in microseconds, from 2001 to 2096, the larger bytes first.
-    if (
-        len(start) > 8
-        and start[8] in (0xFD, 0xFE)
-        and 10**15 < int.from_bytes(start[:8]) < 4 * 10**15
-    ):
-        return next(known for known in OTHER_FORMATS if ".tlog" in known.endings)
-    # An ending that belongs to bytes which are not there tells nothing.
-    by_ending = (known for known in OTHER_FORMATS if not known.starts and ending in known.endings)
-    return next((known for known in by_ending if not known.is_text or _is_text(start)), None)
+        return alike[-1]
+    if _is_telemetry(start):
+        ending = ".tlog"
+    for known in OTHER_FORMATS:
+        # An ending that belongs to bytes which are not there tells nothing.
+        if known.starts or ending not in known.endings:
+            continue
+        if not known.is_text or _is_text(start):
+            return known
+    return None
+
+
+def _begins_as(known: OtherFormat, start: bytes) -> bool:
+    return start.startswith(tuple(map(bytes.fromhex, known.starts)))
+
+
+def _is_telemetry(start: bytes) -> bool:
+    """Return whether bytes begin with a message of MAVLink behind its time, as ground stations record them."""
+    if len(start) <= 8 or start[8] not in (0xFD, 0xFE):
+        return False
+    # In microseconds, from 2001 to 2096, the larger bytes first.
+    return 10**15 < int.from_bytes(start[:8]) < 4 * 10**15
 
 
 def _is_text(start: bytes) -> bool:

@@ -30,7 +30,7 @@ from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event, Thread
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
 from mcap import records
@@ -95,11 +95,9 @@ class StalledError(LogError):
 def remote_name(url: str) -> Path:
     """Return the name of the file that a URL is of."""
     name = Path(unquote(urlsplit(url).path)).name
-    return Path(
-        name
-        if name.strip(".") and len(name.encode()) <= _LONGEST_NAME
-        else f"dive{Path(name).suffix[:9]}"
-    )
+    if name.strip(".") and len(name.encode()) <= _LONGEST_NAME:
+        return Path(name)
+    return Path(f"dive{Path(name).suffix[:9]}")
 
 
 def cache_folder() -> Path:
@@ -123,82 +121,126 @@ def fetched(
     LogError
         The log cannot be fetched whole, changes meanwhile, is too long, or has another digest.
     """
-    path = _fetched(
-        url,
-        sha256,
-        is_stopped,
-        offline=offline or os.environ.get("INSDVL_REPLAY_OFFLINE", "") not in ("", "0"),
-    )
+    if os.environ.get("INSDVL_REPLAY_OFFLINE", "") not in ("", "0"):
+        offline = True
+    path = _fetched(url, sha256, is_stopped, offline=offline)
     show_as(path, shown_url(url))
     return path
 
 
+@dataclass(frozen=True)
+class _Kept:
+    """A log in the cache, and what was said of it when it was fetched."""
+
+    path: Path  # where it is, or would be
+    is_there: bool  # whole, by its digest
+    sha256: str
+    state: Any  # what its server said
+
+    @classmethod
+    def of(cls, url: str, sha256: str) -> "_Kept":
+        """Look for a log, by its digest if that is known."""
+        said_sha256, state = _said_before(_said(url))
+        path = _logs() / (sha256 or said_sha256) / remote_name(url)
+        is_there = path.is_file() and file_digest(path) == path.parent.name
+        return cls(path, is_there, said_sha256, state)
+
+    def is_still(self, state: Mapping[str, Any], *, is_listed: bool) -> bool:
+        """Return whether it is the log of which a server says something now; a size alone shows no change."""
+        is_same = self.sha256 == self.path.parent.name and self.state == state
+        return self.is_there and is_same and (is_listed or len(state) > 1)
+
+
+@dataclass(frozen=True)
+class _Offer:
+    """A log on its server."""
+
+    url: str
+    system: Any  # of files
+    path: str
+
+    def state(self) -> dict[str, str | int]:
+        """Ask the server what it says of the log now."""
+        return _within(ANSWERED_S, lambda: _state(self.system, self.path))
+
+    def copy(
+        self,
+        part: Path,
+        size: str | int | None,
+        limits: "_Limits",
+        is_stopped: Callable[[], bool],
+    ) -> None:
+        """Copy it to a file."""
+        is_over = Event()
+        watch = _watch(size, limits.longest_bytes, is_over.is_set)
+        try:
+            _within(
+                limits.longest_s,
+                lambda: self.system.get_file(self.path, str(part), callback=watch),
+                is_stopped,
+            )
+        finally:
+            is_over.set()
+
+
 def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: bool) -> Path:
-    said = cache_folder() / "urls" / f"{hashlib.sha256(url.encode()).hexdigest()}.json"
-    known_sha256, known_state = _said_before(said)
-    logs = cache_folder() / "logs"
-    name = remote_name(url)
-    kept = logs / (sha256 or known_sha256) / name
-    is_kept = kept.is_file() and file_digest(kept) == kept.parent.name
-    if offline and is_kept:
-        return kept
+    kept = _Kept.of(url, sha256)
     if offline:
-        raise LogError(
-            "is not kept from an earlier command, and offline nothing is fetched",
-            _ONLINE,
-            shown_url(url),
-        )
-    longest_bytes, longest_s = _limits()
-    system, path = _file_system(url)
+        if kept.is_there:
+            return kept.path
+        text = "is not kept from an earlier command, and offline nothing is fetched"
+        raise LogError(text, _ONLINE, shown_url(url))
+    limits = _limits()
+    offer = _Offer(url, *_file_system(url))
     try:
         with _refused(url):
-            state = _within(ANSWERED_S, lambda: _state(system, path))
+            state = offer.state()
     except LogError:
-        if is_kept and sha256:
-            return kept
+        if kept.is_there and sha256:
+            return kept.path
         raise
     if "size" not in state and not sha256:
         text = "its server does not say how long it is, so that a part of it could be taken for the whole"
         raise LogError(text, "list it in a manifest with its sha256", shown_url(url))
-    # A size alone shows no change.
-    if (
-        is_kept
-        and known_sha256 == kept.parent.name
-        and known_state == state
-        and (sha256 or len(state) > 1)
-    ):
-        return kept
-    if int(state.get("size", 0)) > longest_bytes:
-        raise LogError(
-            f"has {int(state['size']) / 1e9:.3g} GB: {_too_long(longest_bytes)}",
-            _LONGER,
-            shown_url(url),
-        )
+    if kept.is_still(state, is_listed=bool(sha256)):
+        return kept.path
+    if int(state.get("size", 0)) > limits.longest_bytes:
+        size_gb = int(state["size"]) / 1e9
+        text = f"has {size_gb:.3g} GB: {_too_long(limits.longest_bytes)}"
+        raise LogError(text, _LONGER, shown_url(url))
     with _refused(url):
-        _make_private(logs, said.parent)
-        _remove_abandoned(logs)
-        with TemporaryDirectory(dir=logs, prefix=".part") as folder:
-            part = Path(folder) / name
-            is_over = Event()
-            watch = _watch(state.get("size"), longest_bytes, is_over.is_set)
-            try:
-                _within(
-                    longest_s, lambda: system.get_file(path, str(part), callback=watch), is_stopped
-                )
-            finally:
-                is_over.set()
-            if _within(ANSWERED_S, lambda: _state(system, path)) != state:
+        _make_private(_logs(), _said(url).parent)
+        _remove_abandoned(_logs())
+        with TemporaryDirectory(dir=_logs(), prefix=".part") as folder:
+            part = Path(folder) / remote_name(url)
+            offer.copy(part, state.get("size"), limits, is_stopped)
+            if offer.state() != state:
                 text = "changed on its server while it was fetched; nothing was kept"
                 raise LogError(text, "fetch it again", shown_url(url))
-            digest = _digest_of_whole(part, state, sha256, shown_url(url))
-            kept = logs / digest / name
-            kept.parent.mkdir(mode=0o700, exist_ok=True)
-            part.chmod(0o600)
-            part.replace(kept)
-            part.touch(mode=0o600)
-            part.write_text(json.dumps({"sha256": digest, "state": state}))
-            part.replace(said)
+            return _store(url, part, state, sha256)
+
+
+def _store(url: str, part: Path, state: Mapping[str, Any], sha256: str) -> Path:
+    """Keep a log that was fetched, and what its server says of it."""
+    digest = _digest_of_whole(part, state, sha256, shown_url(url))
+    kept = _logs() / digest / part.name
+    kept.parent.mkdir(mode=0o700, exist_ok=True)
+    part.chmod(0o600)
+    part.replace(kept)
+    part.touch(mode=0o600)
+    part.write_text(json.dumps({"sha256": digest, "state": state}))
+    part.replace(_said(url))
     return kept
+
+
+def _logs() -> Path:
+    """Return the folder of logs."""
+    return cache_folder() / "logs"
+
+
+def _said(url: str) -> Path:
+    """Return the file with what a server said of a log when it was fetched."""
+    return cache_folder() / "urls" / f"{hashlib.sha256(url.encode()).hexdigest()}.json"
 
 
 def _said_before(said: Path) -> tuple[str, Any]:
@@ -238,25 +280,30 @@ def _digest_of_whole(part: Path, state: Mapping[str, Any], sha256: str, shown: s
     return digest
 
 
-def _limits() -> tuple[float, float]:
-    """Return the longest log that is fetched, in bytes, and the longest transfer, in s."""
-    found = []
-    for name, default in (
-        ("INSDVL_REPLAY_FETCH_GB", LONGEST_GB),
-        ("INSDVL_REPLAY_FETCH_HOURS", LONGEST_HOURS),
-    ):
-        text = os.environ.get(name) or str(default)
-        try:
-            value = float(text)
-        except ValueError:
-            value = 0.0
-        if not 0.0 < value < math.inf:
-            raise ConfigError(
-                f"{name}={text}: must be a number above 0", f"{name}={default:g} is the default"
-            )
-        found.append(value)
-    longest_gb, longest_hours = found
-    return longest_gb * 1e9, longest_hours * 3600.0
+class _Limits(NamedTuple):
+    """The longest log that is fetched, and the longest transfer."""
+
+    longest_bytes: float
+    longest_s: float
+
+
+def _limits() -> _Limits:
+    """Return the limits that the environment sets, or the usual ones."""
+    longest_gb = _limit("INSDVL_REPLAY_FETCH_GB", LONGEST_GB)
+    longest_hours = _limit("INSDVL_REPLAY_FETCH_HOURS", LONGEST_HOURS)
+    return _Limits(longest_gb * 1e9, longest_hours * 3600.0)
+
+
+def _limit(name: str, default: float) -> float:
+    text = os.environ.get(name) or str(default)
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < math.inf:
+        what = f"{name}={text}: must be a number above 0"
+        raise ConfigError(what, f"{name}={default:g} is the default")
+    return value
 
 
 def _too_long(longest_bytes: float) -> str:
@@ -337,11 +384,11 @@ def _state(system: Any, path: str) -> dict[str, str | int]:
     """Return what a server says of a log now, by one request."""
     system.invalidate_cache()
     found = system.info(path)
-    return {
-        key: found[key] if key == "size" else str(found[key])
-        for key in _STATE
-        if found.get(key) is not None
-    }
+    state: dict[str, str | int] = {}
+    for key in _STATE:
+        if found.get(key) is not None:
+            state[key] = found[key] if key == "size" else str(found[key])
+    return state
 
 
 @contextmanager
@@ -393,44 +440,46 @@ def read_summary(url: str) -> LogSummary:
     tail_start = size - len(tail)
     footer = len(tail) - len(MAGIC) - _FOOTER.size
     if footer < HEADER_SIZE or not tail.endswith(MAGIC):
-        raise LogError(
-            "does not end as an MCAP file; only the summary of these is read from a server",
-            _FETCH,
-            shown_url(url),
-        )
+        text = "does not end as an MCAP file; only the summary of these is read from a server"
+        raise LogError(text, _FETCH, shown_url(url))
     start, offsets_start, crc = _FOOTER.unpack_from(tail, footer)
     end = tail_start + footer - HEADER_SIZE
     if not 0 < start <= end:
         raise LogError("has no summary", _FETCH, shown_url(url))
-    if start >= tail_start:
-        summary = tail[start - tail_start :]
-    elif tail_start - start <= _LONGEST_TAIL - len(tail):
-        summary = _part(url, start, tail_start, size) + tail
-    else:
-        offsets = _records(url, tail[max(offsets_start - tail_start, 0) : footer - HEADER_SIZE])
-        groups = [
-            group for group in offsets[Opcode.SUMMARY_OFFSET] if group.group_opcode in _ESSENTIAL
-        ]
-        start = min((group.group_start for group in groups), default=0)
-        end = max((group.group_start + group.group_length for group in groups), default=size)
-        if end - start > _LONGEST_TAIL - len(tail):
-            raise LogError(
-                f"its summary has {size - start} bytes, more than {_LONGEST_TAIL}",
-                _FETCH,
-                shown_url(url),
-            )
-        summary = _part(url, start, end, size)
-        crc = 0
+    room = _LONGEST_TAIL - len(tail)
+    if tail_start - start > room:
+        offsets = tail[max(offsets_start - tail_start, 0) : footer - HEADER_SIZE]
+        return _summary(url, size, _essential(url, size, offsets, room))
+    if start < tail_start:
+        tail = _part(url, start, tail_start, size) + tail
+        tail_start = start
+    summary = tail[start - tail_start :]
     if crc and zlib_ng.crc32(summary[: -len(MAGIC) - 4]) != crc:
         raise LogError("the checksum of the summary is wrong", _FETCH, shown_url(url))
-    found = _records(url, summary[: end - start])
+    return _summary(url, size, summary[: end - start])
+
+
+def _essential(url: str, size: int, offsets: bytes, room: int) -> bytes:
+    """Read the part of a long summary that names the channels and their messages, by the offsets of its groups."""
+    groups = _records(url, offsets)[Opcode.SUMMARY_OFFSET]
+    essential = [group for group in groups if group.group_opcode in _ESSENTIAL]
+    start = min((group.group_start for group in essential), default=0)
+    end = max((group.group_start + group.group_length for group in essential), default=size)
+    if end - start > room:
+        text = f"its summary has {size - start} bytes, more than {_LONGEST_TAIL}"
+        raise LogError(text, _FETCH, shown_url(url))
+    return _part(url, start, end, size)
+
+
+def _summary(url: str, size: int, content: bytes) -> LogSummary:
+    """Read the records of a summary."""
+    found = _records(url, content)
     schemas = {schema.id: schema for schema in found[Opcode.SCHEMA]}
     channels = {channel.id: channel for channel in found[Opcode.CHANNEL]}
-    if not (found[Opcode.STATISTICS] and channels):
-        raise LogError(
-            "its summary does not name the channels and their messages", _FETCH, shown_url(url)
-        )
-    (statistics, *_) = found[Opcode.STATISTICS]
+    if not found[Opcode.STATISTICS] or not channels:
+        text = "its summary does not name the channels and their messages"
+        raise LogError(text, _FETCH, shown_url(url))
+    statistics = found[Opcode.STATISTICS][0]
     return LogSummary(
         size,
         log_channels(channels, schemas, statistics.channel_message_counts),
@@ -470,10 +519,9 @@ def _part(url: str, start: int, end: int, size: int) -> bytes:
 def _tail(url: str, count: int, end: int | None = None) -> tuple[bytes, int]:
     """Ask for so many bytes before a place or before the end of a remote file; return them and the file's size."""
     is_web = urlsplit(url).scheme in ("http", "https")
+    tail_of = _tail_of_web if is_web else _tail_of_store
     with _refused(url):
-        return _within(
-            ANSWERED_S, lambda: (_tail_of_web if is_web else _tail_of_store)(url, count, end)
-        )
+        return _within(ANSWERED_S, lambda: tail_of(url, count, end))
 
 
 def _tail_of_store(url: str, count: int, end: int | None) -> tuple[bytes, int]:
@@ -519,12 +567,10 @@ def _tail_of_web(url: str, count: int, end: int | None) -> tuple[bytes, int]:
     with opened as answer:
         if answer.status != 206:  # a part of the content; a server without ranges sends all
             raise LogError("its server does not send parts of files", _FETCH, shown_url(url))
-        numbers = [
-            int(digits) for digits in re.findall(r"\d+", answer.headers["Content-Range"] or "")
-        ]
+        numbers = re.findall(r"\d+", answer.headers["Content-Range"] or "")
         if len(numbers) != 3:  # first, last, and all
             raise LogError("its server does not say which part it sent", _FETCH, shown_url(url))
-        first, last, size = numbers
+        first, last, size = map(int, numbers)
         content = answer.read(count + 1)
         if not len(content) == last - first + 1 <= count or last + 1 != (end or size):
             raise LogError(
