@@ -6,6 +6,7 @@ evidence of a candidate over several dives is.
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import Annotated, Final
 
 import msgspec
@@ -13,6 +14,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from insdvl_replay.changes.cells import RowPair, is_number, paired_rows
+from insdvl_replay.changes.matching import Pair
 from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.quantities import (
     CONSISTENCY,
@@ -20,7 +22,7 @@ from insdvl_replay.core.quantities import (
     FEWEST_DIVES,
     WITHOUT_VERDICT,
 )
-from insdvl_replay.core.report import StoredReport, StoredResult
+from insdvl_replay.core.report import StoredReport
 from insdvl_replay.core.tables import TABLES, EvidenceRow, Number, finite
 from insdvl_replay.core.words import Role, Verdict
 from insdvl_replay.evaluation import answers
@@ -84,62 +86,86 @@ class _Paired(Struct, frozen=True):
     """One filter in the dives of both sides."""
 
     name: str
-    dives: list[tuple[StoredResult, StoredResult]]
-    unsound: list[list[str]]  # why each side is not evaluated on a dive, empty if it is
-    evaluated: list[tuple[StoredResult, StoredResult]]  # dives on which a side is evaluated
+    pairs: list[Pair]  # the dives
+    reasons: list[
+        str
+    ]  # why it is not evaluated on a dive of them, on the new side or on the old one; empty if it is
+    lost: int  # dives in which only the old side is evaluated
+    evaluated: list[Pair]  # dives on which a side is evaluated
     evidence: list[list[EvidenceRow]]  # of these
     is_equal: bool  # whether all tables of all dives are equal
 
     @property
     def largest_change(self) -> float:
         """Largest relative change of a value that may decide or warn."""
-        sizes = [_size_of_change(row) for rows in self.evidence for row in rows]
-        return max(sizes, default=0.0 if self.is_equal else math.inf)
+        rows = chain.from_iterable(self.evidence)
+        return max(map(_size_of_change, rows), default=0.0 if self.is_equal else math.inf)
+
+    @property
+    def primary(self) -> str:
+        """The quantity that decides: as the settings name it, else by what the logs contain."""
+        for pair in self.pairs:
+            named = pair.new.report.config.get("evaluation", {}).get("primary")
+            if named:
+                return primary_of(self.evidence, str(named))
+        return primary_of(self.evidence, "")
 
 
-def answers_of(pairs: Sequence[tuple[StoredResult, StoredResult]]) -> tuple[Answer, ...]:
+def answers_of(pairs: Sequence[Pair]) -> tuple[Answer, ...]:
     """Compare each filter that both sides have with itself, over all dives."""
-    # Copies of a dive count once.
-    kept, _ = distinct_dives([new.report for _, new in pairs])
-    distinct = {id(report) for report in kept}
-    pairs = [pair for pair in pairs if id(pair[1].report) in distinct]
-    having: dict[str, list[tuple[StoredResult, StoredResult]]] = {}
+    pairs = _without_copies(pairs)
+    having: dict[str, list[Pair]] = {}
     for pair in pairs:
-        theirs, ours = ((side.report.baseline, *side.report.filters) for side in pair)
-        for name in ours:
+        theirs = (pair.old.report.baseline, *pair.old.report.filters)
+        for name in (pair.new.report.baseline, *pair.new.report.filters):
             if name in theirs:
                 having.setdefault(name, []).append(pair)
     is_equal = all(old.report.tables == new.report.tables for old, new in pairs)
     paired = [_paired(name, own, is_equal=is_equal) for name, own in having.items()]
     # Filters that changed share the error rate of one.
-    level = level_of_candidates(sum(found.largest_change > 0.0 for found in paired))
-    found = [_answer(one, level if one.largest_change > 0.0 else LEVEL) for one in paired]
+    changed = [found.name for found in paired if found.largest_change > 0.0]
+    level = level_of_candidates(len(changed))
+    found = [_answer(one, level if one.name in changed else LEVEL) for one in paired]
     # What is not finite is missing, as in JSON.
     return msgspec.json.decode(msgspec.json.encode(found), type=tuple[Answer, ...])
 
 
-def _paired(
-    name: str, dives: list[tuple[StoredResult, StoredResult]], *, is_equal: bool
-) -> _Paired:
-    unsound = [[_not_evaluated(side.report, name) for side in pair] for pair in dives]
-    evaluated = [pair for pair, reasons in zip(dives, unsound, strict=True) if not all(reasons)]
-    evidence = [[*_paired_evidence(name, *pair)] for pair in evaluated]
-    return _Paired(name, dives, unsound, evaluated, evidence, is_equal)
+def _without_copies(pairs: Sequence[Pair]) -> list[Pair]:
+    """Count copies of a dive once."""
+    kept, _ = distinct_dives([pair.new.report for pair in pairs])
+    distinct = {id(report) for report in kept}
+    return [pair for pair in pairs if id(pair.new.report) in distinct]
+
+
+def _paired(name: str, pairs: list[Pair], *, is_equal: bool) -> _Paired:
+    """Collect the evidence of one filter, new over old, of the dives on which a side is evaluated."""
+    reasons = list[str]()
+    evaluated = list[Pair]()
+    lost = 0
+    for pair in pairs:
+        reason_before = _not_evaluated(pair.old.report, name)
+        reason_now = _not_evaluated(pair.new.report, name)
+        reasons.append(reason_now or reason_before)
+        if reason_now and not reason_before:
+            lost += 1
+        if not (reason_now and reason_before):
+            evaluated.append(pair)
+    evidence = [list(_paired_evidence(name, pair)) for pair in evaluated]
+    return _Paired(name, pairs, reasons, lost, evaluated, evidence, is_equal)
 
 
 def _answer(paired: _Paired, level: float) -> Answer:
+    """Return the answer for one filter, at the level of its interval."""
     name = paired.name
-    settings = [new.report.config.get("evaluation", {}) for _, new in paired.dives]
-    named = next((str(found["primary"]) for found in settings if found.get("primary")), "")
     pooled = pooled_candidate(
         name,
         OLD,
         paired.evidence,
-        len(paired.dives),
-        reasons=[new or old for old, new in paired.unsound],
-        primary=primary_of(paired.evidence, named),
+        len(paired.pairs),
+        reasons=paired.reasons,
+        primary=paired.primary,
         level=level,
-        vehicles=[new.report.vehicle for _, new in paired.evaluated],
+        vehicles=[pair.new.report.vehicle for pair in paired.evaluated],
     )
     answer = Answer(
         filter=name,
@@ -153,30 +179,37 @@ def _answer(paired: _Paired, level: float) -> Answer:
         undecided=pooled.undecided,
         reason=pooled.reason,
         sentence=f"{name} against {OLD}: {headline(pooled)}.",
-        lost=sum(bool(new and not old) for old, new in paired.unsound),
+        lost=paired.lost,
         largest_change=paired.largest_change,
-        by_dive=tuple(
-            DiveChange(
-                row.log, row.quantity, row.unit, finite(row.baseline), finite(row.value), row.ratio
-            )
-            for rows in paired.evidence
-            for row in rows
-            if row.quantity == pooled.primary
-        ),
+        by_dive=_by_dive(paired.evidence, pooled.primary),
     )
-    if answer.is_same and not answer.lost:
-        is_equal = finite(answer.largest_change) == 0.0
-        word = Verdict.NO_EFFECT if is_equal else Verdict.EQUIVALENT
-        undecided = answers.Undecided.NONE
-        answer = replace(
-            answer, verdict=word, undecided=undecided, sentence=f"{name} {answer.sameness}."
-        )
-    return answer
+    if not answer.is_same or answer.lost:
+        return answer
+    is_equal = finite(answer.largest_change) == 0.0
+    return replace(
+        answer,
+        verdict=Verdict.NO_EFFECT if is_equal else Verdict.EQUIVALENT,
+        undecided=answers.Undecided.NONE,
+        sentence=f"{name} {answer.sameness}.",
+    )
+
+
+def _by_dive(evidence: Sequence[Sequence[EvidenceRow]], primary: str) -> tuple[DiveChange, ...]:
+    """Return the primary quantity, dive by dive."""
+    changes = list[DiveChange]()
+    for row in chain.from_iterable(evidence):
+        if row.quantity == primary:
+            was = finite(row.baseline)
+            now = finite(row.value)
+            changes.append(DiveChange(row.log, row.quantity, row.unit, was, now, row.ratio))
+    return tuple(changes)
 
 
 def _not_evaluated(report: StoredReport, name: str) -> str:
     """Return why a filter is not evaluated, empty if it is. The baseline is evaluated, if any candidate is."""
-    candidates = [report.filters[name]] if name in report.filters else [*report.filters.values()]
+    candidates = list(report.filters.values())
+    if name in report.filters:
+        candidates = [report.filters[name]]
     if not candidates or any(
         candidate.get("verdict") not in WITHOUT_VERDICT for candidate in candidates
     ):
@@ -184,59 +217,78 @@ def _not_evaluated(report: StoredReport, name: str) -> str:
     return str(candidates[0].get("reason") or "its result does not say why")
 
 
-def _paired_evidence(name: str, old: StoredResult, new: StoredResult) -> Iterator[EvidenceRow]:
+# --- The evidence of one filter on one dive, new over old.
+
+
+class _Cell(Struct, frozen=True):
+    """One value of a filter that both sides have."""
+
+    quantity: str
+    kind: str
+    role: str
+    column: str
+    pair: RowPair
+
+
+def _paired_evidence(name: str, dive: Pair) -> Iterator[EvidenceRow]:
     """Yield the evidence of a filter that both sides have, new over old; of a filter alone, its drift and outage tests.
 
     Of the baseline, the first row counts: candidates with a start of their own, which change its values, come last.
     """
-    frame = [*paired_rows(old.report, new.report, _TABLES)]
-    evidence = [
-        pair
-        for pair in frame
-        if pair.layout.name == "evidence" and pair.new.get("evidence") != CONSISTENCY
-    ]
-    is_baseline = name == new.report.baseline
-    is_independent = new.report.config.get("reference", {}).get("independent") is not False
-    done = set()
-    if evidence:
-        own = [pair for pair in evidence if is_baseline or pair.filter == name]
-        cells = [
-            _Cell(
-                pair.row,
-                str(pair.new.get("evidence")),
-                _role(pair, is_independent=is_independent),
-                pair,
-            )
-            for pair in own
-        ]
-        column = "baseline" if is_baseline else "value"
+    report = dive.new.report
+    rows = list(paired_rows(dive.old.report, report, _TABLES))
+    is_independent = report.config.get("reference", {}).get("independent") is not False
+    if any(map(_is_evidence, rows)):
+        is_baseline = name == report.baseline
+        cells = _cells_of_evidence(rows, "" if is_baseline else name, independent=is_independent)
     else:
-        cells = [
-            *_cells_alone(
-                [pair for pair in frame if pair.filter == name], is_independent=is_independent
-            )
-        ]
-        column = ""
+        own = [pair for pair in rows if pair.filter == name]
+        cells = _cells_alone(own, independent=is_independent)
+    done = set[str]()
     for cell in cells:
-        pair = cell.pair
-        named = column or ("rms" if pair.layout.name == "drift" else "drift_rms_m")
-        was = pair.old.get(named)
-        now = pair.new.get(named)
+        was = cell.pair.old.get(cell.column)
+        now = cell.pair.new.get(cell.column)
         if is_number(was) and is_number(now) and cell.quantity not in done:
             done.add(cell.quantity)
-            ratio = 1.0 if was == now else now / was if was > 0.0 else None
             yield EvidenceRow(
-                log=new.name,
+                log=dive.new.name,
                 filter=name,
                 evidence=cell.kind,
                 quantity=cell.quantity,
-                unit=pair.layout.unit_of(named, pair.unit),
+                unit=cell.pair.layout.unit_of(cell.column, cell.pair.unit),
                 baseline=float(was),
                 value=float(now),
-                ratio=ratio,
-                reference_noise=_noise_share(pair, float(was)),
+                ratio=_ratio(was, now),
+                reference_noise=_noise_share(cell.pair, float(was)),
                 role=cell.role,
             )
+
+
+def _ratio(was: float, now: float) -> float | None:
+    """Return new over old; None where the old value is zero and the new one is not."""
+    if was == now:
+        return 1.0
+    if was > 0.0:
+        return now / was
+    return None
+
+
+def _is_evidence(pair: RowPair) -> bool:
+    return pair.layout.name == "evidence" and pair.new.get("evidence") != CONSISTENCY
+
+
+def _cells_of_evidence(
+    rows: Sequence[RowPair],
+    candidate: str,  # empty for the baseline, which has a value in the rows of all candidates
+    *,
+    independent: bool,
+) -> Iterator[_Cell]:
+    """Yield the values of a filter in the evidence."""
+    column = "value" if candidate else "baseline"
+    for pair in rows:
+        if _is_evidence(pair) and candidate in ("", pair.filter):
+            role = _role(pair, independent=independent)
+            yield _Cell(pair.row, str(pair.new.get("evidence")), role, column, pair)
 
 
 def _noise_share(pair: RowPair, was: float) -> float:
@@ -248,43 +300,40 @@ def _noise_share(pair: RowPair, was: float) -> float:
     return min(share * (baseline / was) ** 2, 1.0)
 
 
-class _Cell(Struct, frozen=True):
-    """One value of a filter that both sides have."""
-
-    quantity: str
-    kind: str
-    role: str
-    pair: RowPair
-
-
-def _role(pair: RowPair, *, is_independent: bool) -> str:
+def _role(pair: RowPair, *, independent: bool) -> str:
     """Return what a row may do, also in a result whose candidates are not evaluated, as by noise of the baseline."""
     if Role.PRIMARY in (pair.old.get("role"), pair.new.get("role")):
         return Role.PRIMARY
-    samples = pair.new.get("samples")
-    return role_alone(
-        pair.row, int(samples) if is_number(samples) else 0, independent=is_independent
-    )
+    return role_alone(pair.row, _count(pair, "samples"), independent=independent)
 
 
-def _cells_alone(pairs: Sequence[RowPair], *, is_independent: bool) -> Iterator[_Cell]:
+def _count(pair: RowPair, column: str) -> int:
+    """Return a count of the new side; 0 without one."""
+    count = pair.new.get(column)
+    if is_number(count):
+        return int(count)
+    return 0
+
+
+def _cells_alone(rows: Sequence[RowPair], *, independent: bool) -> Iterator[_Cell]:
     """Yield the drift and outage tests of a filter without candidates."""
-    for pair in pairs:
-        windows = pair.new.get("windows")
-        count = int(windows) if is_number(windows) else 0
-        name = ""
-        kind = ""
-        if pair.layout.name == "drift" and pair.row == "position_h":
+    for pair in rows:
+        if pair.layout.name == "outage":
+            name = f"outage_{pair.row}s"
+            kind = "outage"
+            column = "drift_rms_m"
+        elif pair.layout.name == "drift" and pair.row == "position_h":
             name = "position"
             kind = "track"
+            column = "rms"
         elif pair.layout.name == "drift" and pair.row in DRIFT_QUANTITIES:
             name = pair.row
             kind = "accuracy"
-        elif pair.layout.name == "outage":
-            name = f"outage_{pair.row}s"
-            kind = "outage"
-        if name:
-            yield _Cell(name, kind, role_alone(name, count, independent=is_independent), pair)
+            column = "rms"
+        else:
+            continue
+        role = role_alone(name, _count(pair, "windows"), independent=independent)
+        yield _Cell(name, kind, role, column, pair)
 
 
 def _size_of_change(row: EvidenceRow) -> float:

@@ -11,10 +11,10 @@ from insdvl_replay.changes.cells import Change, change_text
 from insdvl_replay.changes.comparison import (
     Aggregate,
     Comparison,
-    Difference,
     cell_place,
     described,
 )
+from insdvl_replay.changes.differences import Difference
 from insdvl_replay.core.errors import counted, listed, natural_key
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
 from insdvl_replay.core.tables import CANDIDATES, RATIO, PooledRow, finite

@@ -15,6 +15,7 @@ from small_results import content, write
 from insdvl_replay.changes.answer import Answer, answers_of
 from insdvl_replay.changes.comparison import compare_results
 from insdvl_replay.changes.comparison_document import answer_lines
+from insdvl_replay.changes.matching import Pair
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.report import StoredReport, StoredResult
@@ -335,7 +336,7 @@ def test_equal_changes_are_seldom_better_or_worse_and_harm_is_found(tmp_path: Pa
         for _ in range(groups):
             drawn = rng.choice(WORLD_DIVES, TOGETHER, replace=False)
             for count, answer in zip(
-                counts, answers_of([(old[i], new[i]) for i in drawn]), strict=True
+                counts, answers_of([Pair(old[i], new[i]) for i in drawn]), strict=True
             ):
                 count[answer.verdict] += 1
         return counts
@@ -345,6 +346,6 @@ def test_equal_changes_are_seldom_better_or_worse_and_harm_is_found(tmp_path: Pa
     for harmed in (noisy, scaled):
         for count in words(old, harmed, 20):
             assert count["worse"] >= 19, count
-    assert {answer.verdict for answer in answers_of(list(zip(old, old, strict=True)))} == {
+    assert {answer.verdict for answer in answers_of([Pair(one, one) for one in old])} == {
         "no effect"
     }
