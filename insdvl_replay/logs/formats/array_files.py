@@ -71,11 +71,9 @@ def read_numpy(content: memoryview) -> Found:
     with zipfile.ZipFile(BytesIO(content)) as archive:
         members = archive.infolist()
         require_few(len(members))
-        if any(
-            member.filename.startswith("xl/") or member.filename == "content.xml"
-            for member in members
-        ):
-            raise SpreadsheetError
+        for member in members:
+            if member.filename.startswith("xl/") or member.filename == "content.xml":
+                raise SpreadsheetError
         require_room(sum(member.file_size for member in members), len(content))
     with np.load(BytesIO(content)) as stored:
         return Found(_of_numbers(dict(stored)))
@@ -86,10 +84,9 @@ def _of_numbers(values: Mapping[str, Any]) -> Arrays:
     found: Arrays = {}
     for name, value in values.items():
         array = np.asarray(value)
-        fields = array.dtype.names or ()
-        found |= _of_numbers(
-            {f"{name}.{inner}" if name else inner: array[inner] for inner in fields}
-        )
+        prefix = f"{name}." if name else ""
+        fields = {f"{prefix}{inner}": array[inner] for inner in array.dtype.names or ()}
+        found |= _of_numbers(fields)
         if array.dtype.kind in _NUMBERS:
             found[name] = array
     return found
@@ -198,9 +195,8 @@ class _MatlabReader:
         elif kind == _STRUCTURE and math.prod(dimensions) == 1 and level < _DEEPEST:
             self._take_fields(parts, name, level)
         elif kind != _TEXT:
-            self.found.ignored[name] = _OTHER_KINDS.get(
-                kind, "of complex numbers" if not is_real else "of structures"
-            )
+            usual = "of structures" if is_real else "of complex numbers"
+            self.found.ignored[name] = _OTHER_KINDS.get(kind, usual)
 
     def _take_fields(self, parts: Iterator[_Element], above: str, level: int) -> None:
         """Read the fields of a structure."""

@@ -104,10 +104,10 @@ class DecodedFields:
         messages = [self._decode(block.buffer[offset : offset + size]) for offset, size in places]
         if not self._numbers:
             self.learn(messages)
-        return {
-            path: _as_rows([numbers(message) for message in messages])
-            for path, numbers in self._numbers.items()
-        }
+        columns: Columns = {}
+        for path, numbers in self._numbers.items():
+            columns[path] = _as_rows([numbers(message) for message in messages])
+        return columns
 
 
 def _as_rows(rows: Sequence[Sequence[float]]) -> Array:
@@ -118,10 +118,13 @@ def _as_rows(rows: Sequence[Sequence[float]]) -> Array:
         for row, filled_row in zip(rows, filled, strict=True):
             filled_row[: len(row)] = row
         return filled
-    values = np.array(rows).reshape(len(rows), -1) if widths != {0} else np.empty((len(rows), 0))
+    if widths == {0}:
+        return np.empty((len(rows), 0))
+    values = np.array(rows).reshape(len(rows), -1)
     if values.dtype == np.object_:  # whole numbers of any size
         values = np.vectorize(_as_float, otypes=[np.float64])(values)
-    return values.astype(np.int64 if values.dtype.kind in "bi" else np.float64, copy=False)
+    kind = np.int64 if values.dtype.kind in "bi" else np.float64
+    return values.astype(kind, copy=False)
 
 
 def _as_float(number: float) -> float:
@@ -136,31 +139,55 @@ def _steps(path: str) -> list[tuple[str, slice]]:
     steps = []
     for part in path.split("."):
         match = re.fullmatch(r"(.*)\[(\d+)\]", part)
-        chosen = slice(int(match[2]), int(match[2]) + 1) if match else slice(None)
-        steps.append((match[1] if match else part.removesuffix("[*]"), chosen))
+        if match:
+            chosen = int(match[2])
+            steps.append((match[1], slice(chosen, chosen + 1)))
+        else:
+            steps.append((part.removesuffix("[*]"), slice(None)))
     return steps
 
 
 def _inside(shape: Shape, steps: Sequence[tuple[str, slice]], access: Access) -> Numbers:
     """Make the reader of the numbers at the end of some steps."""
     if shape.kind == NUMBER:
-        return lambda value: [value if isinstance(value, int | float) else math.nan]
+        return _as_number
     if steps:
         name, chosen = steps[0]
         return _field(name, shape.fields[name], chosen, steps[1:], access)
-    inner = shape.fields.values()
-    if len(inner) > 1 and all(
-        part.kind == NUMBER and not part.is_list and not part.may_be_absent for part in inner
-    ):
-        return attrgetter(
-            *shape.fields
-        )  # of protobuf, where attributes are never absent: a vector is read at once
+    if _is_vector(shape):
+        return attrgetter(*shape.fields)
     parts = [
         _field(name, part, slice(None), (), access)
         for name, part in shape.fields.items()
         if part.kind != TEXT
     ]
-    return lambda value: [number for part in parts for number in part(value)]
+
+    def joined(value: Any) -> list[float]:
+        numbers: list[float] = []
+        for part in parts:
+            numbers += part(value)
+        return numbers
+
+    return joined
+
+
+def _as_number(value: Any) -> list[float]:
+    if isinstance(value, int | float):
+        return [value]
+    return [math.nan]
+
+
+def _is_vector(shape: Shape) -> bool:
+    """Return whether a structure has several numbers and nothing else, none of which is ever absent.
+
+    Those of protobuf, whose attributes are never absent, are read at once.
+    """
+    if len(shape.fields) < 2:
+        return False
+    return all(
+        part.kind == NUMBER and not part.is_list and not part.may_be_absent
+        for part in shape.fields.values()
+    )
 
 
 def _field(
@@ -173,10 +200,10 @@ def _field(
     missing = [math.nan] * end.width
 
     def elements(value: Any) -> list[float]:
-        items = access(value, name, shape)
-        if items is not None:
-            return [number for item in items[chosen] for number in inside(item)]
-        return []
+        numbers: list[float] = []
+        for item in (access(value, name, shape) or ())[chosen]:
+            numbers += inside(item)
+        return numbers
 
     def single(value: Any) -> Sequence[float]:
         inner = access(value, name, shape)
@@ -244,10 +271,14 @@ def _protobuf_shape(descriptor: Any, above: tuple[str, ...], numbers: Iterator[i
             continue
         if next(numbers) == MOST_PATHS:
             raise too_large(above[0])
-        primitive = TEXT if member.cpp_type == member.CPPTYPE_STRING else NUMBER
+        kind = TEXT if member.cpp_type == member.CPPTYPE_STRING else NUMBER
+        inside: Mapping[str, Shape] = {}
+        if inner is not None:
+            kind = inner.full_name
+            inside = _protobuf_shape(inner, above, numbers).fields
         fields[member.name] = Shape(
-            kind=inner.full_name if inner else primitive,
-            fields=_protobuf_shape(inner, above, numbers).fields if inner else {},
+            kind=kind,
+            fields=inside,
             is_list=member.is_repeated,
             may_be_absent=member.has_presence and not member.has_default_value,
         )
@@ -259,15 +290,8 @@ def _protobuf_shape(descriptor: Any, above: tuple[str, ...], numbers: Iterator[i
 _EXAMPLES: Final = 100  # messages from which the fields are learnt that no schema names
 _MOST_FAILURES: Final = 20  # searches in vain before one message is taken for all that come with it
 _DEEPEST: Final = 32  # levels of structures within structures that are looked at
-_FIRST: Final = (
-    "sec",
-    "nsec",
-    "nanosec",
-    "x",
-    "y",
-    "z",
-    "w",
-)  # of members, which have no order, these come last
+# Of members, which have no order, these come last, in this one.
+_LAST: Final = ("sec", "nsec", "nanosec", "x", "y", "z", "w")
 _DECODER: Final = msgspec.json.Decoder()
 _NO_NUMBER: Final = re.compile(rb"(?<=[:,\[])\s*[+-]?(?:NaN|Infinity)(?=[\s,}\]])")
 _UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
@@ -306,7 +330,9 @@ def _decoded(message: memoryview) -> Any:
 
 
 def _member(structure: Any, name: str, shape: Shape) -> Any:
-    inner = structure.get(name) if isinstance(structure, dict) else None
+    if not isinstance(structure, dict):
+        return None
+    inner = structure.get(name)
     if shape.is_list and not isinstance(inner, list):
         return None
     return inner
@@ -325,16 +351,19 @@ def _schema_shape(schema_data: bytes) -> Shape:
         ) from error
 
     def described(schema: Any, level: int) -> Shape:
-        kind = schema.get("type") if isinstance(schema, Mapping) and level <= _DEEPEST else None
+        kind = None
+        if isinstance(schema, Mapping) and level <= _DEEPEST:
+            kind = schema.get("type")
         if kind == "array":
             return _list_of(described(schema.get("items", {"type": "number"}), level + 1))
         if kind == "object":
-            properties = schema.get("properties")
-            known = properties if isinstance(properties, Mapping) else {}
+            known = schema.get("properties")
+            if not isinstance(known, Mapping):
+                return _object({})
             return _object({name: described(inner, level + 1) for name, inner in known.items()})
-        return Shape(
-            NUMBER if kind in ("number", "integer", "boolean") else TEXT, may_be_absent=True
-        )
+        if kind in ("number", "integer", "boolean"):
+            return Shape(NUMBER, may_be_absent=True)
+        return Shape(TEXT, may_be_absent=True)
 
     shape = described(schema, 0)
     if shape.kind == _STRUCTURE:
@@ -347,22 +376,24 @@ def _shape_of(value: Any, level: int = 0) -> Shape:
     if isinstance(value, dict) and level <= _DEEPEST:
         return _object({name: _shape_of(inner, level + 1) for name, inner in value.items()})
     if isinstance(value, list) and level <= _DEEPEST:
-        return _list_of(
-            reduce(_merged, (_shape_of(item, level + 1) for item in value), Shape(TEXT))
-        )
-    return Shape(NUMBER if isinstance(value, int | float) else TEXT, may_be_absent=True)
+        items = (_shape_of(item, level + 1) for item in value)
+        return _list_of(reduce(_merged, items, Shape(TEXT)))
+    if isinstance(value, int | float):
+        return Shape(NUMBER, may_be_absent=True)
+    return Shape(TEXT, may_be_absent=True)
 
 
 def _list_of(inner: Shape) -> Shape:
     """Describe a list; one of lists has no path, so that its inner lists are as closed as text."""
-    return Shape(
-        TEXT if inner.is_list else inner.kind, {} if inner.is_list else inner.fields, True, True
-    )
+    if inner.is_list:
+        return Shape(TEXT, {}, is_list=True, may_be_absent=True)
+    return Shape(inner.kind, inner.fields, is_list=True, may_be_absent=True)
 
 
 def _object(fields: Mapping[str, Shape]) -> Shape:
-    order = sorted(fields, key=lambda name: _FIRST.index(name) if name in _FIRST else -1)
-    return Shape(_STRUCTURE, {name: fields[name] for name in order}, may_be_absent=True)
+    others = [name for name in fields if name not in _LAST]
+    last = [name for name in _LAST if name in fields]
+    return Shape(_STRUCTURE, {name: fields[name] for name in [*others, *last]}, may_be_absent=True)
 
 
 def _merged(shape: Shape, example: Shape) -> Shape:

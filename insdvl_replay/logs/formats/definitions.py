@@ -22,9 +22,8 @@ PRIMITIVES: Final[dict[str, str]] = {
     "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2",
     "int32": "<i4", "uint32": "<u4", "int64": "<i8", "uint64": "<u8", "float32": "<f4", "float64": "<f8",
 }  # fmt: skip
-MOST_PATHS: Final = (
-    1 << 16
-)  # fields of a type: real types have hundreds, and a short schema can mean billions
+# Fields of a type: real types have hundreds, and a short schema can mean billions.
+MOST_PATHS: Final = 1 << 16
 MOST_LEVELS: Final = 64  # structures within structures
 LONGEST_ARRAY: Final = 2**32 - 1  # CDR counts elements in words of four bytes
 LEAVE_OUT: Final = "do not use its topic for a role"
@@ -47,17 +46,14 @@ class Field:
     """One field of a message."""
 
     name: str
-    type_name: (
-        str  # a key of PRIMITIVES, "string", "wstring", or a message type as package/msg/Type
-    )
+    type_name: str  # of PRIMITIVES, "string", "wstring", or a message type as package/msg/Type
     kind: Literal["single", "array", "sequence"] = "single"
     length: int = 1  # values of an array; 0 for a sequence, whose length is in the message
 
 
 Definitions = Mapping[str, tuple[Field, ...]]  # by type name; constants are no fields
-_EMPTY: Final = (
-    Field("structure_needs_at_least_one_member", "uint8"),
-)  # ROS 2 sends a byte where no fields are
+# ROS 2 sends a byte where no fields are.
+_EMPTY: Final = (Field("structure_needs_at_least_one_member", "uint8"),)
 
 
 def full_name(type_name: str) -> str:
@@ -143,29 +139,35 @@ def _fields(type_name: str, section: str, language: str) -> Iterator[Field]:
             raise LogError(f"{type_name}: '{statement}' in the schema is no field", _only(language))
         if match["constant"] is not None:
             continue
-        base = match["base"]
-        if language == "ros1msg":
-            base = _ROS1_SYNONYMS.get(base, base)
-        if base == "Header":
-            base = "std_msgs/msg/Header"
-        elif not (
-            base in PRIMITIVES
-            or base in ("string", "wstring")
-            or (language == "ros1msg" and base in ("time", "duration"))
-        ):
-            base = full_name(base if "/" in base else f"{package}/{base}")
+        base = _type_of(match["base"], package, language)
         if match["brackets"] is None:
             yield Field(match["name"], base)
         elif match["bounded"] or not match["length"]:
             yield Field(match["name"], base, "sequence", 0)
         else:
-            # Python makes no number of thousands of digits.
-            length = int(match["length"]) if len(match["length"]) <= 10 else 0
+            length = 0
+            if len(match["length"]) <= 10:  # Python makes no number of thousands of digits
+                length = int(match["length"])
             if not 0 < length <= LONGEST_ARRAY:
                 array = f"{match['base']}[{match['length'][:12]}]"
                 what = f"{type_name}: the schema has an array '{array}', which is none or too long"
                 raise LogError(what, record_again(language))
             yield Field(match["name"], base, "array", length)
+
+
+def _type_of(name: str, package: str, language: str) -> str:
+    """Return the type that a name means in the definitions of a package."""
+    if language == "ros1msg":
+        if name in ("time", "duration"):
+            return name
+        name = _ROS1_SYNONYMS.get(name, name)
+    if name == "Header":
+        return "std_msgs/msg/Header"
+    if name in PRIMITIVES or name in ("string", "wstring"):
+        return name
+    if "/" not in name:
+        name = f"{package}/{name}"
+    return full_name(name)
 
 
 def _parse_idl(type_name: str, text: str) -> dict[str, tuple[Field, ...]]:
@@ -180,12 +182,14 @@ def _parse_idl(type_name: str, text: str) -> dict[str, tuple[Field, ...]]:
     try:
         types = get_types_from_idl(plain)
     except (TypesysError, RecursionError, ValueError, AssertionError) as error:
-        lines = str(error).splitlines()  # more than one repeat the whole text
-        what = f"{type_name}: the schema is not ROS 2's part of IDL{f' ({lines[0]})' if len(lines) == 1 else ''}"
+        what = f"{type_name}: the schema is not ROS 2's part of IDL"
+        lines = str(error).splitlines()
+        if len(lines) == 1:  # more than one repeat the whole text
+            what += f" ({lines[0]})"
         raise LogError(what, _only("ros2idl")) from error
-    definitions = {
-        name: tuple(_idl_field(type_name, *field) for field in types[name][1]) for name in types
-    }
+    definitions = {}
+    for name, (_, fields) in types.items():
+        definitions[name] = tuple(_idl_field(type_name, *field) for field in fields)
     if full_name(type_name) not in definitions:
         raise LogError(f"{type_name}: the schema does not define it", record_again("ros2idl"))
     return definitions
@@ -195,8 +199,8 @@ def _idl_field(type_name: str, name: str, description: Any) -> Field:
     """Make a field of what rosbags says: node 1 is a primitive, 2 a type, 3 an array and 4 a sequence of these."""
     node, argument = description
     if node in (3, 4):
-        (inner, argument), length = argument
-        base = argument if inner == 2 else argument[0]
+        element, length = argument
+        base = _idl_type(*element)
         if node == 4:
             return Field(name, base, "sequence", 0)
         if not isinstance(length, int) or not 0 < length <= LONGEST_ARRAY:
@@ -204,16 +208,24 @@ def _idl_field(type_name: str, name: str, description: Any) -> Field:
                 f"{type_name}: the schema has an array of '{length!s:.12}'", record_again("ros2idl")
             )
         return Field(name, base, "array", length)
-    return Field(name, argument if node == 2 else argument[0])
+    return Field(name, _idl_type(node, argument))
+
+
+def _idl_type(node: int, argument: Any) -> str:
+    """Return the name of a type, or of a primitive, which is beside its size."""
+    name: str = argument if node == 2 else argument[0]
+    return name
 
 
 def _check(type_name: str, definitions: Definitions, language: str) -> None:
     """Refuse definitions of which one is missing or contains itself, or which have more fields than any message."""
-    graph = {name: [field.type_name for field in fields] for name, fields in definitions.items()}
-    for name, used in graph.items():
-        for missing in (other for other in used if "/" in other and other not in definitions):
-            what = f"{type_name}: the schema uses {missing} in {name} and does not define it"
-            raise LogError(what, record_again(language))
+    graph: dict[str, list[str]] = {}
+    for name, fields in definitions.items():
+        graph[name] = [field.type_name for field in fields]
+        for used in graph[name]:
+            if "/" in used and used not in definitions:
+                what = f"{type_name}: the schema uses {used} in {name} and does not define it"
+                raise LogError(what, record_again(language))
     try:
         inner_first = tuple(TopologicalSorter(graph).static_order())
     except CycleError as error:
@@ -254,11 +266,12 @@ def binary_paths(
 
 def missing_types(type_name: str, text: str) -> list[str]:
     """List the types that a text of ROS 2 uses and does not define."""
-    defined = {
-        name: list(_fields(name, section, "ros2msg"))
-        for name, section in _sections(type_name, text, "ros2msg")
-    }
-    used = dict.fromkeys(field.type_name for fields in defined.values() for field in fields)
+    defined: dict[str, list[Field]] = {}
+    for name, section in _sections(type_name, text, "ros2msg"):
+        defined[name] = list(_fields(name, section, "ros2msg"))
+    used: dict[str, None] = {}
+    for fields in defined.values():
+        used |= dict.fromkeys(field.type_name for field in fields)
     return [name for name in used if "/" in name and name not in defined]
 
 
@@ -266,12 +279,13 @@ def definition_text(type_name: str) -> str:
     """Return the full text of a type that comes with the tool: its own definition, then that of every type in it."""
     names = [full_name(type_name)]
     for name in names:
-        found = (field.type_name for field in _fields(name, _known_text(name), "ros2msg"))
-        names += dict.fromkeys(other for other in found if "/" in other and other not in names)
-    sections = [
-        f"{_RULE}\nMSG: {name.replace('/msg/', '/')}\n{_known_text(name)}" for name in names[1:]
-    ]
-    return "".join([_known_text(names[0]), *sections])
+        for field in _fields(name, _known_text(name), "ros2msg"):
+            if "/" in field.type_name and field.type_name not in names:
+                names.append(field.type_name)
+    sections = [_known_text(names[0])]
+    for name in names[1:]:
+        sections.append(f"{_RULE}\nMSG: {name.replace('/msg/', '/')}\n{_known_text(name)}")
+    return "".join(sections)
 
 
 @cache

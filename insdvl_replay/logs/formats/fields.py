@@ -30,13 +30,11 @@ from insdvl_replay.logs.formats.definitions import (
 )
 from insdvl_replay.logs.formats.log_file import Block, LogChannel
 
-Columns = dict[
-    str, Array
-]  # by path, (k, n): a row per message; int64 where all are whole, else float64
+# By path, (k, n): a row per message; int64 where all are whole, else float64.
+Columns = dict[str, Array]
 Kinds = Mapping[str, str]  # every path that a type knows, with the type of what is there
-ROWS: Final = (
-    ""  # key of the messages' numbers in columns, where a message may give several rows, or none
-)
+# Key of the messages' numbers in columns, where a message may give several rows, or none.
+ROWS: Final = ""
 TABLE: Final = "table"  # encoding of the rows of a table
 ROW: Final = "row number"  # path of the number of a row in its table, from 0
 NUMBER: Final = "number"  # kinds of what is decoded message by message
@@ -81,33 +79,29 @@ def check_path(path: str, known: Kinds, type_name: str) -> None:
     if kind is None:
         meant = nearest(path, known)
         hint = fields_hint(known, path)
-        raise LogError(
-            f"{type_name} has no field '{path}'",
-            f"the nearest one is '{meant}'; {hint}" if meant else hint,
-        )
+        if meant:
+            hint = f"the nearest one is '{meant}'; {hint}"
+        raise LogError(f"{type_name} has no field '{path}'", hint)
     if kind in TEXTS:
-        raise LogError(
-            f"field '{path}' of {type_name} is text",
-            f"use a field with numbers; {fields_hint(known, path)}",
-        )
+        hint = f"use a field with numbers; {fields_hint(known, path)}"
+        raise LogError(f"field '{path}' of {type_name} is text", hint)
 
 
 def fields_hint(known: Kinds, path: str) -> str:
     """List the fields with numbers, for a hint."""
-    numbers = {
-        name: kind
-        for name, kind in known.items()
-        if kind not in TEXTS and f"{name}[*]" not in known
-    }
+    numbers = {}
+    for name, kind in known.items():
+        if kind not in TEXTS and f"{name}[*]" not in known:
+            numbers[name] = kind
     if not numbers:
         return "the type has no fields with numbers"
     near = set(most_like(path, numbers, _LISTED))
-    shortest_first = sorted(
-        (name for name in numbers if name in near), key=lambda name: len(re.findall(r"[.\[]", name))
-    )
-    listed = ", ".join(f"{name} ({numbers[name]})" for name in shortest_first)
-    more = f" and {len(numbers) - len(near)} more" if len(numbers) > len(near) else ""
-    return f'its fields are {listed}{more}; for several fields: "p, q, r"'
+    shown = [name for name in numbers if name in near]
+    shown.sort(key=lambda name: len(re.findall(r"[.\[]", name)))  # the shortest paths first
+    listed = ", ".join(f"{name} ({numbers[name]})" for name in shown)
+    if len(numbers) > len(near):
+        listed += f" and {len(numbers) - len(near)} more"
+    return f'its fields are {listed}; for several fields: "p, q, r"'
 
 
 # Of each encoding of messages that can be read, the encodings of its schemas.
@@ -121,9 +115,9 @@ ENCODINGS: Final = {
 
 def check_encoding(channel: LogChannel) -> None:
     """Refuse a channel whose messages cannot be read."""
-    if channel.encoding != TABLE and channel.schema_encoding not in ENCODINGS.get(
-        channel.encoding, ()
-    ):
+    if channel.encoding == TABLE:
+        return
+    if channel.schema_encoding not in ENCODINGS.get(channel.encoding, ()):
         known = ", ".join(f"{name} with {schemas[0]}" for name, schemas in ENCODINGS.items())
         raise LogError(
             f"messages on '{channel.topic}' are encoded as {channel.encoding or 'nothing'} with "

@@ -113,12 +113,11 @@ def _as_numpy(column: Any) -> Array:
 
 def _cells(metadata: Any) -> int:
     """Return how many values all columns have, of which a list has several a row."""
-    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
-    return sum(
-        group.column(number).num_values
-        for group in groups
-        for number in range(metadata.num_columns)
-    )
+    cells = 0
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        cells += sum(group.column(column).num_values for column in range(metadata.num_columns))
+    return cells
 
 
 # --- Headers of pages.

@@ -6,11 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.dive_columns import NS_PER_S, Mask, TimeNs, nanoseconds
+from insdvl_replay.core.dive_columns import NS_PER_S, Mask, TimeNs
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.units import TIME_UNITS_NS
 from insdvl_replay.core.words import Severity
 
-_DAY_S: Final = 86_400.0  # no recorder waits for so long in the middle of a dive
+_LONGEST_PAUSE_NS: Final = TIME_UNITS_NS["d"]  # no recorder waits longer in the middle of a dive
 
 
 @dataclass(frozen=True)
@@ -31,26 +32,20 @@ class OneClock:
     @property
     def note(self) -> Note:
         """Report that the clock was set, and what is used."""
-        before, after = (
-            np.datetime64(time_ns, "ns").astype("M8[s]") for time_ns in (self.from_ns, self.to_ns)
-        )
+        before = np.datetime64(self.from_ns, "ns").astype("M8[s]")
+        after = np.datetime64(self.to_ns, "ns").astype("M8[s]")
         length_s = (self.last_ns - self.first_ns) / NS_PER_S
         text = (
             f"the recorder's clock was set {self.set_s:.1f} s in, from {before} to {after} UTC, or the log has two "
             f"dives: the longest side, {length_s:.1f} s, is used, and {self.unused} messages of the other are not"
         )
-        return Note(
-            "clock_set",
-            text,
-            self.unused,
-            Severity.WARNING,
-            "to use the other side, cut the log at this time",
-        )
+        hint = "to use the other side, cut the log at this time"
+        return Note("clock_set", text, self.unused, Severity.WARNING, hint)
 
 
 def spans_a_step(first_ns: int, last_ns: int) -> bool:
     """Return whether log times span so much that the clock may have been set."""
-    return last_ns - first_ns > nanoseconds(_DAY_S)
+    return last_ns - first_ns > _LONGEST_PAUSE_NS
 
 
 def one_clock(log_times: Sequence[TimeNs]) -> OneClock | None:
@@ -62,7 +57,7 @@ def one_clock(log_times: Sequence[TimeNs]) -> OneClock | None:
     if not known:
         return None
     ordered = np.sort(np.concatenate(known))
-    steps = np.flatnonzero(np.diff(ordered) > nanoseconds(_DAY_S))
+    steps = np.flatnonzero(np.diff(ordered) > _LONGEST_PAUSE_NS)
     if not steps.size:
         return None
     firsts = ordered[np.append(0, steps + 1)]
@@ -72,8 +67,10 @@ def one_clock(log_times: Sequence[TimeNs]) -> OneClock | None:
     often = max(known, key=len)
     part_of = np.searchsorted(firsts, often, "right") - 1
     begun = int(part_of[0])
+    next_part = (begun + 1) % len(firsts)
     others = np.flatnonzero(part_of != begun)
-    next_part = int(part_of[others[0]]) if others.size else (begun + 1) % len(firsts)
+    if others.size:
+        next_part = int(part_of[others[0]])
     first_ns = int(firsts[longest])
     last_ns = int(lasts[longest])
     used = int(np.searchsorted(ordered, last_ns, "right") - np.searchsorted(ordered, first_ns))

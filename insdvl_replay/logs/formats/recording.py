@@ -96,7 +96,7 @@ class Recording:
                 self._unusable[file] = error
         if not opened:
             raise next(iter(self._unusable.values()))
-        if any(channel.time_column for part in opened for channel in part.channels):
+        if any(_has_times_of_rows(part) for part in opened):
             _align_times_of_day(opened)
         if len(opened) > 1:  # by their first log times, files without messages last
             opened.sort(key=_begin)
@@ -252,6 +252,10 @@ def _begin(part: LogFile) -> tuple[float, str]:
 def _holds_tables(part: LogFile) -> bool:
     """Return whether a part has tables, whose times are their own, or nothing."""
     return all(channel.encoding == TABLE for channel in part.channels)
+
+
+def _has_times_of_rows(part: LogFile) -> bool:
+    return any(channel.time_column for channel in part.channels)
 
 
 def _overlaps_s(spans: Sequence[Span]) -> list[float]:
@@ -429,7 +433,8 @@ def _listed(metadata: Path, by_name: str) -> list[str]:
         text.replace("\r", ""),
     )
     listed = found[1] if found else ""
-    items = re.split(r"[\[\],]" if listed.startswith("[") else r"\n[ \t]*-[ \t]+", listed)
+    between = r"[\[\],]" if listed.startswith("[") else r"\n[ \t]*-[ \t]+"
+    items = re.split(between, listed)
     names = [_unquoted(item.strip()) for item in items if item.strip()]
     if not names:
         raise LogError("lists no files", hint, metadata)
