@@ -308,14 +308,14 @@ def inspect(
     deep : bool
         Read all messages of each role, not only the first.
     """
+    from insdvl_replay.batch.found import FoundDive
+    from insdvl_replay.batch.inspect import inspect_dive
     from insdvl_replay.inspection.inventory import inspection_result
-    from insdvl_replay.inspection.survey import inspect_log
 
-    paths = _logs(log)
-    inventory = inspect_log(
-        paths, _settings(config).load().without_code(), deep=deep, allow_damaged=allow_damaged
-    )
-    return CommandResult(inspection_result(inventory, " ".join(map(str, paths))))
+    files = [FoundDive(path) for path in _logs(log)]
+    settings = _settings(config).load()
+    inventory = inspect_dive(files, settings, deep=deep, allow_damaged=allow_damaged)
+    return CommandResult(inspection_result(inventory, " ".join(str(file.path) for file in files)))
 
 
 def propose(
@@ -329,15 +329,9 @@ def propose(
     layers = _settings(config)
     given = Given(layers.load().without_code(), layers.keys())
     found = settings_file(dives, given, allow_damaged=allow_damaged)
-    sentences = [
-        f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}"
-        for note in found.notes
-    ]
-    sentences += (
-        []
-        if found.failure is None
-        else [f"blocker: {found.failure.message}; hint: {found.failure.hint}"]
-    )
+    sentences = [note.finding for note in found.notes]
+    if found.failure is not None:
+        sentences.append(f"blocker: {found.failure.message}; hint: {found.failure.hint}")
     title = "Proposed settings"
     blocks = {"missing": Block(("key",), [(key,) for key in found.missing])}
     document: list[Part] = [Title(title), *map(Callout, sentences), Code(found.text, "toml")]
@@ -372,28 +366,29 @@ def calibrate(
     hold_out : sequence of str or float
         Dives that test the result: names, or a share between 0 and 1.
     """
-    from insdvl_replay.calibration.dives import answer_of, calibrate_dives, require_groups
-    from insdvl_replay.calibration.innovations import read_dive
-    from insdvl_replay.calibration.output import (
-        calibration_figures,
-        calibration_result,
-        calibration_toml,
-    )
+    from insdvl_replay.batch.calibrate import Asked, calibrate_logs
+    from insdvl_replay.batch.found import FoundDive
+    from insdvl_replay.calibration.dives import require_groups
+    from insdvl_replay.calibration.output import calibration_result
 
-    groups = require_groups(only, reference=reference)
-    settings = _settings(config).load()
-    dives = [
-        read_dive([path], settings, allow_damaged=allow_damaged) for path in _logs(logs, "logs")
-    ]
-    found, resolved, _, asked = calibrate_dives(
-        dives, settings, groups, hold_out=[*map(str, hold_out)], reference=reference,
-        one_delay=one_delay, mounting_unknown=mounting_unknown,
-    )  # fmt: skip
-    text = calibration_toml(
-        answer_of(found).applied(found), [dive.prepared.alignment.start_ns for dive in asked]
+    def failed(error: Exception) -> None:
+        raise error
+
+    asked = Asked(
+        require_groups(only, reference=reference),
+        [str(dive) for dive in hold_out],
+        reference,
+        one_delay,
+        mounting_unknown,
     )
-    content = calibration_result(found, resolved, figures=calibration_figures(found, asked))
-    return CommandResult(replace(content, settings=text))
+    settings = _settings(config).load()
+    dives = [[FoundDive(path)] for path in _logs(logs, "logs")]
+    calibrated = calibrate_logs(dives, settings, asked, failed, allow_damaged=allow_damaged)
+    if calibrated is None:
+        raise ConfigError("logs: names no dive", "give the path of a log")
+    found = calibrated.dives
+    content = calibration_result(found.found, found.config, figures=calibrated.figures())
+    return CommandResult(replace(content, settings=calibrated.settings()))
 
 
 def compare(

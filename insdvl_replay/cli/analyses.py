@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -25,8 +25,8 @@ from insdvl_replay.core.urls import shown_url
 if TYPE_CHECKING:
     from insdvl_replay.batch.found import FoundDive
     from insdvl_replay.calibration.found import Given
-    from insdvl_replay.calibration.innovations import ReadDive
     from insdvl_replay.core.config import Config
+    from insdvl_replay.core.settings_layers import SettingsLayers
     from insdvl_replay.document.parts import Result
     from insdvl_replay.inspection.inventory import Inventory
 
@@ -78,88 +78,136 @@ def inspect(
       insdvl-replay inspect dives/*.mcap --format json
       insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
-    from insdvl_replay.batch.dive_paths import find_dives, shared_settings, usable_paths
+    from insdvl_replay.batch.dive_paths import find_dives, shared_settings
+    from insdvl_replay.batch.inspect import inspect_dive
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.cli.screen import fetch_with_progress, progress, written
-    from insdvl_replay.core.config_file import given_keys, load_config
-    from insdvl_replay.core.report import as_json
+    from insdvl_replay.core.settings_layers import SettingsLayers
     from insdvl_replay.inspection.inventory import inspection_result
-    from insdvl_replay.inspection.survey import inspect_log, inspect_summary
     from insdvl_replay.results.folder import require_replaceable_file
 
     if propose is not None:
         require_replaceable_file(propose, force=force)
-    code = 0
-
-    def load(own: Path | None) -> "Config":
-        files = opt.settings_files(own, config)
-        given = load_config(preset, files, settings, allow_code=True, report=log_info)
-        if given.code:
-            log_to_stderr(
-                f"info: inspect runs no code from the settings; ignored: {', '.join(given.code)}"
-            )
-        return given.without_code()
-
+    layers = SettingsLayers(preset, config, settings, allow_code=True)
     is_whole = deep or propose is not None
     found = find_dives(logs)
-    configs = {file: load(file) for file in {None, *(dive.settings for dive in found)}}
+    configs = _settings_without_code(layers, found)
     if format_ == "html" and len(found) > 1 and not one_dive:
-        raise ConfigError(
-            f"--format html: is a page of one dive, found {len(found)}", "name one log"
-        )
+        text = f"--format html: is a page of one dive, found {len(found)}"
+        raise ConfigError(text, "name one log")
     is_fetched = is_whole or one_dive or offline
     if is_fetched:
         found = fetch_with_progress(found, offline=offline)
-    dives = [found] if one_dive else [[dive] for dive in found]
-    inventories: list[Inventory] = []
-    inspected: list[Sequence[Path]] = []
+
+    def look(files: "Sequence[FoundDive]") -> "Inventory":
+        with progress(f"inspecting {files[0].path.name}"):
+            return inspect_dive(
+                files,
+                configs[files[0].settings],
+                deep=is_whole,
+                allow_damaged=allow_damaged,
+                is_fetched=is_fetched,
+            )
+
+    def show(files: "Sequence[FoundDive]", inventory: "Inventory") -> str:
+        typed = _typed(files, layers, one_dive=one_dive, allow_damaged=allow_damaged)
+        return written(inspection_result(inventory, typed), format_)
+
+    dives = _as_dives(found, one_dive=one_dive)
+    if format_ == "json":
+        inspected, code = _inspect_each(dives, look, verbose)
+        _write_inventories(inspected, is_list=len(dives) > 1)
+    else:
+        inspected, code = _inspect_each(dives, look, verbose, show)
+    if propose is not None and inspected:
+        shared = shared_settings(found, "--propose")
+        given = Given(configs[shared], layers.keys(shared))
+        paths = [one.paths for one in inspected]
+        _propose(propose, paths, given, allow_damaged=allow_damaged, force=force)
+    return code
+
+
+class _Inspected(NamedTuple):
+    """A dive that could be read, and what is in it."""
+
+    paths: "list[Path]"
+    inventory: "Inventory"
+
+
+def _inspect_each(
+    dives: "Sequence[Sequence[FoundDive]]",
+    look: "Callable[[Sequence[FoundDive]], Inventory]",
+    verbose: int,
+    show: "Callable[[Sequence[FoundDive], Inventory], str] | None" = None,
+) -> "tuple[list[_Inspected], int]":
+    """Inspect dives and print each; return those that could be read, and the exit code of the others."""
+    code = 0
+    inspected: list[_Inspected] = []
     for files in dives:
-        first = files[0]
         try:
-            dive = usable_paths(files)
-            with progress(f"inspecting {dive[0].name}"):
-                if first.url and not is_fetched:
-                    inventory = inspect_summary(first.url, configs[first.settings])
-                else:
-                    inventory = inspect_log(
-                        dive, configs[first.settings], deep=is_whole, allow_damaged=allow_damaged
-                    )
+            inventory = look(files)
         except Exception as error:
             code = max(code, log_failure(error, verbose))
             continue
-        if format_ != "json":
-            arguments = shlex.join(
-                [
-                    *(shown_url(file.url) if file.url else str(file.path) for file in files),
-                    *(["--one-dive"] if one_dive else []),
-                    *(["--preset", preset] if preset else []),
-                    *(
-                        text
-                        for path in opt.settings_files(first.settings, config)
-                        for text in ("-c", str(path))
-                    ),
-                    *(text for setting in settings for text in ("--set", setting)),
-                    *(["--allow-damaged"] if allow_damaged else []),
-                ]
-            )
-            text = written(inspection_result(inventory, arguments), format_)
-            write_stdout(("\n" if inventories else "") + text)
-        inventories.append(inventory)
-        inspected.append(dive)
-    if format_ == "json":
-        for content in [inventories] if len(dives) > 1 else inventories:
-            write_stdout(as_json(content).decode())
-    if propose is not None and inspected:
-        shared = shared_settings(found, "--propose")
-        named = given_keys(preset, opt.settings_files(shared, config), settings)
-        _propose(
-            propose,
-            inspected,
-            Given(configs[shared], named),
-            allow_damaged=allow_damaged,
-            force=force,
-        )
-    return code
+        if show is not None:
+            if inspected:
+                write_stdout("\n")
+            write_stdout(show(files, inventory))
+        inspected.append(_Inspected([file.path for file in files], inventory))
+    return inspected, code
+
+
+def _settings_without_code(
+    layers: "SettingsLayers", found: "Sequence[FoundDive]"
+) -> "dict[Path | None, Config]":
+    """Load the settings by the files of dives' own; say which of them are left out, since they name code."""
+    configs = {}
+    for file in {None, *(dive.settings for dive in found)}:
+        given = layers.load(file, report=log_info)
+        if given.code:
+            names = ", ".join(given.code)
+            log_to_stderr(f"info: inspect runs no code from the settings; ignored: {names}")
+        configs[file] = given.without_code()
+    return configs
+
+
+def _as_dives(found: "Sequence[FoundDive]", *, one_dive: bool) -> "list[Sequence[FoundDive]]":
+    """Return the files of each dive."""
+    if one_dive:
+        return [found]
+    return [[dive] for dive in found]
+
+
+def _typed(
+    files: "Sequence[FoundDive]", layers: "SettingsLayers", *, one_dive: bool, allow_damaged: bool
+) -> str:
+    """Return logs and options with which other commands read a dive as this one did."""
+    words = []
+    for file in files:
+        words.append(shown_url(file.url) if file.url else str(file.path))  # without secrets
+    if one_dive:
+        words.append("--one-dive")
+    if layers.preset:
+        words += ["--preset", layers.preset]
+    for path in layers.files_with(files[0].settings):
+        words += ["-c", str(path)]
+    for setting in layers.overrides:
+        words += ["--set", setting]
+    if allow_damaged:
+        words.append("--allow-damaged")
+    return shlex.join(words)
+
+
+def _write_inventories(inspected: "Sequence[_Inspected]", *, is_list: bool) -> None:
+    """Write what is in the dives as JSON: a list of several, also if some of them cannot be read."""
+    from insdvl_replay.core.report import as_json
+
+    inventories = [one.inventory for one in inspected]
+    if is_list:
+        write_stdout(as_json(inventories).decode())
+        return
+    for inventory in inventories:
+        write_stdout(as_json(inventory).decode())
 
 
 def _propose(
@@ -269,13 +317,10 @@ def calibrate(
       insdvl-replay calibrate dives/*.mcap -c vehicle.toml --reference -o calibrated.toml
       insdvl-replay calibrate archive --only arm,delay --mounting unknown
     """
+    from insdvl_replay.batch.calibrate import Asked, calibrate_logs
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings
-    from insdvl_replay.calibration.dives import answer_of, calibrate_dives, require_groups
-    from insdvl_replay.calibration.output import (
-        calibration_figures,
-        calibration_result,
-        calibration_toml,
-    )
+    from insdvl_replay.calibration.dives import require_groups
+    from insdvl_replay.calibration.output import calibration_result
     from insdvl_replay.cli.screen import (
         CALIBRATION,
         compiling,
@@ -283,88 +328,63 @@ def calibrate(
         progress,
         written,
     )
-    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.core.settings_layers import SettingsLayers
     from insdvl_replay.document.render import render
     from insdvl_replay.results.folder import require_replaceable_file, result_file
 
     logs_found = find_dives(logs)
     own = shared_settings(logs_found, "calibrate")
-    resolved = load_config(
-        preset, opt.settings_files(own, config), settings, allow_code=allow_code, report=log_info
+    layers = SettingsLayers(preset, config, settings, allow_code)
+    resolved = layers.load(own, report=log_info)
+    names = None if only is None else only.split(",")
+    asked = Asked(
+        require_groups(names, reference=reference),
+        hold_out,
+        reference,
+        one_delay=delays == "one",
+        mounting_unknown=mounting == "unknown",
     )
-    groups = require_groups(None if only is None else only.split(","), reference=reference)
     for file in (output, page_file):
         if file is not None:
             require_replaceable_file(file, force=force)
     logs_found = fetch_with_progress(logs_found, offline=offline)
+    codes = [0]
+
+    def failed(error: Exception) -> None:
+        codes.append(log_failure(error, verbose))
+
     with progress("calibrating", CALIBRATION, compiling()):
-        dives, failed = _read(
-            logs_found, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive
-        )
-        if not dives:
-            return failed
-        found, resolved, kept, asked = calibrate_dives(
-            dives, resolved, groups, hold_out=hold_out, reference=reference,
-            one_delay=delays == "one", mounting_unknown=mounting == "unknown",
-        )  # fmt: skip
-    for read, prepared in zip(kept, (dive.prepared for dive in asked), strict=True):
-        notes = (*read.dive.notes, *prepared.notes)
-        log_notes(
-            [replace(note, text=f"{read.dive.name}: {note.text}") for note in notes],
-            verbose=verbose > 0,
-        )
-    settings_file = "" if output is None else str(output)
+        dives = _as_dives(logs_found, one_dive=one_dive)
+        calibrated = calibrate_logs(dives, resolved, asked, failed, allow_damaged=allow_damaged)
+    if calibrated is None:
+        return max(codes)
+    for name, note in calibrated.notes:
+        log_notes([replace(note, text=f"{name}: {note.text}")], verbose=verbose > 0)
     lay_out = partial(
-        calibration_result, found, resolved, settings_file, even_if_worse=even_if_worse
+        calibration_result,
+        calibrated.dives.found,
+        calibrated.dives.config,
+        "" if output is None else str(output),
+        even_if_worse=even_if_worse,
     )
     write_stdout(written(lay_out(verbose=verbose > 0), format_))
-    # Both files, or none if the work is interrupted.
-    is_found = bool(found.estimated) or found.proposes_noise
     contents: dict[Path, str] = {}
     if page_file is not None:
-        figures = calibration_figures(found, asked)
-        contents[page_file] = render(lay_out(figures), "html")
-    if output is not None and is_found:
-        better = found if even_if_worse else answer_of(found).applied(found)
-        contents[output] = calibration_toml(
-            better, [dive.prepared.alignment.start_ns for dive in asked]
-        )
+        contents[page_file] = render(lay_out(calibrated.figures()), "html")
+    if output is not None and calibrated.is_found:
+        contents[output] = calibrated.settings(even_if_worse=even_if_worse)
+    # Both files, or none if the work is interrupted.
     with ExitStack() as stack:
         for file, content in contents.items():
             stack.enter_context(result_file(file, force=force)).write_text(content, "utf-8")
     for file in contents:
         log_to_stderr(f"wrote {file}")
-    if not is_found:
+    if not calibrated.is_found:
         raise LogError(
             "nothing could be estimated from these dives",
             "record a dive with turns at speed, changes of speed, roll and pitch",
         )
-    return failed
-
-
-def _read(
-    found: "Sequence[FoundDive]",
-    config: "Config",
-    verbose: int,
-    *,
-    allow_damaged: bool,
-    one_dive: bool,
-) -> tuple[list["ReadDive"], int]:
-    """Read the dives; one that cannot be used does not stop the others."""
-    from insdvl_replay.batch.dive_paths import usable_paths
-    from insdvl_replay.calibration.innovations import read_dive
-    from insdvl_replay.core.runtime import track_progress
-
-    dives = []
-    code = 0
-    for files in track_progress("reading", [found] if one_dive else [[dive] for dive in found]):
-        try:
-            read = read_dive(usable_paths(files), config, allow_damaged=allow_damaged)
-            read.innovations()
-            dives.append(read)
-        except Exception as error:
-            code = max(code, log_failure(error, verbose))
-    return dives, code
+    return max(codes)
 
 
 # --- study

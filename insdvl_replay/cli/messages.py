@@ -95,7 +95,7 @@ def log_findings(notes: Iterable[Note], file: Path) -> None:
     """Print what was found or assumed of a vehicle without settings, or without a noise, warnings first."""
     findings = [note for note in notes if note.is_finding]
     for note in findings[:MOST_FINDINGS]:
-        log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
+        log_to_stderr(note.finding)
     if more := findings[MOST_FINDINGS:]:
         log_to_stderr(
             f"found: {counted(len(more), 'more setting')}, in the report and in {file.name}"

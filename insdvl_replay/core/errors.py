@@ -123,6 +123,13 @@ class Note:
         return self.code.startswith("found_")
 
     @property
+    def finding(self) -> str:
+        """What was found or assumed, as a line of its own."""
+        if self.severity == Severity.WARNING:
+            return f"assumed: {self.text}"
+        return f"found: {self.text}"
+
+    @property
     def is_own_finding(self) -> bool:
         """Whether it says that a dive has settings of its own, other than those of its vehicle."""
         return self.code == "found_own"
