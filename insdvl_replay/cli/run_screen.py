@@ -139,8 +139,8 @@ class RunScreen:
 
     def _tell_place(self, outcome: Outcome) -> None:
         """Say where a result is, and whether it was there before."""
-        is_told = outcome.unchanged and self._is_alone and not self.wanted.quiet
-        if not (self.wanted.talks or is_told):
+        is_reported = outcome.unchanged and self._is_alone and not self.wanted.quiet
+        if not (self.wanted.talks or is_reported):
             return
         word = "wrote"
         if outcome.unchanged:
