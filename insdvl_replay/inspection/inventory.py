@@ -4,8 +4,7 @@ Times count from the log's first message, on the recorder's clock.
 """
 
 import shlex
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
@@ -135,7 +134,7 @@ class Inventory:
 
 # --- For people, and for scripts.
 
-_PREFIXES: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1, "B"))
+_PREFIXES: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 _FOLDED: Final = (
     16  # letters of a type's name that a narrow terminal folds before it leaves out a column
 )
@@ -181,74 +180,109 @@ def answer_lines(inventory: Inventory, arguments: str = "") -> list[Callout | Co
 
 def inspection_result(inventory: Inventory, arguments: str = "") -> Result:
     """Lay out an inventory; on a terminal, where the first sentence names the log, it needs no title."""
-    log = inventory.log
-    used = sum(1 for topic in inventory.topics if topic.messages)
-    unit, name = next(
-        (unit, name) for unit, name in _PREFIXES if log.size_bytes >= unit or unit == 1
-    )
-    size = f"{log.size_bytes / unit:.3g} {name}{f' in {log.parts} parts' if log.parts > 1 else ''}"
-    summary = "" if log.has_summary else ", no summary"
-    compression = f" ({', '.join(log.compression)})" if log.chunks else ""
-    chunks = f"chunks: {log.chunks}{compression}{summary}"
+    name = inventory.log.name
     parts: list[Part] = [
-        Only(("markdown", "latex", "html"), (Title(log.name),)),
+        Only(("markdown", "latex", "html"), (Title(name),)),
         *answer_lines(inventory, arguments),
+        Sentences(tuple(_file_facts(inventory))),
+        *inventory_tables(inventory),
     ]
-    facts = [
-        f"{log.name}: {size}, profile {log.profile or MISSING}, written by {log.library or MISSING}",
-        f"{log.messages} messages on {used} of {len(inventory.topics)} topics, {chunks}",
-    ]
-    if log.start_utc is not None:
-        facts.append(f"{log.duration_s:.1f} s from {log.start_utc} (recorder's clock)")
-    for kind, names in (("metadata", log.metadata), ("attachments", log.attachments)):
-        facts += [f"{kind}: {', '.join(names)}"] if names else []
-    parts.append(Sentences(tuple(facts)))
-    parts += inventory_tables(inventory)
+    remarks = tuple(_remarks(inventory))
+    if remarks:
+        parts.append(Sentences(remarks))
+    if inventory.configuration:
+        proposal = (
+            Sentences((_PROPOSAL,)),
+            Code(inventory.configuration, "toml"),
+            Sentences(tuple(_left_open(inventory))),
+        )
+        parts.append(Only(("terminal", "markdown", "html"), proposal))
+    return Result("inspection", name, tables=_blocks(inventory), document=parts, data=inventory)
 
-    # Pings and reference, every note, every blocker.
-    found: list[Remark] = []
-    if (pings := inventory.pings) is not None:
+
+def _file_facts(inventory: Inventory) -> Iterator[str]:
+    """State what the file is: its size and writer, its messages and chunks, its time, what else is in it."""
+    log = inventory.log
+    profile = log.profile or MISSING
+    library = log.library or MISSING
+    yield f"{log.name}: {_size(log)}, profile {profile}, written by {library}"
+    used = sum(1 for topic in inventory.topics if topic.messages)
+    yield f"{log.messages} messages on {used} of {len(inventory.topics)} topics, {_chunks(log)}"
+    if log.start_utc is not None:
+        yield f"{log.duration_s:.1f} s from {log.start_utc} (recorder's clock)"
+    if log.metadata:
+        yield f"metadata: {', '.join(log.metadata)}"
+    if log.attachments:
+        yield f"attachments: {', '.join(log.attachments)}"
+
+
+def _size(log: LogFacts) -> str:
+    size = _size_of_file(log.size_bytes)
+    if log.parts > 1:
+        return f"{size} in {log.parts} parts"
+    return size
+
+
+def _size_of_file(size_bytes: int) -> str:
+    for unit, name in _PREFIXES:
+        if size_bytes >= unit:
+            return f"{size_bytes / unit:.3g} {name}"
+    return f"{size_bytes} B"
+
+
+def _chunks(log: LogFacts) -> str:
+    text = f"chunks: {log.chunks}"
+    if log.chunks:
+        text += f" ({', '.join(log.compression)})"
+    if not log.has_summary:
+        text += ", no summary"
+    return text
+
+
+def _remarks(inventory: Inventory) -> Iterator[Remark]:
+    """State what the pings and the reference give, every note and every blocker."""
+    if inventory.pings is not None:
         announced = sum(topic.messages for topic in inventory.topics if topic.role == "dvl")
-        messages = f"{'the first ' if pings.messages < announced else ''}{pings.messages} messages"
-        repeated = (
-            f" ({100 * pings.repeats / pings.messages:.0f} % repeats)" if pings.repeats else ""
-        )
-        rate = f" at {number(pings.rate_hz)} Hz" if pings.rate_hz is not None else ""
-        beams = f"valid beams: four or more in {pings.four_or_more}, three in {pings.three}, fewer in {pings.fewer}"
-        if not pings.four_or_more + pings.three + pings.fewer:
-            beams = "no beams"
-        found.append(
-            Remark(f"dvl: {pings.pings} usable pings in {messages}{repeated}{rate}; {beams}")
-        )
-    if (reference := inventory.reference) is not None:
-        text = (
+        yield Remark(_ping_sentence(inventory.pings, announced))
+    reference = inventory.reference
+    if reference is not None:
+        yield Remark(
             f"reference: {reference.rows} rows; share of the IMU's time between first and last row: "
             f"position {reference.position_pct:.0f} %, velocity {reference.velocity_pct:.0f} %, "
             f"attitude {reference.attitude_pct:.0f} %"
         )
-        found.append(Remark(text))
-    found += [
-        Remark(f"{note.severity}: {note.text} [{note.code}]", note.hint) for note in inventory.notes
-    ]
-    found += [Remark(f"blocker: {blocker.message}", blocker.hint) for blocker in inventory.blockers]
-    parts += [Sentences(tuple(found))] if found else []
+    for note in inventory.notes:
+        yield Remark(f"{note.severity}: {note.text} [{note.code}]", note.hint)
+    for blocker in inventory.blockers:
+        yield Remark(f"blocker: {blocker.message}", blocker.hint)
 
-    # What the proposed settings leave open.
-    if inventory.configuration:
-        left = (
-            [Remark(f"to decide: {', '.join(inventory.decisions)}")] if inventory.decisions else []
-        )
-        for blocker in inventory.remaining:
-            hint = "" if blocker in inventory.blockers else blocker.hint
-            left.append(Remark(f"blocker with these settings too: {blocker.message}", hint))
-        left = left or [Remark("nothing to decide")]
-        proposal = (
-            Sentences((_PROPOSAL,)),
-            Code(inventory.configuration, "toml"),
-            Sentences(tuple(left)),
-        )
-        parts.append(Only(("terminal", "markdown", "html"), proposal))
-    return Result("inspection", log.name, tables=_blocks(inventory), document=parts, data=inventory)
+
+def _ping_sentence(pings: PingFacts, announced: int) -> str:
+    """State how many of the messages are pings; of those that the log announces, not all may have been read."""
+    messages = f"{pings.messages} messages"
+    if pings.messages < announced:
+        messages = f"the first {messages}"
+    if pings.repeats:
+        messages += f" ({100 * pings.repeats / pings.messages:.0f} % repeats)"
+    if pings.rate_hz is not None:
+        messages += f" at {number(pings.rate_hz)} Hz"
+    beams = "no beams"
+    if pings.four_or_more or pings.three or pings.fewer:
+        beams = f"valid beams: four or more in {pings.four_or_more}, three in {pings.three}, fewer in {pings.fewer}"
+    return f"dvl: {pings.pings} usable pings in {messages}; {beams}"
+
+
+def _left_open(inventory: Inventory) -> Iterator[Remark]:
+    """State what the proposed settings leave open."""
+    if inventory.decisions:
+        yield Remark(f"to decide: {', '.join(inventory.decisions)}")
+    for blocker in inventory.remaining:
+        hint = blocker.hint
+        if blocker in inventory.blockers:  # where the hint stands already
+            hint = ""
+        yield Remark(f"blocker with these settings too: {blocker.message}", hint)
+    if not inventory.decisions and not inventory.remaining:
+        yield Remark("nothing to decide")
 
 
 def _blocks(inventory: Inventory) -> dict[str, Block]:
@@ -258,6 +292,10 @@ def _blocks(inventory: Inventory) -> dict[str, Block]:
     """
     known = asdict(inventory)
     name = inventory.log.name
+    conventions = []
+    for topic, keys in inventory.conventions.items():
+        for key, value in keys.items():
+            conventions.append({"topic": topic, "key": key, "value": value})
     tables: dict[str, list[dict[str, Any]]] = {
         "file": [known["log"]],
         "topics": known["topics"],
@@ -267,46 +305,58 @@ def _blocks(inventory: Inventory) -> dict[str, Block]:
         "reference": [known["reference"]] if known["reference"] else [],
         "notes": known["notes"],
         "blockers": known["blockers"],
-        "conventions": [
-            {"topic": topic, "key": key, "value": value}
-            for topic, keys in inventory.conventions.items()
-            for key, value in keys.items()
-        ],
+        "conventions": conventions,
     }
-    return {
-        table: Block(("log", *rows[0]), [(name, *row.values()) for row in rows])
-        for table, rows in tables.items()
-        if rows
-    }
+    blocks = {}
+    for title, rows in tables.items():
+        if rows:
+            blocks[title] = Block(("log", *rows[0]), [(name, *row.values()) for row in rows])
+    return blocks
 
 
 def inventory_tables(inventory: Inventory) -> list[DisplayTable]:
-    """Lay out roles, conventions, topics and clocks."""
-    roles = table_of(
+    """Lay out roles, conventions, topics and clocks; tables without rows are left out."""
+    tables = (
+        _roles_table(inventory.roles),
+        _conventions_table(inventory.conventions),
+        _topics_table(inventory.topics),
+        _clocks_table(inventory.clocks, inventory.topics),
+    )
+    return [table for table in tables if table.rows]
+
+
+def _roles_table(roles: Sequence[RoleFacts]) -> DisplayTable:
+    return table_of(
         "Roles",
-        inventory.roles,
+        roles,
         (
             ("role", "l", "role"),
             ("topic", "l", lambda role: role.topic or MISSING),
             ("why", "l", "reason"),
         ),
     )
-    conventions = DisplayTable(
-        "Conventions: defaults from the type of the topic",
-        ("topic", "key and value"),
-        "ll",
-        tuple(
-            (
-                topic,
-                tuple(
-                    f"{key} = {msgspec.json.encode(value).decode()}" for key, value in keys.items()
-                ),
-            )
-            for topic, keys in inventory.conventions.items()
-        ),
-    )
-    empty = [topic.topic for topic in inventory.topics if not topic.messages]
-    topics = DisplayTable(
+
+
+def _conventions_table(conventions: Mapping[str, Mapping[str, Any]]) -> DisplayTable:
+    rows = []
+    for topic, keys in conventions.items():
+        settings = []
+        for key, value in keys.items():
+            settings.append(f"{key} = {msgspec.json.encode(value).decode()}")
+        rows.append((topic, tuple(settings)))
+    title = "Conventions: defaults from the type of the topic"
+    return DisplayTable(title, ("topic", "key and value"), "ll", tuple(rows))
+
+
+def _topics_table(topics: Sequence[TopicFacts]) -> DisplayTable:
+    used = []
+    empty = []
+    for topic in topics:
+        if topic.messages:
+            used.append(topic)
+        else:
+            empty.append(topic.topic)
+    return DisplayTable(
         "Topics: rate, longest gap and span by log time",
         (
             "topic\n  type, encoding",
@@ -318,25 +368,87 @@ def inventory_tables(inventory: Inventory) -> list[DisplayTable]:
             "to\n[s]",
         ),
         "llrrrrr",
-        tuple(_topic_rows([topic for topic in inventory.topics if topic.messages])),
+        tuple(_topic_rows(used)),
         f"without messages: {listed(empty, _MOST_EMPTY)}" if empty else "",
         spare=(5, 6, 4, 3, 1),
         folds=_FOLDED,
     )
-    messages = {topic.topic: topic.messages for topic in inventory.topics}
-    clocks = table_of(
+
+
+def _topic_rows(topics: Sequence[TopicFacts]) -> Iterator[tuple[CellText, ...]]:
+    """Lay out the topics; those that are folded under one parent have one row, in the place of the first."""
+    folded = _folded_topics(topics)
+    shown: set[str] = set()
+    for topic in topics:
+        parent = _parent(topic)
+        if topic.role or parent not in folded:
+            yield _row_of_topic(topic)
+        elif parent not in shown:
+            shown.add(parent)
+            yield _row_of_folded(parent, folded[parent])
+
+
+def _folded_topics(topics: Sequence[TopicFacts]) -> dict[str, list[TopicFacts]]:
+    """Return by parent the topics to fold: of more than can be looked through, those without a role."""
+    if len(topics) <= _MOST_TOPICS:
+        return {}
+    below: dict[str, list[TopicFacts]] = {}
+    for topic in topics:
+        parent = _parent(topic)
+        if parent and not topic.role:
+            below.setdefault(parent, []).append(topic)
+    return {parent: same for parent, same in below.items() if len(same) >= _LEAST_FOLDED}
+
+
+def _parent(topic: TopicFacts) -> str:
+    return topic.topic.rpartition("/")[0]
+
+
+def _row_of_topic(topic: TopicFacts) -> tuple[CellText, ...]:
+    kind = topic.encoding or "no encoding"
+    if topic.type_name != topic.topic:  # some recorders name a topic after its type; once is enough
+        kind = f"{topic.type_name or 'no type'}, {kind}"
+    return (
+        (topic.topic, f"  {kind}"),
+        topic.role,
+        str(topic.messages),
+        _cell(topic.rate_hz, ".3g"),
+        _cell(topic.longest_gap_s, ".3g"),
+        _cell(topic.start_s, ".0f"),
+        _cell(topic.end_s, ".0f"),
+    )
+
+
+def _row_of_folded(parent: str, topics: Sequence[TopicFacts]) -> tuple[CellText, ...]:
+    encodings = ", ".join(sorted({topic.encoding or "no encoding" for topic in topics}))
+    return (
+        (f"{parent}/*", f"  {len(topics)} topics, {encodings}"),
+        "",
+        str(sum(topic.messages for topic in topics)),
+        MISSING,
+        MISSING,
+        _cell(min(topic.start_s or 0.0 for topic in topics), ".0f"),
+        _cell(max(topic.end_s or 0.0 for topic in topics), ".0f"),
+    )
+
+
+def _cell(value: float | None, style: str) -> str:
+    return MISSING if value is None else format(value, style)
+
+
+def _clocks_table(clocks: Sequence[Clock], topics: Sequence[TopicFacts]) -> DisplayTable:
+    announced = {topic.topic: topic.messages for topic in topics}
+
+    def looked_at(clock: Clock) -> str:
+        return "all" if clock.messages == announced.get(clock.topic) else str(clock.messages)
+
+    table = table_of(
         "Clocks: log time minus stamp, in the first messages",
-        inventory.clocks,
+        clocks,
         (
             ("topic", "l", "topic"),
             ("stamp", "l", "stamp"),
-            (
-                "first",
-                "r",
-                lambda clock: (
-                    "all" if clock.messages == messages.get(clock.topic) else str(clock.messages)
-                ),
-            ),
+            ("first", "r", looked_at),
             ("median\n[s]", "r", "log_minus_stamp_s"),
             ("spread\n[s]", "r", "spread_s"),
             ("back\nsteps", "r", "back_steps"),
@@ -345,44 +457,4 @@ def inventory_tables(inventory: Inventory) -> list[DisplayTable]:
         ),
         spare=(2, 6, 5, 7, 4),
     )
-    return [table for table in (roles, conventions, topics, replace(clocks, folds=4)) if table.rows]
-
-
-def _topic_rows(topics: Sequence[TopicFacts]) -> Iterator[tuple[CellText, ...]]:
-    """Lay out the topics, of more than can be looked through those without a role under one parent in one row."""
-    parent = {topic.topic: topic.topic.rpartition("/")[0] for topic in topics}
-    below = Counter(parent[topic.topic] for topic in topics if not topic.role)
-    shown: set[str] = set()
-    for topic in topics:
-        above = parent[topic.topic]
-        if topic.role or len(topics) <= _MOST_TOPICS or not above or below[above] < _LEAST_FOLDED:
-            # Some recorders name a topic after its type; once is enough.
-            type_name = (
-                "" if topic.type_name == topic.topic else f"{topic.type_name or 'no type'}, "
-            )
-            yield (
-                (topic.topic, f"  {type_name}{topic.encoding or 'no encoding'}"),
-                topic.role,
-                str(topic.messages),
-                *(
-                    MISSING if value is None else f"{value:.3g}"
-                    for value in (topic.rate_hz, topic.longest_gap_s)
-                ),
-                *(
-                    MISSING if value is None else f"{value:.0f}"
-                    for value in (topic.start_s, topic.end_s)
-                ),
-            )
-        elif above not in shown:
-            shown.add(above)
-            same = [other for other in topics if not other.role and parent[other.topic] == above]
-            encodings = ", ".join(sorted({other.encoding or "no encoding" for other in same}))
-            yield (
-                (f"{above}/*", f"  {len(same)} topics, {encodings}"),
-                "",
-                str(sum(other.messages for other in same)),
-                MISSING,
-                MISSING,
-                f"{min(other.start_s or 0.0 for other in same):.0f}",
-                f"{max(other.end_s or 0.0 for other in same):.0f}",
-            )
+    return replace(table, folds=4)
