@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import check_start
 from insdvl_replay.core.dive_columns import TimeNs, seconds
 from insdvl_replay.core.errors import Note, UserError
@@ -20,9 +20,10 @@ from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Blocker, Inventory, LogFacts, RoleFacts, TopicFacts
 from insdvl_replay.inspection.proposal import propose
 from insdvl_replay.inspection.settings import settings_toml, undecided_keys
+from insdvl_replay.logs.columns.topics import Source
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
 from insdvl_replay.logs.formats.recording import Recording, open_recording
-from insdvl_replay.logs.formats.remote import read_summary, remote_name
+from insdvl_replay.logs.formats.remote import LogSummary, read_summary, remote_name
 from insdvl_replay.logs.read import Finding, find_roles, idle_sensors
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -46,28 +47,17 @@ def inspect_log(
         findings = find_roles(str(log.path), log.channels, config)
         seen = DryRun(log, config, deep)
         seen.examine(findings)
-        sources = [
-            source for finding in findings for source in (*finding.sources, *finding.candidates)
-        ]
-        others = [
-            channel
-            for channel in log.channels
-            if channel.topic not in {source.topic for source in sources}
-        ]
-        seen.examine_others(others)
+        with_role = {source.topic for source in _possible_sources(findings)}
+        seen.examine_others(channel for channel in log.channels if channel.topic not in with_role)
         log_times = log.log_times()
         facts = _log_facts(log, log_times)
         proposal = propose(log, findings, seen, config)
         # Last of all, since damage inside the chunks is found as they are opened.
         damage = None if allow_damaged else log.damage_error()
-    notes = [*log.notes, *seen.notes, *proposal.notes]
-    if idle := idle_sensors(str(log.path), log.channels, findings, config):
-        kind, them = ("sensor", "it") if len(idle) == 1 else ("sensors", "them")
-        sensors = "; ".join(f"{name} on {' or '.join(topics)}" for name, topics in idle.items())
-        aiding = ", ".join(f'"{word}"' for word in ("velocity", *idle))
-        held_out = ", ".join(f'"{word}"' for word in idle)
-        hint = f"to use {them}: aiding = [{aiding}]; to judge by {them}: evaluation.held_out = [{held_out}]"
-        notes.append(Note("sensors_unused", f"unused {kind}: {sensors}", len(idle), hint=hint))
+    blockers = list(seen.blockers)
+    if damage is not None:
+        blockers.insert(0, Blocker(damage.message, damage.hint))
+    unused = _unused_sensors(log, findings, config)
     inventory = Inventory(
         log=facts,
         reading=Reading.WHOLE if deep else Reading.SAMPLE,
@@ -77,39 +67,69 @@ def inspect_log(
         clocks=tuple(seen.clocks),
         pings=seen.pings,
         reference=seen.reference,
-        blockers=(*([Blocker(damage.message, damage.hint)] if damage else []), *seen.blockers),
-        notes=tuple(notes),
+        blockers=tuple(blockers),
+        notes=(*log.notes, *seen.notes, *proposal.notes, *unused),
         configuration=settings_toml(proposal.settings),
         decisions=undecided_keys(proposal.settings),
         remaining=proposal.blockers,
     )
     try:
-        if inventory.blockers or not deep:
-            # By what the types of the reference can give; of several, which is chosen decides what it gives.
-            fields = {role.role: role.fields for role in inventory.roles}
-            if not next(role.candidates for role in inventory.roles if role.role == "reference"):
-                reference = fields["reference"]
-                check_start(
-                    config.initial,
-                    has_reference=bool(reference),
-                    has_position="latitude" in reference
-                    or "latitude" in fields.get("position", ()),
-                    has_attitude="quaternion" in reference or "roll" in reference,
-                    has_heading=bool(fields.get("heading")),
-                )
-            return inventory
-        # Not imported before it is needed: a look at the file alone takes less than the filters' import.
-        from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
-        from insdvl_replay.preparation.run import prepare_with_heading
-
-        dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
-        unused = (note for note in inventory.notes if note.code == "sensors_unused")
-        prepared = prepare_with_heading(with_reference_at_imu(dive, config), config)
-        return replace(inventory, notes=(*dive.notes, *prepared.notes, *unused))
+        if deep and not blockers:
+            prepared = _notes_of_preparation(path, config, allow_damaged=allow_damaged)
+            return replace(inventory, notes=(*prepared, *unused))
+        _check_start(inventory.roles, config.initial)
+        return inventory
     except UserError as error:
-        return replace(
-            inventory, blockers=(*inventory.blockers, Blocker(error.message, error.hint))
-        )
+        blockers.append(Blocker(error.message, error.hint))
+        return replace(inventory, blockers=tuple(blockers))
+
+
+def _unused_sensors(log: Recording, findings: Sequence[Finding], config: Config) -> list[Note]:
+    """Note the sensors of a log that could aid a filter, and do not."""
+    idle = idle_sensors(str(log.path), log.channels, findings, config)
+    if not idle:
+        return []
+    sensors = "; ".join(f"{name} on {' or '.join(topics)}" for name, topics in idle.items())
+    text = f"unused sensors: {sensors}"
+    them = "them"
+    if len(idle) == 1:
+        text = f"unused sensor: {sensors}"
+        them = "it"
+    held_out = ", ".join(f'"{name}"' for name in idle)
+    hint = (
+        f'to use {them}: aiding = ["velocity", {held_out}]; '
+        f"to judge by {them}: evaluation.held_out = [{held_out}]"
+    )
+    return [Note("sensors_unused", text, len(idle), hint=hint)]
+
+
+def _check_start(roles: Sequence[RoleFacts], initial: Initial) -> None:
+    """Raise a UserError where a replay would have no start, by what the type of the reference can give."""
+    by_role = {role.role: role for role in roles}
+    if by_role["reference"].candidates:
+        return  # which of them is chosen decides what it gives
+    fields = {role.role: role.fields for role in roles}
+    given = fields["reference"]
+    check_start(
+        initial,
+        has_reference=bool(given),
+        has_position="latitude" in given or "latitude" in fields.get("position", {}),
+        has_attitude="quaternion" in given or "roll" in given,
+        has_heading=bool(fields.get("heading")),
+    )
+
+
+def _notes_of_preparation(
+    path: Path | Sequence[Path], config: Config, *, allow_damaged: bool
+) -> tuple[Note, ...]:
+    """Go as far as a replay would before its filters run, and return what it notes."""
+    # Not imported before it is needed: a look at the file alone takes less than the filters' import.
+    from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
+    from insdvl_replay.preparation.run import prepare_with_heading
+
+    dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
+    prepared = prepare_with_heading(with_reference_at_imu(dive, config), config)
+    return (*dive.notes, *prepared.notes)
 
 
 def inspect_summary(url: str, config: Config) -> Inventory:
@@ -123,28 +143,25 @@ def inspect_summary(url: str, config: Config) -> Inventory:
         The summary cannot be read.
     """
     summary = read_summary(url)
-    stated = summary.statistics
     name = remote_name(url).name
     findings = find_roles(name, summary.channels, config)
-    role_of = _role_of(findings)
-    topics = []
-    for topic, same in sorted(by_topic(summary.channels).items()):
-        count = sum(channel.messages for channel in same)
-        ids = {channel.id for channel in same}
-        chunks = [
-            chunk for chunk in summary.chunks if not ids.isdisjoint(chunk.message_index_offsets)
-        ]
-        start_ns = min(
-            (chunk.message_start_time for chunk in chunks), default=stated.message_start_time
-        )
-        end_ns = max((chunk.message_end_time for chunk in chunks), default=stated.message_end_time)
-        span_s = (
-            tuple((time_ns - stated.message_start_time) * 1e-9 for time_ns in (start_ns, end_ns))
-            if count
-            else ()
-        )
-        topics.append(_topic(same, role_of.get(topic, ""), count, span_s))
-    facts = LogFacts(
+    blockers = []
+    for finding in findings:
+        if finding.error is not None:
+            blockers.append(Blocker(finding.error.message, finding.error.hint))
+    return Inventory(
+        _summary_facts(name, summary),
+        Reading.SUMMARY,
+        tuple(_summary_topics(summary, _role_of(findings))),
+        _role_facts(findings),
+        _conventions(findings),
+        blockers=tuple(blockers),
+    )
+
+
+def _summary_facts(name: str, summary: LogSummary) -> LogFacts:
+    stated = summary.statistics
+    return LogFacts(
         name=name,
         parts=1,
         size_bytes=summary.size_bytes,
@@ -159,44 +176,63 @@ def inspect_summary(url: str, config: Config) -> Inventory:
         metadata=summary.metadata,
         attachments=summary.attachments,
     )
-    errors = [finding.error for finding in findings if finding.error is not None]
-    return Inventory(
-        facts,
-        Reading.SUMMARY,
-        tuple(topics),
-        _role_facts(findings),
-        _conventions(findings),
-        blockers=tuple(Blocker(error.message, error.hint) for error in errors),
-    )
+
+
+def _summary_topics(summary: LogSummary, role_of: Mapping[str, str]) -> Iterator[TopicFacts]:
+    for topic, same in sorted(by_topic(summary.channels).items()):
+        count = sum(channel.messages for channel in same)
+        span_s = _span_of_chunks(summary, same) if count else None
+        yield _topic(same, role_of.get(topic, ""), count, span_s)
+
+
+def _span_of_chunks(summary: LogSummary, same: Sequence[LogChannel]) -> tuple[float, float]:
+    """Return begin and end of the chunks that have messages of some channels, else of all messages, s."""
+    stated = summary.statistics
+    ids = {channel.id for channel in same}
+    starts_ns = []
+    ends_ns = []
+    for chunk in summary.chunks:
+        if not ids.isdisjoint(chunk.message_index_offsets):
+            starts_ns.append(chunk.message_start_time)
+            ends_ns.append(chunk.message_end_time)
+    start_ns = min(starts_ns, default=stated.message_start_time)
+    end_ns = max(ends_ns, default=stated.message_end_time)
+    zero_ns = stated.message_start_time
+    return (start_ns - zero_ns) * 1e-9, (end_ns - zero_ns) * 1e-9
 
 
 def _role_facts(findings: Sequence[Finding]) -> tuple[RoleFacts, ...]:
-    return tuple(
-        RoleFacts(
-            finding.role,
-            ", ".join(source.topic for source in finding.sources) or None,
-            finding.reason,
-            tuple(source.topic for source in finding.candidates),
-            {
-                quantity: path
-                for source in finding.sources
-                for quantity, path in source.fields.items()
-            },
-        )
-        for finding in findings
-    )
+    facts = []
+    for finding in findings:
+        fields: dict[str, str] = {}
+        for source in finding.sources:
+            fields.update(source.fields)
+        topics = ", ".join(source.topic for source in finding.sources)
+        candidates = tuple(source.topic for source in finding.candidates)
+        facts.append(RoleFacts(finding.role, topics or None, finding.reason, candidates, fields))
+    return tuple(facts)
 
 
 def _role_of(findings: Sequence[Finding]) -> dict[str, str]:
     """Return the role by topic, the first of several."""
-    return {
-        source.topic: source.role for finding in reversed(findings) for source in finding.sources
-    }
+    roles: dict[str, str] = {}
+    for finding in findings:
+        for source in finding.sources:
+            roles.setdefault(source.topic, source.role)
+    return roles
 
 
 def _conventions(findings: Sequence[Finding]) -> dict[str, dict[str, Any]]:
-    sources = [source for finding in findings for source in (*finding.sources, *finding.candidates)]
+    sources = _possible_sources(findings)
     return {source.topic: dict(source.conventions) for source in sources if source.conventions}
+
+
+def _possible_sources(findings: Sequence[Finding]) -> list[Source]:
+    """Return the topics that play a role or could."""
+    sources: list[Source] = []
+    for finding in findings:
+        sources += (*finding.sources, *finding.candidates)
+    return sources
 
 
 def _utc(time_ns: int) -> str:
@@ -205,36 +241,56 @@ def _utc(time_ns: int) -> str:
 
 def _log_facts(log: Recording, log_times: Mapping[int, TimeNs]) -> LogFacts:
     parts = log.parts
-    times = [times for times in log_times.values() if times.size]
-    first_ns = min((int(part.min()) for part in times), default=0)
-    last_ns = max((int(part.max()) for part in times), default=0)
+    compression: set[str] = set()
+    metadata: list[str] = []
+    attachments: list[str] = []
+    for part in parts:
+        compression.update(part.compression)
+        metadata += [record.name for record in part.metadata]
+        attachments += [attachment.name for attachment in part.attachments]
+    start_utc = None
+    duration_s = 0.0
+    span_ns = _span_ns(log_times)
+    if span_ns is not None:
+        first_ns, last_ns = span_ns
+        duration_s = (last_ns - first_ns) * 1e-9
+        if first_ns >= 0:
+            start_utc = _utc(first_ns)
     return LogFacts(
         name=log.path.name,
         parts=len(parts),
         size_bytes=sum(part.size_bytes for part in parts),
         profile=", ".join(sorted({part.profile for part in parts})),
         library=", ".join(sorted({part.library for part in parts})),
-        compression=tuple(sorted({name for part in parts for name in part.compression})),
+        compression=tuple(sorted(compression)),
         chunks=sum(part.chunk_count for part in parts),
-        messages=sum(part.size for part in times),
+        messages=sum(times.size for times in log_times.values()),
         has_summary=all(part.has_summary for part in parts),
-        start_utc=_utc(first_ns) if times and first_ns >= 0 else None,
-        duration_s=(last_ns - first_ns) * 1e-9,
-        metadata=tuple(record.name for part in parts for record in part.metadata),
-        attachments=tuple(attachment.name for part in parts for attachment in part.attachments),
+        start_utc=start_utc,
+        duration_s=duration_s,
+        metadata=tuple(metadata),
+        attachments=tuple(attachments),
     )
+
+
+def _span_ns(log_times: Mapping[int, TimeNs]) -> tuple[int, int] | None:
+    """Return the first and the last log time; None without messages."""
+    recorded = [times for times in log_times.values() if times.size]
+    if not recorded:
+        return None
+    return min(int(times.min()) for times in recorded), max(int(times.max()) for times in recorded)
 
 
 def _topic_facts(
     log: Recording, log_times: Mapping[int, TimeNs], findings: Sequence[Finding]
 ) -> Iterator[TopicFacts]:
     role_of = _role_of(findings)
-    start_ns = min((int(times.min()) for times in log_times.values() if times.size), default=0)
+    start_ns, _ = _span_ns(log_times) or (0, 0)
     for topic, same in sorted(by_topic(log.channels).items()):
         time_ns = np.concatenate([log_times[channel.id] for channel in same])
         # A stable sort takes next to no time for what is in order already.
         time_s = np.sort(seconds(time_ns, start_ns), kind="stable")
-        span_s = (float(time_s[0]), float(time_s[-1])) if time_s.size else ()
+        span_s = (float(time_s[0]), float(time_s[-1])) if time_s.size else None
         gap_s = float(np.diff(time_s).max()) if time_s.size > 1 else None
         yield _topic(same, role_of.get(topic, ""), time_s.size, span_s, gap_s)
 
@@ -243,13 +299,17 @@ def _topic(
     same: Sequence[LogChannel],
     role: str,
     count: int,
-    span_s: tuple[float, ...],
+    span_s: tuple[float, float] | None,
     longest_gap_s: float | None = None,
 ) -> TopicFacts:
     """Describe a topic by its channels and the times of its first and last message, if it has any."""
     # The channel that has messages is the one to describe: some recorders register every topic twice.
     channel = max(same, key=lambda channel: channel.messages)
-    length_s = span_s[1] - span_s[0] if span_s else 0.0
+    start_s = end_s = rate_hz = None
+    if span_s is not None:
+        start_s, end_s = span_s
+        if count > 1 and end_s > start_s:
+            rate_hz = (count - 1) / (end_s - start_s)
     return TopicFacts(
         topic=channel.topic,
         type_name=channel.type_name,
@@ -258,8 +318,8 @@ def _topic(
         role=role,
         channels=len(same),
         messages=count,
-        start_s=span_s[0] if span_s else None,
-        end_s=span_s[1] if span_s else None,
-        rate_hz=(count - 1) / length_s if count > 1 and length_s > 0.0 else None,
+        start_s=start_s,
+        end_s=end_s,
+        rate_hz=rate_hz,
         longest_gap_s=longest_gap_s,
     )
