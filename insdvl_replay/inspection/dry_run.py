@@ -5,6 +5,7 @@ Reading a dive stops at the first error. Here each error is kept, and the rest i
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,7 +17,13 @@ import numpy as np
 from insdvl_replay.checks.reference import plausibility_remarks, says_anything
 from insdvl_replay.checks.sentences import Measured, Remark, without_mark
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import Floats, ImuColumns, seconds
+from insdvl_replay.core.dive_columns import (
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    seconds,
+)
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError
 from insdvl_replay.core.states import GRAVITY_MPS2
@@ -32,11 +39,12 @@ from insdvl_replay.logs.formats.definitions import PRIMITIVES
 from insdvl_replay.logs.formats.fields import (
     NUMBER,
     TABLE,
+    FieldReader,
     Kinds,
     check_encoding,
     split_paths,
 )
-from insdvl_replay.logs.formats.log_file import LogChannel
+from insdvl_replay.logs.formats.log_file import Block, LogChannel
 from insdvl_replay.logs.formats.readers import channel_paths, open_reader
 from insdvl_replay.logs.formats.recording import Recording
 from insdvl_replay.logs.read import Finding, RoleColumns, loss_notes, source_notes, stamp_notes
@@ -79,6 +87,7 @@ class DryRun:
         default_factory=dict
     )  # and those with which a replay would stop, with the reason
     columns: RoleColumns = field(init=False)
+    other_imus: dict[str, ImuColumns] = field(default_factory=dict)  # that could be it, by topic
 
     def __post_init__(self) -> None:
         self.columns = RoleColumns(str(self.log.path), self.config)
@@ -86,56 +95,18 @@ class DryRun:
     def examine(self, findings: Sequence[Finding]) -> None:
         """Look at all topics that play a role or could."""
         own_clocks: list[Clock] = []
-        other_imus: dict[str, ImuColumns] = {}
         for finding in findings:
             if finding.error is not None:
                 self._add_blocker(finding.error)
-            tables: list[Table] = []
-            with errors_to(self._add_blocker):
-                read = [self._read(source, self._add_blocker) for source in finding.sources]
-                self._remark([*source_notes(finding.sources), *stamp_notes(read)])
-                if self.deep:
-                    self._remark(loss_notes(read))
-                tables = read
-                own_clocks += self.clocks[len(self.clocks) - len(read) :]
-            if tables and finding.role != "truth":
-                with errors_to(partial(self._not_decoded, finding.role)):
-                    self._decode(finding.role, tables)
+            own_clocks += self._examine_role(finding)
             # A fault of one of several topics is not a blocker yet.
             for source in finding.candidates:
-                warn = partial(self._warn_of, source.topic)
-                with errors_to(warn):
-                    table = self._read(source, warn)
-                    if source.role == "imu":
-                        other_imus[source.topic], _ = decode_imu(table, self.config.imu)
-                    elif source.role == "reference":
-                        columns, _ = decode_reference(
-                            [table], self.config.reference, self.config.initial
-                        )
-                        if columns is not None and not says_anything(columns):
-                            text = "has no attitude, and its velocity is zero in all messages"
-                            raise LogError(text, "", *table.where)
-                    if own_clocks and own_clocks[0].role == "imu":
-                        self.columns.clock_notes([own_clocks[0], self.clocks[-1]])
+                with errors_to(partial(self._warn_of, source.topic)):
+                    self._examine_candidate(source, own_clocks)
         if self.columns.imu is not None:
-            with errors_to(self._add_blocker):
-                self._remark(self.columns.clock_notes(own_clocks))
-            for remark in self._remarks(self.columns.imu):
-                said = without_mark(remark)
-                if isinstance(said, LogError):
-                    self.blockers.append(Blocker(said.message, self._hint(remark)))
-                else:
-                    self._remark([replace(said, hint=self._hint(remark))])
-        for topic, imu in other_imus.items():
-            for remark in self._remarks(imu):
-                said = without_mark(remark)
-                hint = self._hint(remark)
-                if isinstance(said, LogError):
-                    self._warn_of(topic, said, hint)
-                elif said.code.startswith("imu"):
-                    if said.severity == Severity.WARNING:
-                        self.warned.add(topic)
-                    self._remark([replace(said, text=f"{topic}: {said.text}", hint=hint)])
+            self._compare_roles(self.columns.imu, own_clocks)
+        for topic, imu in self.other_imus.items():
+            self._compare_other_imu(topic, imu)
 
     def examine_others(self, channels: Iterable[LogChannel]) -> None:
         """Look at the clocks of topics without a role, as far as their messages have a header."""
@@ -145,18 +116,58 @@ class DryRun:
                 has_header = channel.messages > 0 and "header.stamp" in channel_paths(channel)
             except UserError:  # what cannot be read is no matter where nobody needs it
                 continue
-            if has_header:
-                source = Source("", channel.topic, channel.type_name, (channel,), {}, "header", 0.0)
-                with errors_to(lambda error: self.notes.append(Note("other_clock", error.message))):
-                    self.clocks.append(read_sample(self.log, source, _ENOUGH_OF_OTHERS).clock())
+            if not has_header:
+                continue
+            source = Source("", channel.topic, channel.type_name, (channel,), {}, "header", 0.0)
+            try:
+                self.clocks.append(read_sample(self.log, source, _ENOUGH_OF_OTHERS).clock())
+            except UserError as error:
+                self.notes.append(Note("other_clock", error.message))
 
-    def _read(self, source: Source, on_error: OnError) -> Table:
+    def _examine_role(self, finding: Finding) -> list[Clock]:
+        """Look at the topics that play a role; return their clocks, or none where one cannot be read."""
+        try:
+            tables, clocks = self._read_role(finding.sources)
+        except UserError as error:
+            self._add_blocker(error)
+            return []
+        if tables and finding.role != "truth":
+            with errors_to(partial(self._not_decoded, finding.role)):
+                self._decode(finding.role, tables)
+        return clocks
+
+    def _read_role(self, sources: Sequence[Source]) -> tuple[list[Table], list[Clock]]:
+        """Read the topics that play a role, and note what is wrong with their messages."""
+        tables: list[Table] = []
+        clocks: list[Clock] = []
+        for source in sources:
+            table, clock = self._read(source, self._add_blocker)
+            tables.append(table)
+            clocks.append(clock)
+        self._remark([*source_notes(sources), *stamp_notes(tables)])
+        if self.deep:
+            self._remark(loss_notes(tables))
+        return tables, clocks
+
+    def _examine_candidate(self, source: Source, own_clocks: Sequence[Clock]) -> None:
+        """Look at one of several topics that could play a role; a UserError where a replay would stop with it."""
+        table, clock = self._read(source, partial(self._warn_of, source.topic))
+        if source.role == "imu":
+            self.other_imus[source.topic], _ = decode_imu(table, self.config.imu)
+        elif source.role == "reference":
+            columns, _ = decode_reference([table], self.config.reference, self.config.initial)
+            if columns is not None and not says_anything(columns):
+                text = "has no attitude, and its velocity is zero in all messages"
+                raise LogError(text, "", *table.where)
+        if own_clocks and own_clocks[0].role == "imu":
+            self.columns.clock_notes([own_clocks[0], clock])
+
+    def _read(self, source: Source, on_error: OnError) -> tuple[Table, Clock]:
         """Read a topic; where its stamps are no times, report it and go on with the recorder's."""
-        table = (
-            read_tables(self.log, [source])[0]
-            if self.deep
-            else read_sample(self.log, source, _ENOUGH)
-        )
+        if self.deep:
+            (table,) = read_tables(self.log, [source])
+        else:
+            table = read_sample(self.log, source, _ENOUGH)
         if table.unreadable_ns:
             on_error(table.damage_error())
         try:
@@ -166,44 +177,43 @@ class DryRun:
             table = replace(table, source=replace(source, stamp="log_time"))
             clock = table.clock()
         self.clocks.append(clock)
-        return table
+        return table, clock
 
     def _decode(self, role: str, tables: list[Table]) -> None:
-        columns = self.columns
         messages = len(tables[0])
-        notes = columns.decode(role, tables)
+        notes = self.columns.decode(role, tables)
         if role == "dvl":
-            dvl = columns.dvl
-            repeats = sum(
-                note.count for note in notes if note.code in ("dvl_repeats", "dvl_same_values")
-            )
-            steps_s = np.diff(seconds(dvl.time_ns, int(dvl.time_ns[0])))
-            rate_hz = 1.0 / float(np.median(steps_s)) if steps_s.size else None
-            beams = (
-                np.empty(0)
-                if dvl.beam_velocity_mps is None
-                else np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
-            )
-            four, three, fewer = (
-                int(np.count_nonzero(part)) for part in (beams > 3, beams == 3, beams < 3)
-            )
-            self.pings = PingFacts(messages, repeats, len(dvl.time_ns), four, three, fewer, rate_hz)
-        elif columns.reference is not None and columns.imu is not None and self.deep:
-            reference, (first_ns, last_ns) = (
-                columns.reference,
-                columns.imu.time_ns[[0, -1]].tolist(),
-            )
-            parts_pct = []
-            for values in (
-                reference.position[:, :2],
-                reference.velocity_n,
-                reference.mat_nb.reshape(-1, 9),
-            ):
-                time_ns = reference.time_ns[np.isfinite(values).all(axis=1)].clip(first_ns, last_ns)
-                covered_ns = int(time_ns[-1] - time_ns[0]) if len(time_ns) else 0
-                parts_pct.append(100.0 * covered_ns / max(last_ns - first_ns, 1))
-            self.reference = ReferenceFacts(len(reference.time_ns), *parts_pct)
+            self.pings = _ping_facts(self.columns.dvl, messages, notes)
+        elif role == "reference" and self.deep:
+            imu = self.columns.imu
+            reference = self.columns.reference
+            if imu is not None and reference is not None:
+                self.reference = _reference_facts(reference, imu)
         self._remark(notes)
+
+    def _compare_roles(self, imu: ImuColumns, clocks: Sequence[Clock]) -> None:
+        """Compare the topics that play the roles with each other."""
+        with errors_to(self._add_blocker):
+            self._remark(self.columns.clock_notes(clocks))
+        for remark in self._remarks(imu):
+            said = without_mark(remark)
+            hint = self._hint(remark)
+            if isinstance(said, LogError):
+                self.blockers.append(Blocker(said.message, hint))
+            else:
+                self._remark([replace(said, hint=hint)])
+
+    def _compare_other_imu(self, topic: str, imu: ImuColumns) -> None:
+        """Compare a topic that could be the IMU with those that play the other roles."""
+        for remark in self._remarks(imu):
+            said = without_mark(remark)
+            hint = self._hint(remark)
+            if isinstance(said, LogError):
+                self._warn_of(topic, said, hint)
+            elif said.code.startswith("imu"):
+                if said.severity == Severity.WARNING:
+                    self.warned.add(topic)
+                self._remark([replace(said, text=f"{topic}: {said.text}", hint=hint)])
 
     def _not_decoded(self, role: str, error: UserError) -> None:
         if self.deep or role == "imu" or isinstance(error, ConfigError):
@@ -238,6 +248,50 @@ class DryRun:
 
     def _add_blocker(self, error: UserError) -> None:
         self.blockers.append(Blocker(error.message, error.hint))
+
+
+def _ping_facts(dvl: DvlColumns, messages: int, notes: Iterable[Note]) -> PingFacts:
+    """Count the pings of a DVL, by the messages that were read and the notes on them."""
+    repeats = 0
+    for note in notes:
+        if note.code in ("dvl_repeats", "dvl_same_values"):
+            repeats += note.count
+    rate_hz = None
+    steps_s = np.diff(seconds(dvl.time_ns, int(dvl.time_ns[0])))
+    if steps_s.size:
+        rate_hz = 1.0 / float(np.median(steps_s))
+    beams = np.empty(0)
+    if dvl.beam_velocity_mps is not None:
+        beams = np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
+    return PingFacts(
+        messages=messages,
+        repeats=repeats,
+        pings=len(dvl.time_ns),
+        four_or_more=int(np.count_nonzero(beams > 3)),
+        three=int(np.count_nonzero(beams == 3)),
+        fewer=int(np.count_nonzero(beams < 3)),
+        rate_hz=rate_hz,
+    )
+
+
+def _reference_facts(reference: ReferenceColumns, imu: ImuColumns) -> ReferenceFacts:
+    """State over which part of the IMU's span a reference gives position, velocity and attitude."""
+    first_ns = int(imu.time_ns[0])
+    last_ns = int(imu.time_ns[-1])
+
+    def covered_pct(values: Floats) -> float:
+        time_ns = reference.time_ns[np.isfinite(values).all(axis=1)].clip(first_ns, last_ns)
+        if not len(time_ns):
+            return 0.0
+        covered_ns = int(time_ns[-1] - time_ns[0])
+        return 100.0 * covered_ns / max(last_ns - first_ns, 1)
+
+    return ReferenceFacts(
+        rows=len(reference.time_ns),
+        position_pct=covered_pct(reference.position[:, :2]),
+        velocity_pct=covered_pct(reference.velocity_n),
+        attitude_pct=covered_pct(reference.mat_nb.reshape(-1, 9)),
+    )
 
 
 # --- Topics of unknown types: vectors and beams by name and size, and single numbers.
@@ -314,49 +368,60 @@ def without_marks(values: Floats) -> Floats:
 def vector_paths(known: Kinds) -> list[str]:
     """Find what could be a vector or beams among the fields of a type."""
     numbers, children = _numbers(known)
-    lists = [path.removesuffix("[*]") for path in numbers if path.count("[*]") == 1]
-    structures = {path for path, names in children.items() if sorted(names) == ["x", "y", "z"]}
-    quaternions = {
-        path for path, names in children.items() if sorted(names) == ["w", "x", "y", "z"]
-    }
-    single = {
-        path
-        for path in scalar_paths(known)
-        if path.rpartition(".")[0] not in structures | quaternions
-    }
-    # Fields such as ``ax``, ``ay``, ``az`` or ``p``, ``q``, ``r`` or ``beam_1`` to ``beam_4``.
-    families = set()
+    found = {path.removesuffix("[*]") for path in numbers if path.count("[*]") == 1}
+    joined: set[str] = set()  # structures whose numbers belong together already
+    for path, names in children.items():
+        if sorted(names) == ["x", "y", "z"]:
+            joined.add(path)
+            found.add(path)
+        elif sorted(names) == ["w", "x", "y", "z"]:  # a quaternion
+            joined.add(path)
+    single = {path for path in scalar_paths(known) if path.rpartition(".")[0] not in joined}
     for path in single:
-        parent, dot, name = path.rpartition(".")
-        complete = (
-            siblings
-            for first, *others in _FAMILIES
-            for place in re.finditer(first, name)
-            for before, after in [(f"{parent}{dot}{name[: place.start()]}", name[place.end() :])]
-            for siblings in [[path, *(f"{before}{other}{after}" for other in others)]]
-            if single.issuperset(siblings)
-        )
-        families |= {", ".join(siblings) for siblings in islice(complete, 1)}
-    return sorted({*structures, *families, *lists})
+        family = _family_of(path, single)
+        if family:
+            found.add(", ".join(family))
+    return sorted(found)
+
+
+def _family_of(path: str, single: AbstractSet[str]) -> list[str]:
+    """Return the single numbers that belong to a first one; none where one of them is missing.
+
+    Such as ``ax``, ``ay``, ``az`` or ``p``, ``q``, ``r`` or ``beam_1`` to ``beam_4``.
+    """
+    parent, dot, name = path.rpartition(".")
+    for first, *others in _FAMILIES:
+        for place in re.finditer(first, name):
+            before = f"{parent}{dot}{name[: place.start()]}"
+            after = name[place.end() :]
+            family = [path, *(f"{before}{other}{after}" for other in others)]
+            if single >= set(family):
+                return family
+    return []
 
 
 def scalar_paths(known: Kinds) -> list[str]:
     """Find the single numbers among the fields of a type."""
     in_times = tuple(f"{path}." for path in time_paths(known))
-    numbers = [
-        path for path in _numbers(known)[0] if f"{path}[*]" not in known and "[*]" not in path
-    ]
-    return [path for path in numbers if not path.startswith(in_times)]
+    numbers, _ = _numbers(known)
+    found = []
+    for path in numbers:
+        is_list = "[*]" in path or f"{path}[*]" in known
+        if not is_list and not path.startswith(in_times):
+            found.append(path)
+    return found
 
 
 def time_paths(known: Kinds) -> list[str]:
     """Find the times and durations of a type: structures of seconds and nanoseconds."""
-    pairs = {path: names for path, names in _numbers(known)[1].items() if len(names) == 2}
-    return [
-        path
-        for path, (first, second) in pairs.items()
-        if first in _SECONDS and second in _NANOSECONDS
-    ]
+    _, children = _numbers(known)
+    found = []
+    for path, names in children.items():
+        if len(names) == 2:
+            first, second = names
+            if first in _SECONDS and second in _NANOSECONDS:
+                found.append(path)
+    return found
 
 
 @dataclass(frozen=True)
@@ -376,13 +441,10 @@ class FieldMatch:
     @property
     def force_unit(self) -> str:
         """The unit in which the vector has the size of gravity; empty if in none."""
-        units = (
-            ()
-            if self.is_beams
-            else fitting_units(self.size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
-        )
-        if units:
-            return units[0]
+        if self.is_beams:
+            return ""
+        for unit in fitting_units(self.size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2):
+            return unit
         return ""
 
     def __str__(self) -> str:
@@ -419,23 +481,27 @@ class ProbedTopic:
 
         A ``vector`` has any name that is not that of something else.
         """
-        known = [
-            candidate
-            for candidate in self.candidates
-            if not _NEVER.search(candidate.path.lower())
-            and candidate.is_beams == quantity.startswith("beam")
-        ]
+        known = self._nameable(are_beams=quantity.startswith("beam"))
         words = _WORDS.get(quantity)
-        named = (
-            known
-            if words is None
-            else [candidate for candidate in known if words.search(candidate.path.lower())]
-        )
-        if quantity == "specific_force" and not named:
+        if words is None:
+            return known
+        named = [candidate for candidate in known if words.search(candidate.path.lower())]
+        if named:
+            return named
+        if quantity == "specific_force":
             return [candidate for candidate in known if candidate.force_unit]
-        if quantity == "velocity" and self.is_table and not named:
+        if quantity == "velocity" and self.is_table:
             return [candidate for candidate in known if "dvl" in candidate.path]
-        return named
+        return []
+
+    def _nameable(self, *, are_beams: bool) -> list[FieldMatch]:
+        """Return the vectors, or the beams, whose name is not that of something else."""
+        found = []
+        for candidate in self.candidates:
+            is_other = _NEVER.search(candidate.path.lower())
+            if candidate.is_beams == are_beams and not is_other:
+                found.append(candidate)
+        return found
 
 
 def probe_topics(
@@ -471,34 +537,33 @@ def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
         reader.columns(block)
     candidates: list[FieldMatch] = []
     scalars: dict[str, float] = {}
-    paths = [*vector_paths(reader.known), *scalar_paths(reader.known)][
-        : _MOST_WORK // max(len(reader.known), 1)
-    ]
+    most = _MOST_WORK // max(len(reader.known), 1)
+    paths = [*vector_paths(reader.known), *scalar_paths(reader.known)][:most]
     for path in paths:
         # Read one by one, since one field that is not what it seems would spoil the others.
         parts = split_paths(path)
-        fields = (
-            reader.of(parts) if isinstance(reader, DecodedFields) else open_reader(channel, parts)
-        )
-        read = (fields.columns(block) for block in blocks)
-        values = [
-            np.concatenate([columns[part].astype(np.float64) for part in parts], axis=1)
-            for columns in read
-        ]
-        width = min((columns.shape[1] for columns in values), default=0)
-        every = (
-            np.concatenate([columns[:, :width] for columns in values])
-            if values
-            else np.empty((0, 0))
-        )
-        finite = without_marks(every[np.isfinite(every).all(axis=1)])
+        if isinstance(reader, DecodedFields):
+            values = _values_of(parts, reader.of(parts), blocks)
+        else:
+            values = _values_of(parts, open_reader(channel, parts), blocks)
+        finite = without_marks(values[np.isfinite(values).all(axis=1)])
+        width = values.shape[1]
         if len(finite) and width in _WIDTHS:
             sizes = np.linalg.norm(finite, axis=1)
-            candidates.append(
-                FieldMatch(
-                    path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max())
-                )
-            )
+            middle = np.median(finite, axis=0)
+            candidates.append(FieldMatch(path, middle, float(np.median(sizes)), float(sizes.max())))
         elif len(finite) and width == 1:
             scalars[path] = float(np.median(finite))
     return ProbedTopic(channel, reader.known, tuple(candidates), scalars), len(paths)
+
+
+def _values_of(parts: Sequence[str], fields: FieldReader, blocks: Sequence[Block]) -> Floats:
+    """Read the numbers of some fields, (messages, numbers); of lists as many as the shortest block has."""
+    values = []
+    for block in blocks:
+        columns = fields.columns(block)
+        values.append(np.concatenate([columns[part].astype(np.float64) for part in parts], axis=1))
+    if not values:
+        return np.empty((0, 0))
+    width = min(columns.shape[1] for columns in values)
+    return np.concatenate([columns[:, :width] for columns in values])
