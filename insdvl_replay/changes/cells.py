@@ -48,20 +48,26 @@ def paired_rows(
 ) -> Iterator[RowPair]:
     """Yield the rows of some tables, found by filter, key and unit: those of the new report, then those it lacks."""
     for layout in layouts:
-        sides = []
-        for report in (old, new):
-            rows = report.tables.get(layout.name, []) if report else []
-            if layout is CANDIDATES and report:
-                rows = [{"filter": name, **row} for name, row in report.filters.items()]
-            sides.append(
-                {
-                    (str(row["filter"]), str(row[layout.key]), str(row.get("unit") or "")): row
-                    for row in rows
-                }
-            )
-        before, after = sides
-        for name in dict.fromkeys((*after, *before)):
-            yield RowPair(layout, *name, before.get(name, {}), after.get(name, {}))
+        before = _rows_by_place(old, layout)
+        after = _rows_by_place(new, layout)
+        for place in dict.fromkeys((*after, *before)):
+            yield RowPair(layout, *place, before.get(place, {}), after.get(place, {}))
+
+
+_Place = tuple[str, str, str]  # filter, key and unit of a row
+
+
+def _rows_by_place(report: StoredReport | None, layout: TableLayout) -> dict[_Place, Row]:
+    """Return the rows of a table by their place; none without a report."""
+    if report is None:
+        return {}
+    rows = report.tables.get(layout.name, [])
+    if layout is CANDIDATES:
+        rows = [{"filter": name, **row} for name, row in report.filters.items()]
+    found = dict[_Place, Row]()
+    for row in rows:
+        found[str(row["filter"]), str(row[layout.key]), str(row.get("unit") or "")] = row
+    return found
 
 
 class Change(Struct, frozen=True):
@@ -84,7 +90,14 @@ class Change(Struct, frozen=True):
         """The change of the size in percent or points; the verdict if there is no percentage."""
         if self.change_pct is None:
             return self.verdict
-        return f"{FORMS['signed_percent'](self.change_pct)} {'points' if self.column.endswith(PERCENTAGE) else '%'}"
+        return f"{FORMS['signed_percent'](self.change_pct)} {unit_of_change(self.column)}"
+
+
+def unit_of_change(column: str) -> str:
+    """Return the unit of a relative change: percentages change by points."""
+    if column.endswith(PERCENTAGE):
+        return "points"
+    return "%"
 
 
 def changes_of(
@@ -97,28 +110,29 @@ def changes_of(
     for pair in pairs:
         layout = pair.layout
         for column in dict.fromkeys((*pair.new, *pair.old)):
-            if (
-                column in _NAMES
-                or column in PROSE
-                or column == layout.key
-                or (columns and column not in columns)
-            ):
+            if not _is_compared(column, layout) or (columns and column not in columns):
                 continue
             moved = judge_cell(pair, column, tolerance_pct)
-            if (
-                moved.verdict != ChangeVerdict.SAME
-                or column in layout.better
-                or column in layout.words
-            ):
-                place = (
-                    log,
-                    layout.name,
-                    pair.filter,
-                    pair.row,
-                    layout.unit_of(column, pair.unit),
-                    column,
+            has_rank = column in layout.better or column in layout.words
+            if has_rank or moved.verdict != ChangeVerdict.SAME:
+                yield Change(
+                    log=log,
+                    table=layout.name,
+                    filter=pair.filter,
+                    row=pair.row,
+                    unit=layout.unit_of(column, pair.unit),
+                    column=column,
+                    old=pair.old.get(column),
+                    new=pair.new.get(column),
+                    change=moved.change,
+                    change_pct=moved.change_pct,
+                    verdict=moved.verdict,
                 )
-                yield Change(*place, pair.old.get(column), pair.new.get(column), *moved[:3])
+
+
+def _is_compared(column: str, layout: TableLayout) -> bool:
+    """Return whether a column has values, and not the name of its row or a sentence."""
+    return column not in _NAMES and column not in PROSE and column != layout.key
 
 
 # --- The verdict of a cell.
@@ -140,32 +154,20 @@ def judge_cell(
     tolerance_abs: float | None = None,
 ) -> Moved:
     """Return the change of a cell."""
-    if not (column in pair.old and column in pair.new):
-        return Moved(None, None, ChangeVerdict.NEW if column in pair.new else ChangeVerdict.GONE)
+    if column not in pair.new:
+        return Moved(None, None, ChangeVerdict.GONE)
+    if column not in pair.old:
+        return Moved(None, None, ChangeVerdict.NEW)
     old = pair.old[column]
     new = pair.new[column]
-    better = pair.layout.better.get(column)
-    before_dof = pair.old.get("dof")
-    after_dof = pair.new.get("dof")
-    if (
-        pair.layout.name == "evidence"
-        and pair.new.get("evidence") == CONSISTENCY
-        and column in ("baseline", "value")
-    ):
-        # NIS and NEES over their degrees of freedom
-        better = "nearer dof"
-        before_dof = 1.0
-        after_dof = 1.0
-    dofs = tuple(float(dof) if is_number(dof) else math.nan for dof in (before_dof, after_dof))
-    if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
-        better = None
+    better = _better_of(pair, column)
     if better is not None and not isinstance(old, str) and not isinstance(new, str):
         return judge_number(
             old,
             new,
             column,
             better,
-            dofs=dofs,
+            dofs=_dofs(pair, column),
             tolerance_pct=tolerance_pct,
             tolerance_abs=tolerance_abs,
         )
@@ -175,49 +177,91 @@ def judge_cell(
     return Moved(None, None, rank_verdict(old, new, pair.layout.words.get(column, ())))
 
 
+def _better_of(pair: RowPair, column: str) -> Better | None:
+    """Return which direction of a cell is better; None where it has none, or its degrees of freedom are not known."""
+    if _is_ratio_to_dof(pair, column):
+        return "nearer dof"
+    better = pair.layout.better.get(column)
+    if better == "nearer dof" and not all(dof > 0.0 for dof in _dofs(pair, column)):
+        return None
+    return better
+
+
+def _is_ratio_to_dof(pair: RowPair, column: str) -> bool:
+    """Return whether a cell of the evidence is NIS or NEES over its degrees of freedom."""
+    is_consistency = pair.layout.name == "evidence" and pair.new.get("evidence") == CONSISTENCY
+    return is_consistency and column in ("baseline", "value")
+
+
+def _dofs(pair: RowPair, column: str) -> tuple[float, float]:
+    """Return the degrees of freedom of a cell, before and after; NaN where they are not known."""
+    if _is_ratio_to_dof(pair, column):
+        return (1.0, 1.0)
+    return (_dof(pair.old), _dof(pair.new))
+
+
+def _dof(row: Row) -> float:
+    dof = row.get("dof")
+    if is_number(dof):
+        return float(dof)
+    return math.nan
+
+
 def judge_number(
     old: float | None,
     new: float | None,
     column: str,
     better: Better,
     *,
-    dofs: tuple[float, ...] = (math.nan, math.nan),  # before and after
+    dofs: tuple[float, float] = (math.nan, math.nan),  # before and after
     tolerance_pct: float | None = None,
     tolerance_abs: float | None = None,
 ) -> Moved:
     """Return the change of a number. Without a tolerance, numbers that print the same are the same; the larger of two
     tolerances counts.
     """
-    if old is None or new is None:
-        word = ChangeVerdict.WORSE if new is None else ChangeVerdict.BETTER
-        return Moved(None, None, ChangeVerdict.SAME if old is new else word, better)
-    before, after = (_size(value, better, dof) for value, dof in zip((old, new), dofs, strict=True))
-    digits = _rounding(before, after, column)
-    digits_pct = 100.0 * ROUNDING
-    change_pct: float | None = None  # from zero, and from or to an infinite size
-    if before == after:
-        change_pct = 0.0
-    elif column.endswith(PERCENTAGE):
-        change_pct = after - before
-        digits_pct = digits
-    elif before != 0.0 and math.isfinite(before) and math.isfinite(after):
-        change_pct = 100.0 * (after - before) / abs(before)
+    if old is None and new is None:
+        return Moved(None, None, ChangeVerdict.SAME, better)
+    if new is None:
+        return Moved(None, None, ChangeVerdict.WORSE, better)
+    if old is None:
+        return Moved(None, None, ChangeVerdict.BETTER, better)
+    before = _size(old, better, dofs[0])
+    after = _size(new, better, dofs[1])
+    change_pct = _change_pct(before, after, column)
     is_same = before == after
     if tolerance_pct is None and tolerance_abs is None:
         is_same = prints_the_same(before, after, column)
+    digits = _rounding(before, after, column)
     if tolerance_pct is not None and change_pct is not None:
+        digits_pct = 100.0 * ROUNDING
+        if column.endswith(PERCENTAGE) and before != after:
+            digits_pct = digits
         is_same |= within(abs(change_pct), tolerance_pct, digits_pct)
     if tolerance_abs is not None:
         is_same |= within(abs(after - before), tolerance_abs, digits)
-    is_better = (after > before) == (better == "higher")
-    word = (
-        ChangeVerdict.SAME
-        if is_same
-        else ChangeVerdict.BETTER
-        if is_better
-        else ChangeVerdict.WORSE
-    )
-    return Moved(new - old, change_pct, word, better)
+    return Moved(new - old, change_pct, _word(before, after, better, is_same=is_same), better)
+
+
+def _change_pct(before: float, after: float, column: str) -> float | None:
+    """Return the change of a size in percent, or points of a percentage; None from zero, and from or to infinity."""
+    if before == after:
+        return 0.0
+    if column.endswith(PERCENTAGE):
+        return after - before
+    if before != 0.0 and math.isfinite(before) and math.isfinite(after):
+        return 100.0 * (after - before) / abs(before)
+    return None
+
+
+def _word(before: float, after: float, better: Better, *, is_same: bool) -> ChangeVerdict:
+    """Return the verdict on the change of a size."""
+    if is_same:
+        return ChangeVerdict.SAME
+    is_larger = after > before
+    if is_larger == (better == "higher"):
+        return ChangeVerdict.BETTER
+    return ChangeVerdict.WORSE
 
 
 def _size(value: float, better: Better, dof: float) -> float:
@@ -255,7 +299,10 @@ def agree(old: float, new: float, column: str) -> bool:
 
 def _rounding(old: float, new: float, column: str) -> float:
     """Return the difference that rounding may cause; a percentage is rounded at about 100 %."""
-    return ROUNDING * max(100.0 if column.endswith(PERCENTAGE) else 0.0, min(abs(old), abs(new)))
+    size = min(abs(old), abs(new))
+    if column.endswith(PERCENTAGE):
+        size = max(size, 100.0)
+    return ROUNDING * size
 
 
 def within(change: float, allowed: float, digits: float) -> bool:
@@ -268,12 +315,10 @@ def prints_the_same(old: float, new: float, column: str) -> bool:
     largest = max(abs(old), abs(new))
     if math.isinf(largest) or largest == 0.0:
         return old == new
-    exponent = math.floor(math.log10(largest))
-    unit = (
-        PRINTED_PERCENT_UNIT
-        if column.endswith(PERCENTAGE)
-        else 10.0 ** (exponent - PRINTED_DIGITS + 1)
-    )
+    if column.endswith(PERCENTAGE):
+        unit = PRINTED_PERCENT_UNIT
+    else:
+        unit = 10.0 ** (math.floor(math.log10(largest)) - PRINTED_DIGITS + 1)
     return abs(new - old) <= unit * (1.0 + ROUNDING)
 
 
@@ -294,11 +339,16 @@ def cell_name(table: str, filter_: str, row: str, column: str, baseline: str = "
     if baseline and (column == "baseline" or column.startswith("baseline_")):
         filter_ = baseline
         column = column.removeprefix("baseline").removeprefix("_")
-    words = column.removesuffix(
-        next((ending for ending in UNITS if column.endswith(ending)), "")
-    ).replace("_", " ")
-    what = label(f"outage_{row}s" if table == "outage" else row).replace(",", "")
-    return " ".join(filter(None, dict.fromkeys((filter_, what, _SHORT_NAMES.get(words, words)))))
+    for ending in UNITS:
+        if column.endswith(ending):
+            column = column.removesuffix(ending)
+            break
+    if table == "outage":
+        row = f"outage_{row}s"
+    what = label(row).replace(",", "")
+    words = column.replace("_", " ")
+    names = dict.fromkeys((filter_, what, _SHORT_NAMES.get(words, words)))
+    return " ".join(name for name in names if name)
 
 
 def change_text(key: str, old: str, new: str) -> str:

@@ -284,8 +284,8 @@ def parse_limit(text: str | None) -> float | str | None:
     )
 
 
-def find_violation(comparison: Comparison, limit: float | str | None) -> str:
-    """Return what is worse than allowed; empty if nothing is.
+def find_violation(comparison: Comparison, limit: float | str | None) -> str | None:
+    """Return what is worse than allowed; None if nothing is.
 
     For ``worse`` these are the sentences of the filters whose answer is worse or partly worse, and missing dives. For
     ``undecided`` those of filters without a decision count, too. For a
@@ -293,16 +293,25 @@ def find_violation(comparison: Comparison, limit: float | str | None) -> str:
     grew from zero, and a missing row or dive exceed every number.
     """
     if limit is None:
-        return ""
+        return None
+    lost = _lost_dives(comparison)
     if isinstance(limit, float):
-        return "; ".join([*_worse_values(comparison.changes, limit), *_lost_dives(comparison)])
-    is_open_harm = limit == UNDECIDED
-    sentences = list[str]()
-    for answer in comparison.answers:
+        found = [*_worse_values(comparison.changes, limit), *lost]
+        joint = "; "
+    else:
+        found = [*_harm(comparison.answers, is_open_harm=limit == UNDECIDED), *lost]
+        joint = " "
+    if found:
+        return joint.join(found)
+    return None
+
+
+def _harm(answers: Iterable[Answer], *, is_open_harm: bool) -> Iterator[str]:
+    """Yield the sentences of the filters that are worse, or, where that is harm as well, without a decision."""
+    for answer in answers:
         is_open = answer.verdict in (Verdict.UNDECIDED, *WITHOUT_VERDICT)
         if answer.is_harm or (is_open_harm and is_open):
-            sentences.append(answer.sentence)
-    return " ".join([*sentences, *_lost_dives(comparison)])
+            yield answer.sentence
 
 
 def _worse_values(changes: Iterable[Change], limit_pct: float) -> Iterator[str]:

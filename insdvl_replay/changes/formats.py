@@ -75,42 +75,50 @@ def in_format(found: CheckResult, format_: str) -> str:
 
 def check_result(found: CheckResult) -> Result:
     """Return the outcome of the gates, with the gated values that differ from the expected ones."""
-    tone = "bad" if any(found.count(status) for status in _ERRORS) else "good"
-    parts: list[Part] = [
-        Title("Gates"),
-        Callout(check_sentence(found), tone),
-        *_trajectory_counts(found),
-    ]
-    for name, words in found.words.items():
-        parts.append(
-            f"{name} against the baseline: {', '.join(f'{count} {word}' for word, count in words.items())}"
-        )
-    if missed := _missed(found):
-        rows = tuple(
-            (WORDS[item.status][0], item.dive, item.gate, item.explained) for item in missed
-        )
-        parts.append(
-            DisplayTable("Gates that did not pass", ("", "dive", "gate", "why"), "llll", rows)
-        )
-    moved = [
-        (item.dive, cell.sentence)
-        for item in found.outcomes
-        for cell in item.findings
-        if cell.passed and cell.expected is not None and cell.is_new
-    ]
-    if moved:
-        more = f"and {len(moved) - MOST_MOVED} more" if len(moved) > MOST_MOVED else ""
-        title = "Changed within the limits"
-        parts.append(DisplayTable(title, ("dive", "value"), "ll", tuple(moved[:MOST_MOVED]), more))
-    parts.append(DisplayTable("Gates", ("gate", "passed"), "ll", tuple(_passed(found))))
+    rows = list[tuple[str, str, str, str]]()
+    for item in found.outcomes:
+        rows.append((item.dive, item.gate, str(item.status), "; ".join(item.explained)))
+    tables = {"gates": Block(("dive", "gate", "status", "why"), rows)}
     counts = {status.name.lower(): found.count(status) for status in GateStatus}
     report = CheckReport(this_tool(), found.gates, **counts, outcomes=found.outcomes)
-    every = [
-        (item.dive, item.gate, str(item.status), "; ".join(item.explained))
-        for item in found.outcomes
-    ]
-    tables = {"gates": Block(("dive", "gate", "status", "why"), every)}
-    return Result("check", "Gates", tables=tables, document=parts, data=report)
+    document = list(_document(found))
+    return Result("check", "Gates", tables=tables, document=document, data=report)
+
+
+def _document(found: CheckResult) -> Iterator[Part]:
+    """Yield what there is to read: counts, gates that did not pass, and values that changed within their limits."""
+    yield Title("Gates")
+    yield Callout(check_sentence(found), "bad" if _has_errors(found) else "good")
+    yield from _trajectory_counts(found)
+    for name, words in found.words.items():
+        counts = ", ".join(f"{count} {word}" for word, count in words.items())
+        yield f"{name} against the baseline: {counts}"
+    missed = tuple(_missed_row(item) for item in _missed(found))
+    if missed:
+        yield DisplayTable("Gates that did not pass", ("", "dive", "gate", "why"), "llll", missed)
+    moved = tuple(_moved_within_limits(found))
+    if moved:
+        title = "Changed within the limits"
+        more = f"and {len(moved) - MOST_MOVED} more" if len(moved) > MOST_MOVED else ""
+        yield DisplayTable(title, ("dive", "value"), "ll", moved[:MOST_MOVED], more)
+    yield DisplayTable("Gates", ("gate", "passed"), "ll", tuple(_passed(found)))
+
+
+def _has_errors(found: CheckResult) -> bool:
+    return any(found.count(status) for status in _ERRORS)
+
+
+def _missed_row(item: GateOutcome) -> tuple[str, str, str, tuple[str, ...]]:
+    word, _, _ = WORDS[item.status]
+    return (word, item.dive, item.gate, item.explained)
+
+
+def _moved_within_limits(found: CheckResult) -> Iterator[tuple[str, str]]:
+    """Yield dive and sentence of the values that pass, and differ from the expected ones."""
+    for item in found.outcomes:
+        for cell in item.findings:
+            if cell.passed and cell.is_new and cell.expected is not None:
+                yield (item.dive, cell.sentence)
 
 
 def check_text(found: CheckResult) -> str:
@@ -128,30 +136,36 @@ def check_text(found: CheckResult) -> str:
 
 def check_sentence(found: CheckResult) -> str:
     """Return the counts of the gates' outcomes, in one sentence."""
-    dives = len({item.dive for item in found.outcomes} - {EVERY_DIVE})
-    gates = len({item.gate for item in found.outcomes})
-    counts = ", ".join(
-        f"{count} {word}"
-        for status, (_, word, _) in WORDS.items()
-        if (count := found.count(status))
-    )
-    return f"{counted(gates, 'gate')} on {counted(dives, 'dive') if dives else 'all dives together'}: {counts}"
+    dives = {item.dive for item in found.outcomes} - {EVERY_DIVE}
+    gates = {item.gate for item in found.outcomes}
+    counts = list[str]()
+    for status, (_, word, _) in WORDS.items():
+        count = found.count(status)
+        if count:
+            counts.append(f"{count} {word}")
+    where = counted(len(dives), "dive") if dives else "all dives together"
+    return f"{counted(len(gates), 'gate')} on {where}: {', '.join(counts)}"
 
 
 def _trajectory_counts(found: CheckResult) -> list[str]:
     """Return the counts of changed trajectories, if gates compare them."""
-    compared = [item for item in found.outcomes if item.is_trajectory]
-    errors = {
-        item.dive for item in compared if item.status == GateStatus.UNUSABLE or not item.findings
-    }
-    changed = {
-        item.dive for item in compared if not all(finding.passed for finding in item.findings)
-    } - errors
-    unchanged = {item.dive for item in compared} - errors - changed
+    dives = set[str]()
+    errors = set[str]()
+    changed = set[str]()
+    for item in found.outcomes:
+        if not item.is_trajectory:
+            continue
+        dives.add(item.dive)
+        if item.status == GateStatus.UNUSABLE or not item.findings:
+            errors.add(item.dive)
+        elif not all(finding.passed for finding in item.findings):
+            changed.add(item.dive)
+    if not dives:
+        return []
+    changed -= errors
+    unchanged = dives - errors - changed
     counts = f"{len(changed)} changed, {len(unchanged)} unchanged, {len(errors)} errors"
-    if compared:
-        return [f"trajectories: {counts}"]
-    return []
+    return [f"trajectories: {counts}"]
 
 
 def _missed(found: CheckResult) -> list[GateOutcome]:
@@ -160,14 +174,19 @@ def _missed(found: CheckResult) -> list[GateOutcome]:
 
 def _passed(found: CheckResult) -> Iterator[tuple[str, str]]:
     """Yield the number of passed dives of each gate."""
-    for name in dict.fromkeys(item.gate for item in found.outcomes):
-        own = [item for item in found.outcomes if item.gate == name]
-        text = f"passed on {sum(item.status == GateStatus.PASSED for item in own)} of {counted(len(own), 'dive')}"
+    by_gate: dict[str, list[GateOutcome]] = {}
+    for item in found.outcomes:
+        by_gate.setdefault(item.gate, []).append(item)
+    for name, own in by_gate.items():
+        status = own[0].status
         if own[0].dive == EVERY_DIVE:
-            text = f"{WORDS[own[0].status][0]}, all dives together"
-        elif own[0].status == GateStatus.OFF:
-            text = "off"
-        yield name, text
+            word, _, _ = WORDS[status]
+            yield name, f"{word}, all dives together"
+        elif status == GateStatus.OFF:
+            yield name, "off"
+        else:
+            passed = sum(item.status == GateStatus.PASSED for item in own)
+            yield name, f"passed on {passed} of {counted(len(own), 'dive')}"
 
 
 # --- For machines of others.
@@ -175,52 +194,67 @@ def _passed(found: CheckResult) -> Iterator[tuple[str, str]]:
 
 def junit_xml(found: CheckResult) -> str:
     """Write JUnit XML: seconds of each dive's replay, in equal shares by gate; file and line of each gate."""
-
-    def counts(outcomes: Sequence[GateOutcome], elapsed_s: float) -> dict[str, str]:
-        failures, errors = (
-            str(sum(item.status == status for item in outcomes))
-            for status in (GateStatus.FAILED, GateStatus.UNUSABLE)
-        )
-        return {
-            "tests": str(len(outcomes)),
-            "failures": failures,
-            "errors": errors,
-            "time": f"{elapsed_s:.3f}",
-        }
-
-    def clean(text: str) -> str:
-        """Escape control characters, and replace other characters that XML does not allow."""
-        return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", visible_lines(text))
-
+    by_dive: dict[str, list[GateOutcome]] = {}
+    for item in found.outcomes:
+        by_dive.setdefault(item.dive, []).append(item)
     total_s = sum(found.elapsed_s.values())
     root = ElementTree.Element(
-        "testsuites", {"name": clean(found.gates), **counts(found.outcomes, total_s)}
+        "testsuites", {"name": _clean(found.gates), **_counts(found.outcomes, total_s)}
     )
-    for dive in dict.fromkeys(item.dive for item in found.outcomes):
-        own = [item for item in found.outcomes if item.dive == dive]
+    for dive, own in by_dive.items():
         elapsed_s = found.elapsed_s.get(dive, 0.0)
-        skipped = str(sum(WORDS[item.status][2] == "skipped" for item in own))
-        attributes = {"name": clean(dive), **counts(own, elapsed_s), "skipped": skipped}
+        skipped = sum(_element_of(item) == "skipped" for item in own)
+        attributes = {"name": _clean(dive), **_counts(own, elapsed_s), "skipped": str(skipped)}
         suite = ElementTree.SubElement(root, "testsuite", attributes)
         for item in own:
-            place = {"file": clean(found.gates), **({"line": str(item.line)} if item.line else {})}
-            names = {
-                "classname": clean(item.dive),
-                "name": clean(item.gate),
-                "time": f"{elapsed_s / len(own):.3f}",
-            }
-            case = ElementTree.SubElement(suite, "testcase", names | place)
-            element = WORDS[item.status][2]
-            lines = [visible(line) for line in item.explained]
-            if element:
-                attributes = {"message": clean("; ".join(lines) or item.status)}
-                attributes |= {} if element == "skipped" else {"type": item.status}
-                where = [":".join(place.values())] if lines else []
-                ElementTree.SubElement(case, element, attributes).text = clean(
-                    "\n".join([*lines, *where])
-                )
+            _add_case(suite, item, found.gates, elapsed_s / len(own))
     ElementTree.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def _add_case(suite: ElementTree.Element, item: GateOutcome, gates: str, elapsed_s: float) -> None:
+    """Add one gate on one dive to the suite of the dive."""
+    names = {
+        "classname": _clean(item.dive),
+        "name": _clean(item.gate),
+        "time": f"{elapsed_s:.3f}",
+    }
+    place = {"file": _clean(gates)}
+    if item.line:
+        place["line"] = str(item.line)
+    case = ElementTree.SubElement(suite, "testcase", names | place)
+    element = _element_of(item)
+    if not element:
+        return
+    lines = [visible(line) for line in item.explained]
+    attributes = {"message": _clean("; ".join(lines) or item.status)}
+    if element != "skipped":
+        attributes["type"] = item.status
+    if lines:
+        lines.append(":".join(place.values()))
+    ElementTree.SubElement(case, element, attributes).text = _clean("\n".join(lines))
+
+
+def _element_of(item: GateOutcome) -> str:
+    """Return the element of JUnit XML for an outcome; empty for one that passed."""
+    _, _, element = WORDS[item.status]
+    return element
+
+
+def _counts(outcomes: Sequence[GateOutcome], elapsed_s: float) -> dict[str, str]:
+    failures = sum(item.status == GateStatus.FAILED for item in outcomes)
+    errors = sum(item.status == GateStatus.UNUSABLE for item in outcomes)
+    return {
+        "tests": str(len(outcomes)),
+        "failures": str(failures),
+        "errors": str(errors),
+        "time": f"{elapsed_s:.3f}",
+    }
+
+
+def _clean(text: str) -> str:
+    """Escape control characters, and replace other characters that XML does not allow."""
+    return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", visible_lines(text))
 
 
 def github_annotations(found: CheckResult) -> str:
@@ -228,29 +262,38 @@ def github_annotations(found: CheckResult) -> str:
 
     Source: GitHub's "Workflow commands for GitHub Actions".
     """
-
-    def escaped(text: str) -> str:
-        return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-
-    def command(level: str, line: int, title: str, message: str) -> str:
-        file, title = (
-            escaped(visible(text)).replace(":", "%3A").replace(",", "%2C")
-            for text in (found.gates, title)
-        )
-        return f"::{level} file={file}{f',line={line}' if line else ''},title={title}::{escaped(message)}"
-
     lines = list[str]()
     for level, statuses in (("error", _ERRORS), ("warning", (GateStatus.WARNING,))):
         missed = [item for item in found.outcomes if item.status in statuses]
-        listed = missed if len(missed) <= MOST_ANNOTATIONS else missed[: MOST_ANNOTATIONS - 1]
-        for item in listed:
+        shown = missed
+        if len(missed) > MOST_ANNOTATIONS:
+            shown = missed[: MOST_ANNOTATIONS - 1]
+        for item in shown:
             message = "\n".join(map(visible, item.explained))
-            lines.append(command(level, item.line, f"{item.dive}: {item.gate}", message))
-        if hidden := len(missed) - len(listed):
-            lines.append(
-                command(level, 0, "more", f"{hidden} more gates did not pass; the log lists them")
-            )
+            title = f"{item.dive}: {item.gate}"
+            lines.append(_annotation(level, found.gates, item.line, title, message))
+        hidden = len(missed) - len(shown)
+        if hidden:
+            message = f"{hidden} more gates did not pass; the log lists them"
+            lines.append(_annotation(level, found.gates, 0, "more", message))
     return "".join(f"{line}\n" for line in (*lines, check_sentence(found)))
+
+
+def _annotation(level: str, file: str, line: int, title: str, message: str) -> str:
+    """Write one workflow command; the line is 0 where it is not known."""
+    place = f"file={_property(file)}"
+    if line:
+        place += f",line={line}"
+    return f"::{level} {place},title={_property(title)}::{_escaped(message)}"
+
+
+def _property(text: str) -> str:
+    """Escape a value before the message."""
+    return _escaped(visible(text)).replace(":", "%3A").replace(",", "%2C")
+
+
+def _escaped(text: str) -> str:
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
 
 
 # --- New expected values.
@@ -275,6 +318,9 @@ def _new_text(cell: Finding) -> str:
         return f"trajectory of {cell.sentence}"
     if cell.expected is not None:
         return cell.sentence
-    value = f"{cell.value:.4g}" if isinstance(cell.value, float) else cell.value
-    unit = f" {cell.unit}" if cell.unit else ""
-    return f"{cell_name(cell.table, cell.filter, cell.row, cell.column)} is new: {value}{unit}"
+    text = str(cell.value)
+    if isinstance(cell.value, float):
+        text = f"{cell.value:.4g}"
+    if cell.unit:
+        text += f" {cell.unit}"
+    return f"{cell_name(cell.table, cell.filter, cell.row, cell.column)} is new: {text}"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from insdvl_replay.cli.messages import (
+    exit_code_of,
     log_failure,
     log_findings,
     log_notes,
@@ -61,21 +62,24 @@ def answer_against(
     from insdvl_replay.changes.comparison import find_violation, only_changed
 
     done = list[str]()
-    failures = dict[str, int]()  # exit code by sentence, as both sides may say the same
+    codes = list[int]()
+    said = set[str]()  # both sides may say the same, which is printed once
     before = _Before(sides.before.jobs, verbose)
     with closing(replays):
         for outcome in replays:
             report = outcome.result
             if isinstance(report, Exception):
-                if str(report) not in failures:
-                    failures[str(report)] = log_failure(report, verbose)
+                codes.append(exit_code_of(report))
+                if str(report) not in said:
+                    said.add(str(report))
+                    log_failure(report, verbose)
                 continue
             done.append(report.log.name)
             if not quiet:
                 before.tell(outcome.job, report)
     found = compare_sides(sides, done)
     if found is None:
-        return max(failures.values(), default=0)
+        return max(codes, default=0)
     compare = shlex.join(["insdvl-replay", "compare", found.old, found.new])
     print_comparison(
         found,
@@ -87,9 +91,9 @@ def answer_against(
         command=f"{compare} ",
     )
     worse = find_violation(found, limit)
-    if worse:
-        failures[worse] = log_failure(LimitError(worse), verbose)
-    return max(failures.values(), default=0)
+    if worse is not None:
+        codes.append(log_failure(LimitError(worse), verbose))
+    return max(codes, default=0)
 
 
 @dataclass

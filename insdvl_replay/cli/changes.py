@@ -115,7 +115,8 @@ def compare(
         quiet=quiet,
         all_values=all_values,
     )
-    if worse := changes.find_violation(found, limit):
+    worse = changes.find_violation(found, limit)
+    if worse is not None:
         raise LimitError(worse)
 
 

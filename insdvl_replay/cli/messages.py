@@ -91,6 +91,12 @@ def log_failure(error: Exception, verbosity: int) -> int:
     return code
 
 
+def exit_code_of(error: Exception) -> int:
+    """Return the exit code of an error."""
+    code, _, _ = _explained(error)
+    return code
+
+
 def log_findings(notes: Iterable[Note], file: Path) -> None:
     """Print what was found or assumed of a vehicle without settings, or without a noise, warnings first."""
     findings = [note for note in notes if note.is_finding]

@@ -10,6 +10,7 @@ import numpy as np
 from as_text import Cases, refusal, spoken
 from small_results import content, write
 
+from insdvl_replay.changes.cell_gates import gate_findings
 from insdvl_replay.changes.findings import Finding
 from insdvl_replay.changes.gate_file import (
     CellGate,
@@ -17,7 +18,6 @@ from insdvl_replay.changes.gate_file import (
     load_gates,
     require_known_filters,
 )
-from insdvl_replay.changes.gates import gate_findings
 from insdvl_replay.changes.trajectory_gates import trajectory_findings
 from insdvl_replay.core.report import StoredReport
 from insdvl_replay.core.states import COLUMNS
