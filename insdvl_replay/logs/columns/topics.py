@@ -4,7 +4,7 @@ The message types that are known by name are in `known_types.toml`, by the group
 """
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,13 +14,14 @@ import msgspec
 
 from insdvl_replay.core.config import TOPIC_KEYS, key_of
 from insdvl_replay.core.errors import LogError, error_context, listed, nearest
-from insdvl_replay.core.states import SENSORS
+from insdvl_replay.core.states import SENSORS, Sensor
 from insdvl_replay.core.units import UNITS_BY_KIND, USUAL_UNITS, unit_at_end
 from insdvl_replay.logs.columns.flags import flag_columns
 from insdvl_replay.logs.formats.definitions import full_name
 from insdvl_replay.logs.formats.fields import (
     TABLE,
     Element,
+    Kinds,
     check_encoding,
     find_path,
     split_paths,
@@ -40,24 +41,38 @@ class KnownType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     about: str = ""
 
 
-Types = Mapping[
-    str, KnownType
-]  # by name; of two types that a log has, the earlier one is the better source
+# By name; of two types that a log has, the earlier one is the better source.
+Types = Mapping[str, KnownType]
 LOG_TIME: Final = "log_time"  # the recorder's time of arrival, as a stamp
 _ENTRIES: Final = msgspec.toml.decode(
     Path(__file__).with_name("known_types.toml").read_text("utf-8"), type=dict[str, list[KnownType]]
 )
-TYPES: Final[dict[str, Types]] = {
-    group: {name: entry for entry in entries for name in entry.names}
-    for group, entries in _ENTRIES.items()
-}
+
+
+def _by_name(entries: Sequence[KnownType]) -> Types:
+    types: dict[str, KnownType] = {}
+    for entry in entries:
+        types |= dict.fromkeys(entry.names, entry)
+    return types
+
+
+TYPES: Final = {group: _by_name(entries) for group, entries in _ENTRIES.items()}
+
+
+def _of_groups(groups: Iterable[str]) -> dict[str, KnownType]:
+    """Return all types of some groups by their names."""
+    types: dict[str, KnownType] = {}
+    for group in groups:
+        types |= TYPES[group]
+    return types
 
 
 def _upper_triangle(path: str, size: int, of: int = 6) -> str:
     """Name the upper triangle of the first rows of a covariance of some: of six, a third of what messages repeat."""
-    return ", ".join(
-        f"{path}[{of * row + column}]" for row in range(size) for column in range(row, size)
-    )
+    elements = []
+    for row in range(size):
+        elements += [f"{path}[{of * row + column}]" for column in range(row, size)]
+    return ", ".join(elements)
 
 
 # Of a reference and of an onboard solution the covariances are read, too.
@@ -76,7 +91,7 @@ for _group in _SOLUTIONS:
         name: msgspec.structs.replace(entry, fields={**entry.fields, **_COVARIANCES.get(name, {})})
         for name, entry in TYPES[_group].items()
     }
-TYPES["solution"] = {name: entry for group in _SOLUTIONS for name, entry in TYPES[group].items()}
+TYPES["solution"] = _of_groups(_SOLUTIONS)
 
 
 @dataclass(frozen=True)
@@ -85,9 +100,8 @@ class Needs:
 
     quantities: Sequence[str] = ()  # whose paths the settings may name
     groups: Sequence[str] = ()  # of known types; the first of which the log has a type is taken
-    if_named: Sequence[
-        str
-    ] = ()  # groups of types that only a topic may have that the settings name
+    # Groups of types that only a topic may have that the settings name.
+    if_named: Sequence[str] = ()
     enough: Sequence[AbstractSet[str]] = ()  # the quantities of one of these sets must be there
     together: Sequence[AbstractSet[str]] = ()  # of each of these sets all must be there or none
 
@@ -98,16 +112,20 @@ _MOTION: Final = ({"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES)
 _IMU: Final = ("specific_force", "angular_rate")
 _FIXES: Final = ("fix", "extended_fix")
 _SENSOR_GROUPS: Final = {"heading": ("heading", "heading_of_imu"), "position": _FIXES}
-_BY_SENSOR: Final = {
-    name: Needs(
+
+
+def _needs_of(name: str, sensor: Sensor) -> Needs:
+    """Return what a sensor other than IMU and DVL needs of its topic."""
+    if_named = f"{name}_if_named"
+    return Needs(
         sensor.quantities,
         _SENSOR_GROUPS.get(name, (name,)),
-        [group for group in (f"{name}_if_named",) if group in TYPES],
+        [if_named] if if_named in TYPES else [],
         sensor.enough,
         [sensor.together],
     )
-    for name, sensor in SENSORS.items()
-}
+
+
 _DVL: Final = ("beam_velocity", "beam_valid", "velocity", "valid", "invalid")
 NEEDS: Final = {
     "imu": Needs((*_IMU, "increment_s"), ("imu", "imu_of_drivers"), enough=[set(_IMU)]),
@@ -123,7 +141,7 @@ NEEDS: Final = {
     ),
     "truth": Needs(groups=["truth"], enough=[{"accel_bias", "gyro_bias"}]),
     "topic": Needs(["values"], enough=[{"values"}]),
-    **_BY_SENSOR,
+    **{name: _needs_of(name, sensor) for name, sensor in SENSORS.items()},
 }
 
 # Of quantities with a unit: its kind, and the key of the role's settings that names it, if there is one.
@@ -226,9 +244,8 @@ class TopicRequirement:
     needs: Needs
     key: str = ""  # of the settings that names the topic; empty where none does
     topic: str | None = None  # that the settings name
-    paths: Mapping[str, str | None] = field(
-        default_factory=dict
-    )  # field paths of the settings by quantity
+    # Field paths of the settings by quantity.
+    paths: Mapping[str, str | None] = field(default_factory=dict)
     stamp: str | None = None
     latency_s: float = 0.0  # from validity to stamp
     frames: tuple[str, str] | None = None  # parent and child of the transforms that count
@@ -243,74 +260,34 @@ class TopicRequirement:
     @property
     def types(self) -> Types:
         """All types that the topic may have."""
-        groups = (*self.needs.if_named, *self.needs.groups)
-        return {name: known for group in groups for name, known in TYPES[group].items()}
+        return _of_groups((*self.needs.if_named, *self.needs.groups))
 
     def source(self, topic: str, channels: Sequence[LogChannel]) -> Source:
         """Make a topic the source of the role."""
         for channel in channels:
             check_encoding(channel)
-        type_name = channels[0].type_name
-        name = type_of(channels[0])
+        first = channels[0]
         with error_context(topic):
-            paths = channel_paths(channels[0])
-        known = self.types.get(name, KnownType())
-        # The same type name comes with different fields.
-        fields = {
-            quantity: path
-            for quantity, path in known.fields.items()
-            if not paths or all(find_path(part, paths) for part in split_paths(path))
-        }
-        fields |= {name: path for name, path in self.paths.items() if path}
-        given = {quantity.removesuffix(BOW_DOWN) for quantity in fields}
-        for quantities in self.needs.together:
-            if (lacking := sorted(quantities - given)) and (alone := sorted(quantities & given)):
-                missing = f'{self.role}.{lacking[0]} = "field.path"'
-                raise LogError(
-                    f"topic '{topic}' has {' and '.join(alone)}, but no {' and '.join(lacking)}",
-                    missing,
-                )
-        if not any(quantities <= fields.keys() for quantities in self.needs.enough):
-            reason = (
-                f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
-            )
-            if known.fields:
-                reason = f"is of type {type_name}, but its schema lacks some of {', '.join(known.fields.values())}"
-            raise LogError(f"topic '{topic}' {reason}", self.how_to_name())
-        stamp = self.stamp
-        if stamp is None:
-            by_type = known.stamp == LOG_TIME or find_path(known.stamp, paths)
-            stamp = (
-                known.stamp
-                if by_type
-                else "header"
-                if find_path("header.stamp", paths)
-                else LOG_TIME
-            )
-        element = None
-        if known.element:
-            element = Element(known.element[0], known.element[1:], self.frames or ())
-        elif self.frames is not None:
-            text = f"topic '{topic}' has no transforms, but {self.role}.frames is set"
-            raise LogError(text, f"remove {self.role}.frames")
-        if channels[0].untimed and stamp == LOG_TIME:
+            paths = channel_paths(first)
+        known = self.types.get(type_of(first), KnownType())
+        fields = self._fields(known, paths)
+        self._require_whole(topic, fields)
+        self._require_enough(topic, first.type_name, known, fields)
+        element = self._element(topic, known)
+        stamp = _stamp_of(known, paths) if self.stamp is None else self.stamp
+        if first.untimed and stamp == LOG_TIME:
             by_rate = f'or count rows: {self.role}.stamp = "100 Hz"'
-            raise LogError(
-                channels[0].untimed,
-                f"write seconds, the unit in the title as in time [h], or dates; {by_rate}",
-            )
+            hint = f"write seconds, the unit in the title as in time [h], or dates; {by_rate}"
+            raise LogError(first.untimed, hint)
         factors: Mapping[str, float] = {}
-        if channels[0].encoding == TABLE:
-            factors = self._factors(channels[0], fields)
-            if self.role == "dvl" and not fields.keys() & {"valid", "invalid", "beam_valid"}:
-                used = {path for joined in fields.values() for path in split_paths(joined)}
-                single = [name for name in paths if f"{name}[*]" not in paths]
-                flags = [name for name in flag_columns(single).names if name not in used]
-                fields |= {UNUSED_FLAGS: ", ".join(flags)} if flags else {}
+        if first.encoding == TABLE:
+            factors = self._factors(first, fields)
+            if self.role == "dvl":
+                fields |= _unused_flags(paths, fields)
         return Source(
             role=self.role,
             topic=topic,
-            type_name=type_name,
+            type_name=first.type_name,
             channels=tuple(channels),
             fields=fields,
             stamp=stamp,
@@ -319,6 +296,47 @@ class TopicRequirement:
             element=element,
             factors=factors,
         )
+
+    def _fields(self, known: KnownType, paths: Kinds) -> dict[str, str]:
+        """Return the path of each quantity: those of the settings, else those of the type that its schema has."""
+        fields = {}
+        for quantity, path in known.fields.items():
+            # The same type name comes with different fields.
+            if not paths or all(find_path(part, paths) for part in split_paths(path)):
+                fields[quantity] = path
+        fields |= {quantity: path for quantity, path in self.paths.items() if path}
+        return fields
+
+    def _require_whole(self, topic: str, fields: Collection[str]) -> None:
+        """Refuse quantities without others that they are of no use without."""
+        given = {quantity.removesuffix(BOW_DOWN) for quantity in fields}
+        for quantities in self.needs.together:
+            lacking = sorted(quantities - given)
+            alone = sorted(quantities & given)
+            if lacking and alone:
+                what = f"topic '{topic}' has {' and '.join(alone)}, but no {' and '.join(lacking)}"
+                raise LogError(what, f'{self.role}.{lacking[0]} = "field.path"')
+
+    def _require_enough(
+        self, topic: str, type_name: str, known: KnownType, fields: Collection[str]
+    ) -> None:
+        """Refuse a topic that has too little for the role."""
+        if any(quantities <= set(fields) for quantities in self.needs.enough):
+            return
+        reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
+        if known.fields:
+            lacking = ", ".join(known.fields.values())
+            reason = f"is of type {type_name}, but its schema lacks some of {lacking}"
+        raise LogError(f"topic '{topic}' {reason}", self.how_to_name())
+
+    def _element(self, topic: str, known: KnownType) -> Element | None:
+        """Return which elements of a list in the messages count; None where the messages are no lists."""
+        if known.element:
+            return Element(known.element[0], known.element[1:], self.frames or ())
+        if self.frames is not None:
+            text = f"topic '{topic}' has no transforms, but {self.role}.frames is set"
+            raise LogError(text, f"remove {self.role}.frames")
+        return None
 
     def _factors(self, channel: LogChannel, fields: Mapping[str, str]) -> dict[str, float]:
         """Return factors of columns whose titles have another unit than the usual; what the settings say counts more.
@@ -341,49 +359,74 @@ class TopicRequirement:
                     factors[path] = units[unit] / units[usual]
                 elif unit != unit_at_end(column):
                     text = f"column '{column}' of {channel.topic} is in '{unit}', which is no known unit of {kind}"
-                    or_set = f", or set {self.role}.{key}" if key else ""
-                    of_increments = _INCREMENTS.get(quantity)
-                    if of_increments and unit in UNITS_BY_KIND[of_increments[0]]:
-                        or_set = (
-                            f"; of increments set {self.role}.increment_s, the interval in seconds"
-                        )
-                    raise LogError(
-                        text, f"known are {', '.join(units)}: convert the column{or_set}"
-                    )
+                    or_set = self._or_set(quantity, key, unit)
+                    hint = f"known are {', '.join(units)}: convert the column{or_set}"
+                    raise LogError(text, hint)
         return {path: factor for path, factor in factors.items() if factor != 1.0}
+
+    def _or_set(self, quantity: str, key: str, unit: str) -> str:
+        """End a hint on an unknown unit with the key that tells the unit, or that the readings are increments."""
+        kind, _ = _INCREMENTS.get(quantity, ("", ""))
+        if kind and unit in UNITS_BY_KIND[kind]:
+            return f"; of increments set {self.role}.increment_s, the interval in seconds"
+        if key:
+            return f", or set {self.role}.{key}"
+        return ""
 
     def how_to_name(self) -> str:
         """State which keys lead to a topic of an unknown type."""
         if not self.paths:
             return f"known types: {', '.join(self.types)}"
-        ways = sorted(sorted(quantities) for quantities in self.needs.enough)
-        joined = " or ".join(
-            " and ".join(f'{self.role}.{name} = "field.path"' for name in way) for way in ways
-        )
+        ways = []
+        for quantities in sorted(sorted(quantities) for quantities in self.needs.enough):
+            keys = [f'{self.role}.{name} = "field.path"' for name in quantities]
+            ways.append(" and ".join(keys))
         does = "for a proposal" if self.role in PROPOSED else "for a list of topics"
-        return (
-            f'for other types: {self.key} = "/topic" with {joined}; {does}: `insdvl-replay inspect`'
-        )
+        by_name = f'{self.key} = "/topic" with {" or ".join(ways)}'
+        return f"for other types: {by_name}; {does}: `insdvl-replay inspect`"
+
+
+def _stamp_of(known: KnownType, paths: Kinds) -> str:
+    """Return the stamp of a type, else that of the header, else the recorder's time."""
+    if known.stamp == LOG_TIME or find_path(known.stamp, paths):
+        return known.stamp
+    if find_path("header.stamp", paths):
+        return "header"
+    return LOG_TIME
+
+
+def _unused_flags(paths: Collection[str], fields: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns of a DVL that may mark pings as invalid, where no field does; nothing without any."""
+    if fields.keys() & {"valid", "invalid", "beam_valid"}:
+        return {}
+    used: set[str] = set()
+    for joined in fields.values():
+        used.update(split_paths(joined))
+    single = [name for name in paths if f"{name}[*]" not in paths]
+    flags = [name for name in flag_columns(single).names if name not in used]
+    if not flags:
+        return {}
+    return {UNUSED_FLAGS: ", ".join(flags)}
 
 
 def requirement(role: str, section: Any, kind: str = "", key: str = "topic") -> TopicRequirement:
     """State what a role of some kind needs; its section of the settings names topic, fields and stamp."""
     needs = NEEDS[kind or role]
     given = {quantity: getattr(section, quantity) for quantity in needs.quantities}
+    unit_keys = {name for _, name in _KINDS.values() if name}
     return TopicRequirement(
         role=role,
         needs=needs,
         key=f"{role}.{key}",
         topic=getattr(section, key),
-        paths={quantity: path for quantity, path in given.items() if isinstance(path, str)}
-        | {quantity: None for quantity, path in given.items() if not isinstance(path, str)},
+        paths={
+            quantity: path if isinstance(path, str) else None for quantity, path in given.items()
+        },
         has_increments=given.get("increment_s") is not None,
         stamp=section.stamp,
         latency_s=section.latency_s,
         frames=getattr(section, "frames", None) if key == "topic" else None,
-        unit_keys={
-            name for _, name in _KINDS.values() if name and getattr(section, name, None) is not None
-        },
+        unit_keys={name for name in unit_keys if getattr(section, name, None) is not None},
     )
 
 
@@ -406,36 +449,39 @@ class Topics:
             for channel in channels
             if channel.topic not in self._channels
         }
-        announced = (
-            f" Topics without messages: {listed(sorted(self._empty))}" if self._empty else ""
-        )
-        self._nothing_recorded = f"was anything recorded?{announced}"
-        self.reason_for_none = (
-            "no topic has a known type for it" if self._channels else "the log has no messages"
-        )
+        self._nothing_recorded = "was anything recorded?"
+        if self._empty:
+            self._nothing_recorded += f" Topics without messages: {listed(sorted(self._empty))}"
+        self.reason_for_none = "the log has no messages"
+        if self._channels:
+            self.reason_for_none = "no topic has a known type for it"
 
     def source(self, required: TopicRequirement, topic: str) -> Source:
         """Make a topic the source of a role."""
         if topic in self._channels:
             return required.source(topic, self._channels[topic])
-        meant = nearest(topic, self._channels)
-        hint = f'the nearest is {required.key} = "{meant}"' if meant else self._nothing_recorded
+        what = f"has no messages on topic '{topic}' ({required.key})"
+        raise LogError(what, self._hint_for_topic(required, topic))
+
+    def _hint_for_topic(self, required: TopicRequirement, topic: str) -> str:
+        """Say what may be meant by the name of a topic that is not there."""
         if required.key.endswith(".solution.topic") and key_of(topic) == "file":
-            hint = f'for a file: {required.key.removesuffix("topic")}file = "{topic}"'
-        elif self._channels and not meant:
-            hint = f"topics with messages: {listed(sorted(self._channels))}"
-        raise LogError(f"has no messages on topic '{topic}' ({required.key})", hint)
+            return f'for a file: {required.key.removesuffix("topic")}file = "{topic}"'
+        meant = nearest(topic, self._channels)
+        if meant:
+            return f'the nearest is {required.key} = "{meant}"'
+        if self._channels:
+            return f"topics with messages: {listed(sorted(self._channels))}"
+        return self._nothing_recorded
 
     def candidates(self, required: TopicRequirement, besides: Collection[str]) -> list[str]:
         """Name the topics of the first group of types that the log has, the better types first."""
-        type_names = {
-            topic: type_of(channels[0])
-            for topic, channels in self._channels.items()
-            if topic not in besides
-        }
+        type_names = {topic: type_of(same[0]) for topic, same in self._channels.items()}
         for types in required.by_type:
-            if found := [topic for topic, type_name in type_names.items() if type_name in types]:
-                order = list(types)
+            order = list(types)
+            found = [topic for topic in type_names if type_names[topic] in types]
+            found = [topic for topic in found if topic not in besides]
+            if found:
                 return sorted(found, key=lambda topic: order.index(type_names[topic]))
         return []
 
@@ -445,51 +491,61 @@ class Topics:
             return self.source(required, required.topic)
         candidates = self.candidates(required, besides)
         if len(candidates) > 1:
-            named = " or ".join(f'{required.key} = "{topic}"' for topic in candidates)
-            hint = named if required.key else "keep one of them"
-            raise LogError(
-                f"{' and '.join(candidates)} could each be the {required.key or required.role}",
-                hint,
-            )
+            hint = "keep one of them"
+            if required.key:
+                hint = " or ".join(f'{required.key} = "{topic}"' for topic in candidates)
+            what = f"{' and '.join(candidates)} could each be the {required.key or required.role}"
+            raise LogError(what, hint)
         if candidates:
             return self.source(required, candidates[0])
         return None
 
     def need(self, required: TopicRequirement) -> Source:
         """Find the topic of a role that a replay needs."""
-        if (source := self.find(required)) is not None:
-            return source
+        source = self.find(required)
+        if source is None:
+            raise self._error_for_none(required)
+        return source
+
+    def _error_for_none(self, required: TopicRequirement) -> LogError:
+        """Return the error for a role that no topic plays."""
         role = required.role
         lack = f"has no {role.upper() if role in ('imu', 'dvl') else f'topic for the {role}'}"
         if not self._channels:
-            raise LogError(f"{lack}: it has no messages at all", self._nothing_recorded)
-        if all(channel.encoding == TABLE for same in self._channels.values() for channel in same):
-            ways = " or ".join(
-                " and ".join(f"{role}.{name}" for name in sorted(way))
-                for way in required.needs.enough
-            )
-            hint = f"give the folder of all tables, or all of them with --one-dive; to name its fields: {ways}"
-            raise LogError(
-                f"{lack}: no setting names a table for it; it has {listed(sorted(self._channels))}",
-                hint,
-            )
+            return LogError(f"{lack}: it has no messages at all", self._nothing_recorded)
+        if all(_is_table(channels) for channels in self._channels.values()):
+            topics = listed(sorted(self._channels))
+            what = f"{lack}: no setting names a table for it; it has {topics}"
+            return LogError(what, _hint_for_tables(required))
         slow = sorted(topic for topic in self._channels if _TELEMETRY.search(topic))
         if role == "imu" and slow:
             text = f"{lack} that can be replayed: {listed(slow, 3)} is telemetry and too slow"
-            raise LogError(text, _FULL_RATE)
-        wanted = [type_name for types in required.by_type for type_name in types]
-        empty = sorted(
-            topic for topic, type_name in self._empty.items() if full_name(type_name) in wanted
-        )
-        found = sorted(
-            {
-                channel.type_name or topic
-                for topic, same in self._channels.items()
-                for channel in same
-            }
-        )
-        but = f"; {listed(empty)} has a known type, but no messages" if empty else ""
-        raise LogError(
-            f"{lack}: no topic has one of its known types ({', '.join(wanted)}); it has {listed(found)}{but}",
-            required.how_to_name(),
-        )
+            return LogError(text, _FULL_RATE)
+        wanted: list[str] = []
+        for types in required.by_type:
+            wanted += types
+        what = f"{lack}: no topic has one of its known types ({', '.join(wanted)}); it has {listed(self._types())}"
+        empty = [topic for topic in self._empty if full_name(self._empty[topic]) in wanted]
+        if empty:
+            what += f"; {listed(sorted(empty))} has a known type, but no messages"
+        return LogError(what, required.how_to_name())
+
+    def _types(self) -> list[str]:
+        """Name the types of the messages; of those without type, their topics."""
+        names: set[str] = set()
+        for topic, channels in self._channels.items():
+            names.update(channel.type_name or topic for channel in channels)
+        return sorted(names)
+
+
+def _is_table(channels: Sequence[LogChannel]) -> bool:
+    return all(channel.encoding == TABLE for channel in channels)
+
+
+def _hint_for_tables(required: TopicRequirement) -> str:
+    """Say how tables are given whole, and which keys name the fields of a role."""
+    ways = []
+    for quantities in required.needs.enough:
+        ways.append(" and ".join(f"{required.role}.{name}" for name in sorted(quantities)))
+    whole = "give the folder of all tables, or all of them with --one-dive"
+    return f"{whole}; to name its fields: {' or '.join(ways)}"
