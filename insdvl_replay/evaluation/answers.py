@@ -46,6 +46,11 @@ NOISY: Final = (
 EVERY_DIVE: Final = "*"  # Instead of a dive's name.
 CONTROL: Final = "tuned"  # The filter that `--control` adds.
 DECIDED: Final = (EvidenceVerdict.BETTER, EvidenceVerdict.WORSE)
+# The words that contradict a decided one.
+_OPPOSITE: Final = {
+    EvidenceVerdict.BETTER: (EvidenceVerdict.WORSE,),
+    EvidenceVerdict.WORSE: (EvidenceVerdict.BETTER,),
+}
 
 _SETTLING: Final = {
     EvidenceVerdict.BETTER: Settling.SOONER,
@@ -110,37 +115,25 @@ class Answer(Struct, frozen=True, kw_only=True):
     @property
     def decisive(self) -> PooledRow | None:
         """The primary row."""
-        return next((row for row in self.rows if row.role == Role.PRIMARY), None)
+        return _row_with(self.rows, Role.PRIMARY)
 
     @property
     def warnings(self) -> list[PooledRow]:
         """The rows that can warn and whose word is not that of the primary row."""
-        opposite = {
-            EvidenceVerdict.BETTER: (EvidenceVerdict.WORSE,),
-            EvidenceVerdict.WORSE: (EvidenceVerdict.BETTER,),
-        }
-        primary = self.decisive
-        wanted = (
-            opposite.get(EvidenceVerdict(primary.verdict), DECIDED)
-            if primary is not None
-            else DECIDED
-        )
-        secondary = [
-            row for row in self.rows if row.role == Role.SECONDARY and row.verdict in wanted
-        ]
+        word = EvidenceVerdict.UNDECIDED
+        if self.decisive is not None:
+            word = EvidenceVerdict(self.decisive.verdict)
+        wanted = _OPPOSITE.get(word, DECIDED)
+        warned = [row for row in self.rows if row.role == Role.SECONDARY and row.verdict in wanted]
         # The prediction only vetoes.
-        is_better = primary is not None and primary.verdict == EvidenceVerdict.BETTER
-        veto = [
-            row
-            for row in self.rows
-            if row.role == Role.VETO and row.verdict == EvidenceVerdict.WORSE
-        ]
-        return [*secondary, *(veto if is_better else [])]
+        if word == EvidenceVerdict.BETTER:
+            warned += [row for row in self.rows if row.role == Role.VETO and row.verdict in wanted]
+        return warned
 
     @property
     def from_drawn_heading(self) -> PooledRow | None:
         """The row of the position from a drawn heading, where only the reference gave that of the start."""
-        return next((row for row in self.rows if row.quantity == DRAWN_HEADING), None)
+        return _drawn_row(self.rows)
 
     @property
     def is_by_heading(self) -> bool:
@@ -150,7 +143,7 @@ class Answer(Struct, frozen=True, kw_only=True):
     @property
     def settles(self) -> PooledRow | None:
         """The row of the second answer."""
-        return next((row for row in self.rows if row.role == Role.SETTLING), None)
+        return _row_with(self.rows, Role.SETTLING)
 
     @property
     def acting(self) -> PooledRow | None:
@@ -170,6 +163,22 @@ class CandidateAnswer(Answer, frozen=True, kw_only=True):
     prediction: Prediction  # whether it is confirmed
 
 
+def _row_with(rows: Iterable[PooledRow], role: Role) -> PooledRow | None:
+    """Return the first row with a role; None if there is none."""
+    for row in rows:
+        if row.role == role:
+            return row
+    return None
+
+
+def _drawn_row(rows: Iterable[PooledRow]) -> PooledRow | None:
+    """Return the row of the position from a drawn heading; None if there is none."""
+    for row in rows:
+        if row.quantity == DRAWN_HEADING:
+            return row
+    return None
+
+
 # --- The primary quantity.
 
 
@@ -181,16 +190,22 @@ def primary_of(dives: Sequence[Sequence[EvidenceRow]], named: str = "") -> str:
     """
     if named:
         return named
-    having = Counter(row.quantity for rows in dives for row in rows if row.role == Role.PRIMARY)
+    if not dives:
+        return ""
+    having = Counter[str]()
+    for rows in dives:
+        having.update(row.quantity for row in rows if row.role == Role.PRIMARY)
     for quantity in PRIMARIES:
-        needed = (
-            max(min(len(dives), FEWEST_DIVES), math.ceil(len(dives) / 2))
-            if quantity == "position"
-            else len(dives)
-        )
-        if dives and having[quantity] >= needed:
+        if having[quantity] >= _fewest_dives_with(quantity, len(dives)):
             return quantity
     return ""
+
+
+def _fewest_dives_with(quantity: str, dives: int) -> int:
+    """Return how many of some dives must have a quantity, so that it may decide over them."""
+    if quantity == "position":
+        return max(min(dives, FEWEST_DIVES), math.ceil(dives / 2))
+    return dives
 
 
 # --- The rows over several dives.
@@ -207,10 +222,12 @@ def pooled_evidence(
     vehicles: Sequence[str] | None = None,  # of each dive
 ) -> list[PooledRow]:
     """Pool the evidence of several dives on one candidate; the row that decides is in front."""
-    primary = primary_of(dives) if primary is None else primary
+    if primary is None:
+        primary = primary_of(dives)
+    if vehicles is None:
+        vehicles = [""] * len(dives)
     by_quantity: dict[str, list[tuple[EvidenceRow, str]]] = {}
-    names = [""] * len(dives) if vehicles is None else vehicles
-    for rows, vehicle in zip(dives, names, strict=True):
+    for rows, vehicle in zip(dives, vehicles, strict=True):
         for row in rows:
             if row.evidence != CONSISTENCY:
                 by_quantity.setdefault(row.quantity, []).append((row, vehicle))
@@ -230,12 +247,12 @@ def pooled_evidence(
 
 def _may_warn(by_quantity: Mapping[str, Sequence[tuple[EvidenceRow, str]]]) -> set[str]:
     """Return the quantities that can warn on at least half of their dives."""
-    warning = (Role.PRIMARY, Role.SECONDARY)
-    return {
-        quantity
-        for quantity, rows in by_quantity.items()
-        if 2 * sum(row.role in warning for row, _ in rows) >= len(rows)
-    }
+    found = set[str]()
+    for quantity, rows in by_quantity.items():
+        may_warn = sum(row.role in (Role.PRIMARY, Role.SECONDARY) for row, _ in rows)
+        if 2 * may_warn >= len(rows):
+            found.add(quantity)
+    return found
 
 
 def _roles(quantities: Sequence[str], primary: str, may_warn: Collection[str]) -> dict[str, Role]:
@@ -268,23 +285,8 @@ def _pooled_row(
     interval = _interval(rows_of_dives, level)
     acts_most = _largest(row.acts for row in rows)
     noise_share = median_of(finite(row.reference_noise) for row in rows)
-    is_settling = rows[0].evidence == "convergence"
-    # On some dive one of the filters never settled. Only dives on which both settled have a ratio.
-    is_unsettled = is_settling and any(
-        (row.baseline is None) != (row.value is None) for row in rows
-    )
-    words = [
-        word_of_interval(interval.low, interval.high),
-        word_of_interval(interval.low_always, interval.high_always),
-    ]
-    if acts_most < PROVED:
-        words = [EvidenceVerdict.EQUIVALENT] * 2
-    elif is_unsettled:
-        words = [EvidenceVerdict.UNDECIDED] * 2
-    elif noise_share > NOISY:
-        equal = EvidenceVerdict.EQUIVALENT
-        words = [EvidenceVerdict.UNDECIDED if word == equal else word for word in words]
-    word, word_always = words
+    word = _word_of(rows, interval.low, interval.high, acts_most, noise_share)
+    word_always = _word_of(rows, interval.low_always, interval.high_always, acts_most, noise_share)
     return PooledRow(
         log=EVERY_DIVE,
         filter=candidate,
@@ -308,9 +310,38 @@ def _pooled_row(
         acts_most=acts_most,
         reference_noise=noise_share,
         role=role,
-        verdict=_SETTLING[word] if is_settling else word,
-        verdict_always=_SETTLING[word_always] if is_settling else word_always,
+        verdict=word,
+        verdict_always=word_always,
     )
+
+
+def _word_of(
+    rows: Sequence[EvidenceRow], low: float, high: float, acts_most: float, noise_share: float
+) -> EvidenceVerdict | Settling:
+    """Return the word of the interval of some rows, in the words of the second answer for convergence."""
+    word = word_of_interval(low, high)
+    is_settling = rows[0].evidence == "convergence"
+    if acts_most < PROVED:
+        word = EvidenceVerdict.EQUIVALENT
+    elif is_settling and _is_unsettled(rows):
+        word = EvidenceVerdict.UNDECIDED
+    elif word == EvidenceVerdict.EQUIVALENT:
+        word = _equal_or_noise(noise_share)
+    if is_settling:
+        return _SETTLING[word]
+    return word
+
+
+def _equal_or_noise(noise_share: float) -> EvidenceVerdict:
+    """Return the word of errors that are equal: undecided where most of them is noise of the reference."""
+    if noise_share > NOISY:
+        return EvidenceVerdict.UNDECIDED
+    return EvidenceVerdict.EQUIVALENT
+
+
+def _is_unsettled(rows: Sequence[EvidenceRow]) -> bool:
+    """Return whether on some dive one of the filters never settled: only where both settled there is a ratio."""
+    return any((row.baseline is None) != (row.value is None) for row in rows)
 
 
 def _largest(numbers: Iterable[Number]) -> float:
@@ -376,25 +407,27 @@ def verdict_of(rows: Sequence[PooledRow], dives: int) -> tuple[Verdict, Undecide
     most = largest_acts(rows)
     if most < NO_EFFECT:
         return Verdict.NO_EFFECT, Undecided.NONE
-    primary = next((row for row in rows if row.role == Role.PRIMARY), None)
+    primary = _row_with(rows, Role.PRIMARY)
     if most < PROVED:
         return _of_quantity(Verdict.EQUIVALENT, primary), Undecided.NONE
     if dives == 1:
         return Verdict.UNDECIDED, Undecided.ONE_DIVE
     if primary is None or not math.isfinite(finite(primary.ratio)):
         return Verdict.UNDECIDED, Undecided.NO_PRIMARY
-    if starts_contradict(
-        primary, next((row for row in rows if row.quantity == DRAWN_HEADING), None)
-    ):
+    if starts_contradict(primary, _drawn_row(rows)):
         return Verdict.MIXED, Undecided.NONE
     word = EvidenceVerdict(primary.verdict)
     if word == EvidenceVerdict.UNDECIDED:
         return Verdict.UNDECIDED, _why_undecided(primary)
-    warn = (Role.SECONDARY, Role.VETO)
-    is_warned = any(row.role in warn and row.verdict == EvidenceVerdict.WORSE for row in rows)
-    if word == EvidenceVerdict.BETTER and is_warned:
+    if word == EvidenceVerdict.BETTER and _is_warned(rows):
         return Verdict.MIXED, Undecided.NONE
     return _of_quantity(Verdict(word.value), primary), Undecided.NONE
+
+
+def _is_warned(rows: Sequence[PooledRow]) -> bool:
+    """Return whether a row that can warn is worse."""
+    warning = [row for row in rows if row.role in (Role.SECONDARY, Role.VETO)]
+    return any(row.verdict == EvidenceVerdict.WORSE for row in warning)
 
 
 def largest_acts(rows: Sequence[PooledRow]) -> float:
@@ -466,21 +499,23 @@ def pooled_candidate(
     It is not evaluated if at least half of the dives are not. If it does not repeat on most of the dives that are not
     evaluated, this is the word.
     """
-    primary = primary_of(evidence) if primary is None else primary
+    if primary is None:
+        primary = primary_of(evidence)
     rows = tuple(pooled_evidence(name, evidence, primary=primary, level=level, vehicles=vehicles))
     pct = median_of(map(finite, predicted_pct))
-    reason = next((why for why, _ in Counter(filter(None, reasons)).most_common(1)), "")
+    reason = _most_common(reasons)
     verdict, undecided = verdict_of(rows, len(evidence))
     # Two vehicles that cancel each other may look equivalent together.
     if vehicles is not None and _contradict(evidence, primary, level, vehicles):
         verdict = Verdict.MIXED
         undecided = Undecided.NONE
     if 2 * len(evidence) <= dives:
-        is_repeating = 2 * not_repeatable <= dives - len(evidence)
-        verdict = Verdict.NOT_EVALUATED if is_repeating else Verdict.NOT_REPEATABLE
+        verdict = Verdict.NOT_EVALUATED
+        if 2 * not_repeatable > dives - len(evidence):
+            verdict = Verdict.NOT_REPEATABLE
         undecided = Undecided.NONE
         reason = reason or "too few dives are evaluated"
-    settles = next((row for row in rows if row.role == Role.SETTLING), None)
+    settling_row = _row_with(rows, Role.SETTLING)
     return CandidateAnswer(
         filter=name,
         baseline=baseline,
@@ -489,12 +524,21 @@ def pooled_candidate(
         evaluated=len(evidence),
         rows=rows,
         primary=primary,
-        settling=settles.verdict if settles is not None else "",
+        settling="" if settling_row is None else settling_row.verdict,
         undecided=undecided,
         reason=reason,
         predicted_pct=pct,
         prediction=prediction_of(pct, rows),
     )
+
+
+def _most_common(reasons: Iterable[str]) -> str:
+    """Return the most common reason; empty if there is none."""
+    given = Counter(reason for reason in reasons if reason)
+    if not given:
+        return ""
+    [(reason, _)] = given.most_common(1)
+    return reason
 
 
 def levels_of(answers: Sequence[Answer], named: str = "") -> dict[str, float]:
@@ -531,10 +575,11 @@ def answers_together(
     """
     alone = {name: answer_at(name, LEVEL) for name in names}
     levels = levels_of(list(alone.values()), named)
-    return {
-        name: answer if levels[name] == LEVEL else answer_at(name, levels[name])
-        for name, answer in alone.items()
-    }
+    together = dict(alone)
+    for name, level in levels.items():
+        if level != LEVEL:
+            together[name] = answer_at(name, level)
+    return together
 
 
 def _contradict(
@@ -546,25 +591,26 @@ def _contradict(
         return False
     words = set()
     for name in names:
-        dives = [rows for rows, vehicle in zip(evidence, vehicles, strict=True) if vehicle == name]
-        rows = [(row, name) for dive in dives for row in dive if row.quantity == primary]
-        interval = _interval(rows, level)
+        own: list[tuple[EvidenceRow, str]] = []
+        for rows, vehicle in zip(evidence, vehicles, strict=True):
+            if vehicle == name:
+                own += [(row, name) for row in rows if row.quantity == primary]
+        interval = _interval(own, level)
         words.add(word_of_interval(interval.low, interval.high))
     return words == {*DECIDED}
 
 
 def prediction_of(predicted_pct: float, rows: Sequence[PooledRow]) -> Prediction:
     """Return whether at least half of a predicted improvement was measured in the primary quantity."""
-    primary = next((row for row in rows if row.role == Role.PRIMARY), None)
+    primary = _row_with(rows, Role.PRIMARY)
     if primary is None or not predicted_pct >= NOTABLE_PCT:
         return Prediction.UNDECIDED
-    least_pct, most_pct = (100.0 * (1.0 - finite(end)) for end in (primary.high, primary.low))
-    if least_pct >= CONFIRMED * predicted_pct:
+    needed_pct = CONFIRMED * predicted_pct
+    least_pct = 100.0 * (1.0 - finite(primary.high))
+    most_pct = 100.0 * (1.0 - finite(primary.low))
+    if least_pct >= needed_pct:
         return Prediction.CONFIRMED
     # A proof that the candidate does nearly nothing refutes it, too.
-    if (
-        most_pct < CONFIRMED * predicted_pct
-        or 100.0 * finite(primary.acts_most) < CONFIRMED * predicted_pct
-    ):
+    if most_pct < needed_pct or 100.0 * finite(primary.acts_most) < needed_pct:
         return Prediction.NOT_CONFIRMED
     return Prediction.UNDECIDED

@@ -5,7 +5,7 @@ Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Na
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -48,9 +48,8 @@ def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tup
     depend on each other the count is the number of effective samples, which need not be whole.
     """
     tail = (1.0 - confidence) / 2.0
-    low, high = (
-        chi_square_quantile(probability, count * dof) / count for probability in (tail, 1.0 - tail)
-    )
+    low = chi_square_quantile(tail, count * dof) / count
+    high = chi_square_quantile(1.0 - tail, count * dof) / count
     return low, high
 
 
@@ -64,7 +63,9 @@ def consistency_verdict(
         return Consistency.CONSISTENT, Reason.NONE
     if abs(mean / dof - 1.0) <= SMALL_EXCESS:
         return Consistency.CONSISTENT, Reason.NEAR
-    return Consistency.OVERCONFIDENT if mean > high else Consistency.CONSERVATIVE, Reason.NONE
+    if mean > high:
+        return Consistency.OVERCONFIDENT, Reason.NONE
+    return Consistency.CONSERVATIVE, Reason.NONE
 
 
 def probability_beyond_3_sd(share: float, independent: float) -> float:
@@ -95,7 +96,8 @@ def mean_verdict(squared: Floats, dof: int, samples: float) -> MeanVerdict:
 
     Few samples can show that it is too large, but not that it is right.
     """
-    mean, (low, high) = float(squared.mean()), mean_interval(dof, samples)
+    mean = float(squared.mean())
+    low, high = mean_interval(dof, samples)
     word, why = consistency_verdict(mean, low, high, dof)
     if dof * samples < FEWEST_UPDATES and word in (
         Consistency.CONSISTENT,
@@ -121,79 +123,98 @@ def consistency_table(
     ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``. The interval of a held-out sensor is that of its
     independent innovations; a filter without the states that the sensor needs does not tell how far off it may be.
     """
-    rows = []
-    for history, innovations in [
-        (met_by, met) for met_by in histories for met in met_by.innovations
-    ]:
-        measurement = innovations.measurement
-        held_out = innovations.is_held_out
-        sensor = measurement.removeprefix(HELD_OUT)
-        needed = (
-            {state.id for block in SENSORS[sensor].states for state in MORE_STATES[block]}
-            if held_out
-            else set()
-        )
-        has_states = needed <= {state.id for state in history.states}
-        # Readings whose user-defined prediction is not a number are not used.
-        goes_on = not is_reserved(measurement) and np.isfinite(history.velocity_n[-1]).all()
-        met = np.isfinite(innovations.nis) | (not goes_on)
-        standardised = innovations.standardised[met]
-        used = innovations.used[met]
-        weight = innovations.weight[met]
-        axes = {
-            axis_of(measurement, axis): slice(i, i + 1) for i, axis in enumerate(innovations.axes)
-        }
-        for name, components in ({measurement: slice(None)} | axes).items():
-            part = standardised[:, components]
-            dof = part.shape[1]
-            correlation = autocorrelation(part, used | held_out)
-            nis = (innovations.nis[met] if name == measurement else part[:, 0] ** 2) * weight
-            # The errors of a held-out sensor last, so fewer innovations are independent.
-            mean = (
-                _nis_verdict(nis, dof, part if held_out else None) if has_states else MeanVerdict()
-            )
-            if mean.verdict == Consistency.CONSERVATIVE:
-                # A lasting error is one sample. If it is small by chance, or zero after an exact start, the data do not
-                # show that it lasts. By a held-out sensor a filter is conservative only if the differences are too
-                # small for the sensor's noise alone.
-                stays = measurement in SENSORS and repeats(*correlation)
-                if held_out:
-                    by_sensor = (innovations.innovation / sensor_sd[sensor])[:, components]
-                    found = _nis_verdict(np.sum(by_sensor**2, axis=1), dof, by_sensor)
-                    stays = found.verdict != Consistency.CONSERVATIVE
-                if stays:
-                    mean = mean._replace(verdict=Consistency.INSUFFICIENT, why=Reason.ONE_SAMPLE)
-            rows.append(
-                ConsistencyRow(
-                    log=log,
-                    filter=history.filter,
-                    measurement=name,
-                    dof=dof,
-                    used=int(innovations.used.sum()),
-                    rejected=int(rejected(innovations).sum()),
-                    mean_nis=mean.mean,
-                    low=mean.low,
-                    high=mean.high,
-                    verdict=mean.verdict,
-                    autocorrelation=correlation[0],
-                    autocorrelation_limit=correlation[1],
-                    whiteness=whiteness(*correlation),
-                    why=mean.why,
-                )
-            )
+    rows: list[ConsistencyRow] = []
+    for history in histories:
+        for innovations in history.innovations:
+            rows += _rows_of_measurement(log, history, innovations, sensor_sd)
     return rows
+
+
+def _rows_of_measurement(
+    log: str, history: History, innovations: Innovations, sensor_sd: Mapping[str, Floats]
+) -> Iterator[ConsistencyRow]:
+    """Yield the row of a whole measurement of one filter, then those of its axes."""
+    measurement = innovations.measurement
+    has_states = _has_states(history, innovations)
+    met = _are_met(history, innovations)
+    standardised = innovations.standardised[met]
+    paired = innovations.used[met] | innovations.is_held_out
+    parts = {measurement: slice(None)}
+    for number, axis in enumerate(innovations.axes):
+        parts[axis_of(measurement, axis)] = slice(number, number + 1)
+    for name, components in parts.items():
+        part = standardised[:, components]
+        dof = part.shape[1]
+        nis = innovations.nis[met] if name == measurement else part[:, 0] ** 2
+        correlation, limit = autocorrelation(part, paired)
+        mean = MeanVerdict()
+        if has_states:
+            # The errors of a held-out sensor last, so fewer innovations are independent.
+            lasting = part if innovations.is_held_out else None
+            mean = _nis_verdict(nis * innovations.weight[met], dof, lasting)
+        if mean.verdict == Consistency.CONSERVATIVE:
+            if innovations.is_held_out:
+                sd = sensor_sd[measurement.removeprefix(HELD_OUT)]
+                may_last = not _is_below_noise((innovations.innovation / sd)[:, components])
+            else:
+                may_last = measurement in SENSORS and repeats(correlation, limit)
+            # A lasting error is one sample. If it is small by chance, or zero after an exact start,
+            # the data do not show that it lasts.
+            if may_last:
+                mean = mean._replace(verdict=Consistency.INSUFFICIENT, why=Reason.ONE_SAMPLE)
+        yield ConsistencyRow(
+            log=log,
+            filter=history.filter,
+            measurement=name,
+            dof=dof,
+            used=int(innovations.used.sum()),
+            rejected=int(rejected(innovations).sum()),
+            mean_nis=mean.mean,
+            low=mean.low,
+            high=mean.high,
+            verdict=mean.verdict,
+            autocorrelation=correlation,
+            autocorrelation_limit=limit,
+            whiteness=whiteness(correlation, limit),
+            why=mean.why,
+        )
+
+
+def _has_states(history: History, innovations: Innovations) -> bool:
+    """Return whether a filter has the states that a held-out sensor needs; other measurements need none."""
+    if not innovations.is_held_out:
+        return True
+    states = {state.id for state in history.states}
+    for block in SENSORS[innovations.measurement.removeprefix(HELD_OUT)].states:
+        if any(state.id not in states for state in MORE_STATES[block]):
+            return False
+    return True
+
+
+def _are_met(history: History, innovations: Innovations) -> Mask:
+    """Find the innovations that count, shape (m,): all, without readings that the user's prediction left out."""
+    met = np.isfinite(innovations.nis)
+    if is_reserved(innovations.measurement) or not np.isfinite(history.velocity_n[-1]).all():
+        return np.ones_like(met)
+    return met
+
+
+def _is_below_noise(by_sensor: Floats) -> bool:
+    """Return whether differences, shape (m, n), in the sd of a held-out sensor are too small for its noise alone.
+
+    Only then does the sensor show that a filter is conservative.
+    """
+    found = _nis_verdict(np.sum(by_sensor**2, axis=1), by_sensor.shape[1], by_sensor)
+    return found.verdict == Consistency.CONSERVATIVE
 
 
 def _nis_verdict(nis: Floats, dof: int, components: Floats | None) -> MeanVerdict:
     """Return the verdict on a mean NIS; correlated components count as fewer samples."""
     if len(nis) < FEWEST_UPDATES:
         return MeanVerdict(verdict=Consistency.INSUFFICIENT)
-    repeated = components is not None and np.isfinite(components).all()
-    samples = (
-        samples_in_mean_square(components)
-        if components is not None and repeated
-        else float(len(nis))
-    )
+    samples = float(len(nis))
+    if components is not None and np.isfinite(components).all():
+        samples = samples_in_mean_square(components)
     return mean_verdict(nis, dof, samples)
 
 

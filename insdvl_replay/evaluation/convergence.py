@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.dive_columns import Floats, seconds
+from insdvl_replay.core.dive_columns import Floats, Mask, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import CONVERGED
 from insdvl_replay.core.states import DV, NINE, STATES, State
@@ -42,6 +42,11 @@ class MeasuredConvergence(NamedTuple):
     status: ConvergenceStatus  # of the baseline if its errors do not fall, else of the candidate
 
 
+_NOT_MEASURED: Final = MeasuredConvergence(
+    math.nan, math.nan, math.nan, ConvergenceStatus.NOT_MEASURED
+)
+
+
 def measured_convergences(
     baseline: DrawnErrors, candidate: DrawnErrors
 ) -> dict[str, MeasuredConvergence]:
@@ -56,12 +61,19 @@ def measured_convergences(
     after = squared_errors(candidate)
     found = {}
     for quantity in before:
-        if quantity in after and quantity != "position_h":
-            squares = before[quantity][1:], after[quantity][1:]
-            known = np.all([np.isfinite(square).any(axis=0) for square in squares], axis=0)
-            if known.any():
-                found[quantity] = measured_convergence(*squares, baseline.time_s)
+        if quantity not in after or quantity == "position_h":
+            continue
+        baseline_sq = before[quantity][1:]
+        candidate_sq = after[quantity][1:]
+        if _known_times(baseline_sq, candidate_sq).any():
+            found[quantity] = measured_convergence(baseline_sq, candidate_sq, baseline.time_s)
     return found
+
+
+def _known_times(*squares: Floats) -> Mask:
+    """Find the times, shape (k,), at which each of some errors has a number from some start; each is (s, k)."""
+    known: Mask = np.all([np.isfinite(square).any(axis=0) for square in squares], axis=0)
+    return known
 
 
 def measured_convergence(
@@ -74,21 +86,29 @@ def measured_convergence(
     The rms of s normal draws has the standard error ``1 / sqrt(2 s)`` of itself: by so much it may exceed the target. A
     filter that is there at once but not for good is as good at the start, and has nothing to bring down.
     """
-    known = np.isfinite(baseline_sq).any(axis=0) & np.isfinite(candidate_sq).any(axis=0)
+    known = _known_times(baseline_sq, candidate_sq)
     at_s, before, after = over_last_part(
         time_s[known], baseline_sq[:, known], candidate_sq[:, known]
     )
-    starts = len(before)
-
-    mean_squares = before.mean(axis=0), after.mean(axis=0)
-    limit_sq = float(limit_of(np.sqrt(mean_squares[0][-1]), starts)) ** 2
-    baseline_s, candidate_s = (_reached_s(at_s, mean_sq, limit_sq) for mean_sq in mean_squares)
-    falls = _status(baseline_s) == ConvergenceStatus.REACHED
-    status = _status(candidate_s if falls else baseline_s)
-    baseline_s, candidate_s = (
-        time_s if 0.0 < time_s < np.inf else math.nan for time_s in (baseline_s, candidate_s)
+    baseline_mean_sq = before.mean(axis=0)
+    candidate_mean_sq = after.mean(axis=0)
+    target = np.sqrt(baseline_mean_sq[-1])
+    limit_sq = float(limit_of(target, len(before))) ** 2
+    baseline_s = _reached_s(at_s, baseline_mean_sq, limit_sq)
+    candidate_s = _reached_s(at_s, candidate_mean_sq, limit_sq)
+    status = _status(baseline_s)
+    if status == ConvergenceStatus.REACHED:
+        status = _status(candidate_s)
+    return MeasuredConvergence(
+        float(target), _if_reached(baseline_s), _if_reached(candidate_s), status
     )
-    return MeasuredConvergence(float(np.sqrt(mean_squares[0][-1])), baseline_s, candidate_s, status)
+
+
+def _if_reached(reached_s: float) -> float:
+    """Return the time of `_reached_s`; NaN at the start and for never."""
+    if 0.0 < reached_s < math.inf:
+        return reached_s
+    return math.nan
 
 
 def _reached_s(at_s: Floats, mean_sq: Floats, limit_sq: float) -> float:
@@ -148,30 +168,44 @@ class ConvergenceCurves(NamedTuple):
 def convergence_curves(drawn: Sequence[DrawnErrors]) -> dict[str, ConvergenceCurves]:
     """Return the rms of each filter's true errors over its random starts, without the dive's own, by quantity."""
     drawn = [errors for errors in drawn if len(errors.error) >= FEWEST_RUNS]
+    if not drawn:
+        return {}
+    true_squares = {errors.filter: squared_errors(errors) for errors in drawn}
+    predicted_squares = {errors.filter: _predicted_squares(errors) for errors in drawn}
     curves = {}
-    squares = [squared_errors(errors) for errors in drawn]
-    as_predicted = [
-        replace(errors, velocity_error_n=errors.sd[None, :, DV], error=errors.sd[None])
-        for errors in drawn
-    ]
-    predicted = [squared_errors(errors) for errors in as_predicted]
-    names = [errors.filter for errors in drawn]
     for quantity, name in CONVERGED.items():
-        if not (drawn and all(name in square for square in squares)):
+        if not all(name in squares for squares in true_squares.values()):
             continue
-        found = [square[name][1:] for square in squares]
-        known = np.all([np.isfinite(square).any(axis=0) for square in found], axis=0)
-        if known.any():
-            time_s = drawn[0].time_s[known]
-            found += [square.get(name, np.full((1, len(known)), np.nan)) for square in predicted]
-            at_s, *means = over_last_part(time_s, *(square[:, known] for square in found))
-            rms, expected = np.split(np.sqrt([mean.mean(axis=0) for mean in means]), 2)
-            limit = float(limit_of(rms[0][-1], len(found[0])))
-            rms_of, expected_of = (
-                dict(zip(names, errors, strict=True)) for errors in (rms, expected)
-            )
-            curves[quantity] = ConvergenceCurves(at_s, rms_of, expected_of, limit)
+        true_sq = {one: squares[name][1:] for one, squares in true_squares.items()}
+        known = _known_times(*true_sq.values())
+        if not known.any():
+            continue
+        unknown = np.full((1, len(known)), np.nan)
+        predicted_sq = {one: own.get(name, unknown) for one, own in predicted_squares.items()}
+        time_s = drawn[0].time_s[known]
+        at_s, rms_of = _rms_over_last_part(time_s, known, true_sq)
+        _, expected_of = _rms_over_last_part(time_s, known, predicted_sq)
+        first = drawn[0].filter
+        limit = float(limit_of(rms_of[first][-1], len(true_sq[first])))
+        curves[quantity] = ConvergenceCurves(at_s, rms_of, expected_of, limit)
     return curves
+
+
+def _predicted_squares(errors: DrawnErrors) -> dict[str, Floats]:
+    """Return the squares of a filter's sigma, shape (1, k), by quantity of `reference_errors.squared_errors`."""
+    as_errors = replace(errors, velocity_error_n=errors.sd[None, :, DV], error=errors.sd[None])
+    return squared_errors(as_errors)
+
+
+def _rms_over_last_part(
+    time_s: Floats,  # the known times
+    known: Mask,  # (k,)
+    squares: Mapping[str, Floats],  # (s, k) by filter
+) -> tuple[Floats, dict[str, Floats]]:
+    """Return times with growing steps, shape (g,), and each filter's rms over its starts and the last part, (g,)."""
+    at_s, *means = over_last_part(time_s, *(square[:, known] for square in squares.values()))
+    rms = [np.sqrt(mean.mean(axis=0)) for mean in means]
+    return at_s, dict(zip(squares, rms, strict=True))
 
 
 # --- The tables: predicted improvement, and predicted convergence with the measured one next to it.
@@ -183,17 +217,11 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> list[Improvem
     rows = []
     for candidate in candidates:
         for state in predicted_states(candidate):
-            ends = (
-                baseline.sd[last_row(baseline, candidate)],
-                candidate.sd[last_row(candidate, candidate)],
-            )
-            before, after = (float(sd[state.index]) / state.factor for sd in ends)
+            baseline_sd = baseline.sd[last_row(baseline, candidate), state.index]
+            sd = candidate.sd[last_row(candidate, candidate), state.index]
+            before = float(baseline_sd) / state.factor
+            after = float(sd) / state.factor
             change_pct = improvement_pct(before, after)
-            status = ImprovementStatus.IMPROVED if change_pct > 0.0 else ImprovementStatus.WORSE
-            if not np.isfinite(change_pct):
-                status = ImprovementStatus.NOT_FINITE
-            elif abs(change_pct) < SAME_PCT:
-                status = ImprovementStatus.SAME
             rows.append(
                 ImprovementRow(
                     log=log,
@@ -203,26 +231,36 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> list[Improvem
                     baseline_sd=before,
                     sd=after,
                     improvement_pct=change_pct,
-                    status=status,
+                    status=_improvement_status(change_pct),
                 )
             )
     return rows
 
 
+def _improvement_status(change_pct: float) -> ImprovementStatus:
+    if not np.isfinite(change_pct):
+        return ImprovementStatus.NOT_FINITE
+    if abs(change_pct) < SAME_PCT:
+        return ImprovementStatus.SAME
+    if change_pct > 0.0:
+        return ImprovementStatus.IMPROVED
+    return ImprovementStatus.WORSE
+
+
 def predicted_states(history: History) -> list[State]:
     """List the states, of the twelve, for which a history has standard deviations."""
-    predicted = (
-        history.predicted if history.updated.any() else np.zeros(len(history.states), np.bool_)
-    )
-    return [state for state in STATES if predicted[state.index]]
+    if not history.updated.any():
+        return []
+    return [state for state in STATES if history.predicted[state.index]]
 
 
 def last_row(history: History, candidate: History) -> int:
     """Return the row of the last ping; with a partial candidate, the last row that it covers."""
+    pings = history.updated
     shared = history.updated & candidate.updated
-    return int(
-        np.flatnonzero(shared if candidate.is_partial and shared.any() else history.updated)[-1]
-    )
+    if candidate.is_partial and shared.any():
+        pings = shared
+    return int(np.flatnonzero(pings)[-1])
 
 
 def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: str) -> float:
@@ -266,55 +304,55 @@ def convergence_table(
     """
     baseline, *candidates = histories
     rows = []
-    baseline_time_s = seconds(baseline.time_ns, baseline.time_ns[0])
     for candidate in candidates:
-        last = last_row(baseline, candidate)
-        pings = candidate.updated | (candidate.time_ns == candidate.time_ns[0])
+        of_states = measured.get(candidate.filter, {})
         for state in predicted_states(candidate):
-            # Final sigma of the baseline, and when it stays there.
-            baseline_s = float(baseline_time_s[last])
-            target = float(baseline.sd[last, state.index])
-            seen = np.flatnonzero(
-                baseline.updated[: last + 1] | (baseline_time_s[: last + 1] == 0.0)
-            )
-            unchanged_s, _ = time_to_stay_below(
-                baseline_time_s[seen], baseline.sd[seen, state.index], target
-            )
-            # The time of the candidate.
-            known = (
-                pings & np.isfinite(candidate.sd[:, state.index]) if candidate.is_partial else pings
-            )
-            time_s = seconds(candidate.time_ns[known], candidate.time_ns[0])
-            sd = candidate.sd[known, state.index]
-            reached_s, status = time_to_stay_below(time_s, sd, target)
-            faster_pct = (
-                improvement_pct(baseline_s, reached_s)
-                if status == ConvergenceStatus.REACHED
-                else math.nan
-            )
-            nearest_s = nearest_approach_s(time_s, sd, target)
-            found = measured.get(candidate.filter, {}).get(state.id)
-            rows.append(
-                ConvergenceRow(
-                    log=log,
-                    filter=candidate.filter,
-                    state=state.id,
-                    unit=state.unit,
-                    target_sd=target / state.factor,
-                    baseline_s=baseline_s,
-                    reached_s=reached_s,
-                    improvement_pct=faster_pct,
-                    status=status,
-                    measured_target=found.target / state.factor if found else math.nan,
-                    measured_baseline_s=found.baseline_s if found else math.nan,
-                    measured_s=found.candidate_s if found else math.nan,
-                    measured_status=found.status if found else ConvergenceStatus.NOT_MEASURED,
-                    unchanged_s=unchanged_s,
-                    nearest_approach_s=nearest_s,
-                    nearest_approach_improvement_pct=improvement_pct(baseline_s, nearest_s),
-                )
-            )
+            found = of_states.get(state.id, _NOT_MEASURED)
+            rows.append(_convergence_row(log, baseline, candidate, state, found))
     return rows
+
+
+def _convergence_row(
+    log: str, baseline: History, candidate: History, state: State, measured: MeasuredConvergence
+) -> ConvergenceRow:
+    """Return when the sigma of a candidate in one state is as small as the baseline's final one."""
+    last = last_row(baseline, candidate)
+    baseline_time_s = seconds(baseline.time_ns, baseline.time_ns[0])[: last + 1]
+    baseline_s = float(baseline_time_s[last])
+    target = float(baseline.sd[last, state.index])
+    seen = np.flatnonzero(baseline.updated[: last + 1] | (baseline_time_s == 0.0))
+    unchanged_s, _ = time_to_stay_below(
+        baseline_time_s[seen], baseline.sd[seen, state.index], target
+    )
+
+    pings = candidate.updated | (candidate.time_ns == candidate.time_ns[0])
+    if candidate.is_partial:
+        pings &= np.isfinite(candidate.sd[:, state.index])
+    time_s = seconds(candidate.time_ns[pings], candidate.time_ns[0])
+    sd = candidate.sd[pings, state.index]
+    reached_s, status = time_to_stay_below(time_s, sd, target)
+    faster_pct = math.nan
+    if status == ConvergenceStatus.REACHED:
+        faster_pct = improvement_pct(baseline_s, reached_s)
+    nearest_s = nearest_approach_s(time_s, sd, target)
+    return ConvergenceRow(
+        log=log,
+        filter=candidate.filter,
+        state=state.id,
+        unit=state.unit,
+        target_sd=target / state.factor,
+        baseline_s=baseline_s,
+        reached_s=reached_s,
+        improvement_pct=faster_pct,
+        status=status,
+        measured_target=measured.target / state.factor,
+        measured_baseline_s=measured.baseline_s,
+        measured_s=measured.candidate_s,
+        measured_status=measured.status,
+        unchanged_s=unchanged_s,
+        nearest_approach_s=nearest_s,
+        nearest_approach_improvement_pct=improvement_pct(baseline_s, nearest_s),
+    )
 
 
 def nearest_approach_s(time_s: Floats, sd: Floats, target: float) -> float:
@@ -342,7 +380,8 @@ def time_to_stay_below(
     if last == len(sd) - 1:
         return float("nan"), ConvergenceStatus.NEVER
     drop = sd[last] - sd[last + 1]
-    fraction = (sd[last] - target) / drop if np.isfinite(drop) else 1.0
-    return float(
-        time_s[last] + fraction * (time_s[last + 1] - time_s[last])
-    ), ConvergenceStatus.REACHED
+    fraction = 1.0
+    if np.isfinite(drop):
+        fraction = (sd[last] - target) / drop
+    reached_s = float(time_s[last] + fraction * (time_s[last + 1] - time_s[last]))
+    return reached_s, ConvergenceStatus.REACHED

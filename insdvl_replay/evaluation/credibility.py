@@ -6,7 +6,7 @@ filter says and others by far less. Source: Bar-Shalom, Li and Kirubarajan, "Est
 and Navigation", chapter 5.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -69,6 +69,12 @@ class StateErrors:
     exact_start: bool = (
         True  # it starts on the reference, so its errors are below sigma for a while
     )
+
+    @property
+    def is_known(self) -> Mask:
+        """Whether the error of a state is known at any time, shape (n,)."""
+        known: Mask = np.any(np.isfinite(self.error), axis=0)
+        return known
 
     @property
     def sd(self) -> Floats:
@@ -172,40 +178,61 @@ def credibility_table(
     true ones; for the groups of these with their block of P, and for ``all`` of them with the whole of P, where shares
     are those inside the ellipsoids of one and three standard deviations.
     """
-    rows = []
+    rows: list[CredibilityRow] = []
     for name in filters:
-        if not errors:
-            groups = [
-                group for group, states in CREDIBILITY_GROUPS.items() if states.stop <= BA.start
-            ]
-            nothing = MeanVerdict(verdict=Consistency.NO_REFERENCE)
-            names = (*CREDIBILITY_QUANTITIES[: BA.start], *groups, JOINT)
-            rows += [_row(log, name, quantity, 1, 0, nothing) for quantity in names]
-            continue
-        in_n = errors[name]
-        in_vehicle = about_vehicle(errors[name])
-        n = in_n.error.shape[1]
-        has_sd = in_n.has_sd
-        ever: Mask = np.any(np.isfinite(in_n.error), axis=0)
-        samples = np.array([_samples_of(in_n, state) for state in range(n)])
-        samples_in_vehicle = samples.copy()
-        samples_in_vehicle[LEVEL] = [
-            _samples_of(in_vehicle, state) for state in range(LEVEL.start, LEVEL.stop)
-        ]
-        for state, quantity in enumerate((*CREDIBILITY_QUANTITIES, *POSITION_QUANTITIES)[:n]):
-            if has_sd[state] and (state < BA.start or ever[state]):
-                rows.append(
-                    _compared_row(log, quantity, in_vehicle, np.array([state]), samples_in_vehicle)
-                )
-        # A constant error in n moves from one body axis to another in turns; a group would hide it.
-        for group, states in ALL_CREDIBILITY_GROUPS.items():
-            if has_sd[states].any() and (states.stop <= BA.start or ever[states].any()):
-                rows.append(
-                    _compared_row(log, group, in_n, np.arange(states.start, states.stop), samples)
-                )
-        if has_sd.any():
-            rows.append(_compared_row(log, JOINT, in_n, np.flatnonzero(ever), samples))
+        if errors:
+            rows += _rows_of_filter(log, errors[name])
+        else:
+            rows += _rows_without_reference(log, name)
     return rows
+
+
+def _rows_without_reference(log: str, name: str) -> Iterator[CredibilityRow]:
+    """Yield the rows of velocity and attitude, which a filter has always."""
+    nothing = MeanVerdict(verdict=Consistency.NO_REFERENCE)
+    groups = [group for group, states in CREDIBILITY_GROUPS.items() if states.stop <= BA.start]
+    for quantity in (*CREDIBILITY_QUANTITIES[: BA.start], *groups, JOINT):
+        yield _row(log, name, quantity, 1, 0, nothing)
+
+
+def _rows_of_filter(log: str, errors: StateErrors) -> Iterator[CredibilityRow]:
+    """Yield the rows of the single states of a filter, of groups of states, and of all together."""
+    in_vehicle = about_vehicle(errors)
+    states = range(errors.error.shape[1])
+    samples = np.array([_samples_of(errors, state) for state in states])
+    samples_in_vehicle = samples.copy()
+    for state in range(LEVEL.start, LEVEL.stop):
+        samples_in_vehicle[state] = _samples_of(in_vehicle, state)
+    yield from _rows_of_states(log, in_vehicle, samples_in_vehicle)
+    yield from _rows_of_groups(log, errors, samples)
+
+
+def _rows_of_states(
+    log: str, errors: StateErrors, samples_of_each: Floats
+) -> Iterator[CredibilityRow]:
+    quantities = (*CREDIBILITY_QUANTITIES, *POSITION_QUANTITIES)
+    is_known = errors.is_known
+    for state, has_sd in enumerate(errors.has_sd):
+        if has_sd and (state < BA.start or is_known[state]):
+            states = np.array([state])
+            yield _compared_row(log, quantities[state], errors, states, samples_of_each)
+
+
+def _rows_of_groups(
+    log: str, errors: StateErrors, samples_of_each: Floats
+) -> Iterator[CredibilityRow]:
+    """Yield the rows of several states; errors of the attitude are about north, east and down.
+
+    A constant error in n moves from one body axis to another in turns; a group would hide it.
+    """
+    is_known = errors.is_known
+    for group, columns in ALL_CREDIBILITY_GROUPS.items():
+        has_error = columns.stop <= BA.start or is_known[columns].any()
+        if has_error and errors.has_sd[columns].any():
+            states = np.arange(columns.start, columns.stop)
+            yield _compared_row(log, group, errors, states, samples_of_each)
+    if errors.has_sd.any():
+        yield _compared_row(log, JOINT, errors, np.flatnonzero(is_known), samples_of_each)
 
 
 def _standardised(errors: StateErrors, states: States) -> tuple[Floats, Floats]:
@@ -260,47 +287,24 @@ def _compared_row(
     """Return the credibility of some states together."""
     standardised, cov = _standardised(errors, states)
     samples, dof = standardised.shape
-    if not samples or not np.isfinite(standardised).all():
-        word = Consistency.NOT_FINITE if samples else Consistency.NOT_IN_REFERENCE
-        return _row(log, errors.filter, quantity, dof, samples, MeanVerdict(verdict=word))
+    if not samples:
+        nothing = MeanVerdict(verdict=Consistency.NOT_IN_REFERENCE)
+        return _row(log, errors.filter, quantity, dof, samples, nothing)
+    if not np.isfinite(standardised).all():
+        broken = MeanVerdict(verdict=Consistency.NOT_FINITE)
+        return _row(log, errors.filter, quantity, dof, samples, broken)
 
-    # Effective samples of errors that depend on other states, which may be slower. A share s of the variance depends on
-    # the other state, which is constant within one of its samples. So s^2 of the squared correlations are those of the
-    # other state, the rest those of the errors. P gives s. An unknown bias hardly changes, so it counts as slow as the
-    # slowest known state.
-    independent = (
-        float(samples_of_each[states[0]]) if dof == 1 else samples_in_mean_square(standardised)
-    )
-    others = np.setdiff1d(np.arange(len(samples_of_each)), states)
-    if len(others):
-        slowest = np.nanmin(samples_of_each) if np.isfinite(samples_of_each).any() else 1.0
-        share = shared_variance(cov, states, others) ** 2
-        repeated = (
-            share / np.nan_to_num(samples_of_each, nan=slowest)[others]
-            + (1.0 - share) / independent
-        )
-        independent = float(
-            1.0 / np.max(repeated, where=np.isfinite(repeated), initial=1.0 / independent)
-        )
-
+    independent = _independent_samples(standardised, cov, states, samples_of_each)
     squared = np.sum(standardised**2, axis=1)
     mean = mean_verdict(squared, dof, independent)
-    # The ellipsoids with the probabilities of one and three sigma of a normal variable.
-    near_pct, far_pct = (
-        100.0 * float(np.mean(squared <= chi_square_quantile(float(chdtr(1, sigmas**2)), dof)))
-        for sigmas in (1.0, 3.0)
-    )
+    near_pct = _within_pct(squared, 1.0, dof)
+    far_pct = _within_pct(squared, 3.0, dof)
     if mean.verdict == Consistency.CONSERVATIVE and errors.exact_start:
         # A filter that starts on the reference has no misalignment, nor errors that depend on it: velocity across the
         # track or, on a straight line, a horizontal accelerometer bias. Errors that are too small are compared with
         # the share of the variance that is left if the attitude is known.
-        shared = 0.0
-        attitude = np.arange(PHI.start, PHI.stop)
-        if not np.isin(states, attitude).any():
-            between = whitened(cov[:, states[:, None], attitude], cov[:, states[:, None], states])
-            both = whitened(np.swapaxes(between, 1, 2), cov[:, PHI, PHI])
-            shared = float(np.nan_to_num(np.mean(np.sum(both**2, axis=(1, 2))) / dof))
-        if mean.mean >= FAR_SMALLER * (1.0 - shared) * dof:
+        left = 1.0 - _share_of_attitude(cov, states)
+        if mean.mean >= FAR_SMALLER * left * dof:
             mean = mean._replace(verdict=Consistency.CONSISTENT, why=Reason.EXACT_START)
     beyond = 1.0 - far_pct / 100.0
     many_far_off = (
@@ -310,3 +314,47 @@ def _compared_row(
         # More errors exceed 3 standard deviations than chance allows, and by enough to matter.
         mean = mean._replace(verdict=Consistency.OVERCONFIDENT, why=Reason.BEYOND_3_SD)
     return _row(log, errors.filter, quantity, dof, samples, mean, (near_pct, far_pct), independent)
+
+
+def _independent_samples(
+    standardised: Floats,  # (t, n), errors of some states, whitened
+    cov: Floats,  # of all states at these times
+    states: States,
+    samples_of_each: Floats,  # effective samples of each state alone
+) -> float:
+    """Return the effective samples of errors that depend on other states, which may be slower.
+
+    A share s of the variance depends on the other state, which is constant within one of its samples. So s^2 of the
+    squared correlations are those of the other state, the rest those of the errors. P gives s. An unknown bias hardly
+    changes, so it counts as slow as the slowest known state.
+    """
+    independent = float(samples_of_each[states[0]])
+    if len(states) > 1:
+        independent = samples_in_mean_square(standardised)
+    others = np.setdiff1d(np.arange(len(samples_of_each)), states)
+    if not len(others):
+        return independent
+    slowest = 1.0
+    if np.isfinite(samples_of_each).any():
+        slowest = np.nanmin(samples_of_each)
+    of_others = np.nan_to_num(samples_of_each, nan=slowest)[others]
+    share = shared_variance(cov, states, others) ** 2
+    repeated = share / of_others + (1.0 - share) / independent
+    most = np.max(repeated, where=np.isfinite(repeated), initial=1.0 / independent)
+    return float(1.0 / most)
+
+
+def _within_pct(squared: Floats, sigmas: float, dof: int) -> float:
+    """Return how many errors are in the ellipsoid that has the probability of some sigma of a normal variable."""
+    probability = float(chdtr(1, sigmas**2))
+    return 100.0 * float(np.mean(squared <= chi_square_quantile(probability, dof)))
+
+
+def _share_of_attitude(cov: Floats, states: States) -> float:
+    """Return the share of the variance of some states that knowing the attitude would remove; 0 for the attitude."""
+    attitude = np.arange(PHI.start, PHI.stop)
+    if np.isin(states, attitude).any():
+        return 0.0
+    between = whitened(cov[:, states[:, None], attitude], cov[:, states[:, None], states])
+    both = whitened(np.swapaxes(between, 1, 2), cov[:, PHI, PHI])
+    return float(np.nan_to_num(np.mean(np.sum(both**2, axis=(1, 2))) / len(states)))

@@ -10,10 +10,10 @@ between two point patterns", 1991, for track fits, which in the plane are a regr
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from itertools import product
 from typing import Final, NamedTuple
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import (
@@ -75,9 +75,7 @@ class CourseErrors(NamedTuple):
 
 def time_segments(time_ns: TimeNs, length_s: float = SEGMENT_S) -> Segments:
     """Choose overlapping segments of a length in time; none if the reference has a gap near the end."""
-    return distance_segments(
-        time_ns, seconds(time_ns, time_ns[0]) if len(time_ns) else np.empty(0), length_s
-    )
+    return distance_segments(time_ns, seconds(time_ns, time_ns[:1]), length_s)
 
 
 def distance_segments(time_ns: TimeNs, travelled: Floats, length: float = SEGMENT_M) -> Segments:
@@ -99,11 +97,6 @@ def segment_change(errors: ReferenceErrors, segments: Segments) -> Floats:
     drifting_ned_m = errors.drifting_ned_m
     change_ned_m: Floats = drifting_ned_m[segments.last] - drifting_ned_m[segments.first]
     return change_ned_m
-
-
-def _drift_m(errors: ReferenceErrors, segments: Segments) -> Floats:
-    change_ned_m = segment_change(errors, segments)
-    return np.asarray(np.hypot(change_ned_m[:, 0], change_ned_m[:, 1]))
 
 
 def course_errors(errors: ReferenceErrors, reference: ReferenceColumns) -> CourseErrors:
@@ -135,74 +128,130 @@ def drift_table(
 
     Each of `DRIFT_QUANTITIES` with numbers has a row.
     """
-    sizes: dict[
-        str, dict[str, tuple[Floats, TimeNs, TimeNs]]
-    ] = {}  # each error with its begin and end times
-    for name, found in errors.items():
-        time_ns = found.time_ns
-        distance_m = reference_distance_m(reference, time_ns) if len(time_ns) else np.empty(0)
-        with np.errstate(over="ignore", invalid="ignore"):
-            course = course_errors(found, reference)
-            position_m = np.hypot(*found.position_error_ned_m[:, :2].T)
-            segments_of = {
-                "drift_60s": time_segments(time_ns),
-                "drift_100m": distance_segments(time_ns, distance_m),
-            }
-            sizes[name] = {
-                "position_h": (position_m, time_ns, time_ns),
-                **{
-                    quantity: (_drift_m(found, chosen), time_ns[chosen.first], time_ns[chosen.last])
-                    for quantity, chosen in segments_of.items()
-                },
-                "velocity_along": (np.abs(course.along_mps), time_ns, time_ns),
-                "velocity_across": (np.abs(course.across_mps), time_ns, time_ns),
-            }
+    sizes_of = {name: _error_sizes(found, reference) for name, found in errors.items()}
+    known = set()
+    for sizes in sizes_of.values():
+        known |= {quantity for quantity, found in sizes.items() if np.isfinite(found.size).any()}
     rows = []
-    for name, (quantity, unit) in product(errors, DRIFT_QUANTITIES.items()):
-        ever = any(np.isfinite(found[quantity][0]).any() for found in sizes.values())
-        if not ever or (bridged_gaps and not quantity.startswith("velocity")):
-            continue
-        size, from_ns, to_ns = sizes[name][quantity]
-        time_ns = errors[name].time_ns
-        known = np.flatnonzero(np.isfinite(size))
-        travelled_m = errors[name].distance_m
-        numbers: dict[str, float] = dict.fromkeys(DriftRow.__struct_fields__[5:], np.nan)
-        if len(known):
-            numbers["p50"], numbers["p95"] = np.quantile(size[known], [0.5, 0.95]).tolist()
-            with np.errstate(over="ignore"):
-                numbers["rms"] = float(np.sqrt(np.mean(size[known] ** 2)))
-            worst = known[np.argmax(size[known])]
-            numbers["worst"], numbers["final"], numbers["distance_m"] = (
-                float(size[worst]),
-                float(size[known[-1]]),
-                travelled_m,
-            )
-            numbers["worst_from_s"] = (int(from_ns[worst]) - start_ns) / NS_PER_S
-            numbers["worst_to_s"] = (int(to_ns[worst]) - start_ns) / NS_PER_S
-            if quantity == "position_h":
-                numbers |= _of_position(size[known], time_ns[known], start_ns, lost_m)
-                if travelled_m >= SHORTEST_M:
-                    numbers["final_of_distance_pct"] = 100.0 * numbers["final"] / travelled_m
-        rows.append(
-            DriftRow(
-                log=log, filter=name, quantity=quantity, unit=unit, samples=len(known), **numbers
-            )
-        )
+    for name, sizes in sizes_of.items():
+        for quantity in DRIFT_QUANTITIES:
+            is_lost = bridged_gaps and not quantity.startswith("velocity")
+            if quantity not in known or is_lost:
+                continue
+            row = _drift_row(log, name, quantity, sizes[quantity], errors[name], start_ns)
+            if quantity == "position_h" and row.samples:
+                row = _with_position(
+                    row, sizes[quantity], errors[name].distance_m, start_ns, lost_m
+                )
+            rows.append(row)
     return rows
 
 
-def _of_position(
-    error_m: Floats, time_ns: TimeNs, start_ns: int, lost_m: float
-) -> dict[str, float]:
-    """Return 2DRMS, the final error for each hour of a long dive, and the share of the time in which it is lost."""
-    hours = (int(time_ns[-1]) - start_ns) / NS_PER_S / SECONDS_PER_HOUR
+class _ErrorSizes(NamedTuple):
+    """Absolute errors in one quantity, shape (k,), with the begin and the end of the stretch of each."""
+
+    size: Floats
+    from_ns: TimeNs
+    to_ns: TimeNs
+
+
+def _error_sizes(errors: ReferenceErrors, reference: ReferenceColumns) -> dict[str, _ErrorSizes]:
+    """Return the sizes of a filter's errors by quantity of `DRIFT_QUANTITIES`."""
+    time_ns = errors.time_ns
+    distance_m = np.empty(0)
+    if len(time_ns):
+        distance_m = reference_distance_m(reference, time_ns)
+    with np.errstate(over="ignore", invalid="ignore"):
+        position_m = np.hypot(*errors.position_error_ned_m[:, :2].T)
+        course = course_errors(errors, reference)
+        return {
+            "position_h": _ErrorSizes(position_m, time_ns, time_ns),
+            "drift_60s": _drift_sizes(errors, time_segments(time_ns)),
+            "drift_100m": _drift_sizes(errors, distance_segments(time_ns, distance_m)),
+            "velocity_along": _ErrorSizes(np.abs(course.along_mps), time_ns, time_ns),
+            "velocity_across": _ErrorSizes(np.abs(course.across_mps), time_ns, time_ns),
+        }
+
+
+def _drift_sizes(errors: ReferenceErrors, segments: Segments) -> _ErrorSizes:
+    change_ned_m = segment_change(errors, segments)
+    drift_m = np.asarray(np.hypot(change_ned_m[:, 0], change_ned_m[:, 1]))
+    return _ErrorSizes(drift_m, errors.time_ns[segments.first], errors.time_ns[segments.last])
+
+
+def _drift_row(
+    log: str, name: str, quantity: str, sizes: _ErrorSizes, errors: ReferenceErrors, start_ns: int
+) -> DriftRow:
+    """Return the statistics of a filter's errors in one quantity; all are NaN where no error is known."""
+    row = DriftRow(
+        log=log,
+        filter=name,
+        quantity=quantity,
+        unit=DRIFT_QUANTITIES[quantity],
+        samples=0,
+        p50=math.nan,
+        p95=math.nan,
+        rms=math.nan,
+        worst=math.nan,
+        worst_from_s=math.nan,
+        worst_to_s=math.nan,
+        final=math.nan,
+        distance_m=math.nan,
+        final_of_distance_pct=math.nan,
+        two_drms=math.nan,
+        per_hour=math.nan,
+        lost_pct=math.nan,
+    )
+    known = np.flatnonzero(np.isfinite(sizes.size))
+    if not len(known):
+        return row
+    size = sizes.size[known]
+    worst = known[np.argmax(size)]
+    p50, p95 = np.quantile(size, [0.5, 0.95]).tolist()
+    return structs.replace(
+        row,
+        samples=len(known),
+        p50=p50,
+        p95=p95,
+        rms=_rms(size),
+        worst=float(sizes.size[worst]),
+        worst_from_s=(int(sizes.from_ns[worst]) - start_ns) / NS_PER_S,
+        worst_to_s=(int(sizes.to_ns[worst]) - start_ns) / NS_PER_S,
+        final=float(size[-1]),
+        distance_m=errors.distance_m,
+    )
+
+
+def _with_position(
+    row: DriftRow, sizes: _ErrorSizes, distance_m: float, start_ns: int, lost_m: float
+) -> DriftRow:
+    """Add what only the position has: 2DRMS, the share of the time in which it is lost, and rates of the final error.
+
+    The final error is for each hour of a long dive, and in percent of a distance that is not too short.
+    """
+    known = np.isfinite(sizes.size)
+    size_m = sizes.size[known]
+    final_m = float(size_m[-1])
+    hours = (int(sizes.to_ns[known][-1]) - start_ns) / NS_PER_S / SECONDS_PER_HOUR
+    per_hour = math.nan
+    if hours >= 1.0:
+        per_hour = final_m / hours
+    of_distance_pct = math.nan
+    if distance_m >= SHORTEST_M:
+        of_distance_pct = 100.0 * final_m / distance_m
+    return structs.replace(
+        row,
+        final_of_distance_pct=of_distance_pct,
+        two_drms=2.0 * _rms(size_m),
+        per_hour=per_hour,
+        lost_pct=100.0 * float(np.mean(size_m > lost_m)),
+    )
+
+
+def _rms(size: Floats) -> float:
+    # The errors of a filter that diverged may overflow.
     with np.errstate(over="ignore"):
-        two_drms_m = 2.0 * float(np.sqrt(np.mean(error_m**2)))
-    return {
-        "two_drms": two_drms_m,
-        "per_hour": float(error_m[-1]) / hours if hours >= 1.0 else np.nan,
-        "lost_pct": 100.0 * float(np.mean(error_m > lost_m)),
-    }
+        return float(np.sqrt(np.mean(size**2)))
 
 
 # --- The scale, the turn and the start that would align a filter's track with the reference's.
@@ -228,28 +277,34 @@ def track_fit_table(
     for name, found in errors.items():
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             fit = filter_track_fit(found, reference)
-        numbers = {
-            "scale": (fit.scale_pct, fit.scale_sd_pct),
-            "turn": (fit.turn_deg, fit.turn_sd_deg),
-        }
-        for quantity, unit in TRACK_FIT_QUANTITIES.items() if np.isfinite(fit.scale_pct) else ():
-            rows.append(TrackFitRow(log, name, quantity, unit, *numbers[quantity]))
+        if not np.isfinite(fit.scale_pct):
+            continue
+        fitted = {"scale": fit.scale_pct, "turn": fit.turn_deg}
+        fitted_sd = {"scale": fit.scale_sd_pct, "turn": fit.turn_sd_deg}
+        for quantity, unit in TRACK_FIT_QUANTITIES.items():
+            rows.append(
+                TrackFitRow(
+                    log=log,
+                    filter=name,
+                    quantity=quantity,
+                    unit=unit,
+                    fitted=fitted[quantity],
+                    fitted_sd=fitted_sd[quantity],
+                )
+            )
     return rows
 
 
 def filter_track_fit(errors: ReferenceErrors, reference: ReferenceColumns) -> TrackFit:
     """Fit a filter's track to the reference's at the times where they are compared."""
     position = reference.position[np.searchsorted(reference.time_ns, errors.time_ns)]
-    known = np.isfinite(position[:, :2]).all(axis=1) & np.isfinite(
-        errors.position_error_ned_m[:, :2]
-    ).all(axis=1)
+    error_m = errors.position_error_ned_m[:, :2]
+    known = np.isfinite(position[:, :2]).all(axis=1) & np.isfinite(error_m).all(axis=1)
     if not known.any():
         return UNKNOWN
     origin = position[known][0]
     track_m = np.stack(north_east_m(position[known], origin, origin), axis=1)
-    return track_fit(
-        errors.time_ns[known], track_m + errors.position_error_ned_m[known, :2], track_m
-    )
+    return track_fit(errors.time_ns[known], track_m + error_m[known], track_m)
 
 
 def track_fit(
@@ -265,26 +320,35 @@ def track_fit(
     """
     if len(time_ns) < 2 or np.hypot(*np.ptp(reference_m, axis=0)) < SHORTEST_M:
         return UNKNOWN
-    estimated, reference = (np.asarray(track @ [1.0, 1.0j]) for track in (estimated_m, reference_m))
-    estimated = estimated - estimated.mean()
-    reference = reference - reference.mean()
+    estimated = _about_mean(estimated_m)
+    reference = _about_mean(reference_m)
     squares = float(np.sum(np.abs(estimated) ** 2))
-    similarity = complex(np.vdot(estimated, reference) / squares) if squares else 0.0
+    if squares == 0.0:
+        return UNKNOWN
+    similarity = complex(np.vdot(estimated, reference) / squares)
     if similarity == 0.0:
         return UNKNOWN
     weights = estimated.conj() / (squares * similarity)
     changes = _changes(time_ns, weights, reference - similarity * estimated)
-    scale_sd = math.nan
-    turn_sd = math.nan
-    if len(changes) >= FEWEST_AVERAGES:
-        # Variance of a sum of parts that may be correlated with their neighbours.
-        scale_sd, turn_sd = (
-            float(np.sqrt(np.sum(part**2) * len(part) / samples_in_mean(part)))
-            for part in (changes.real, changes.imag)
-        )
-    scale_pct = 100.0 * (abs(similarity) - 1.0)
-    turn_deg = float(np.angle(similarity)) / DEG
-    return TrackFit(scale_pct, 100.0 * scale_sd, turn_deg, turn_sd / DEG)
+    return TrackFit(
+        scale_pct=100.0 * (abs(similarity) - 1.0),
+        scale_sd_pct=100.0 * _sd_of_sum(changes.real),
+        turn_deg=float(np.angle(similarity)) / DEG,
+        turn_sd_deg=_sd_of_sum(changes.imag) / DEG,
+    )
+
+
+def _about_mean(track_m: Floats) -> Complexes:
+    """Return a track, shape (k, 2), about its mean, as complex numbers: north, and east as the imaginary part."""
+    track = np.asarray(track_m @ [1.0, 1.0j])
+    return np.asarray(track - track.mean())
+
+
+def _sd_of_sum(parts: Floats) -> float:
+    """Return the standard deviation of a sum of parts that may be correlated with their neighbours; NaN for few."""
+    if len(parts) < FEWEST_AVERAGES:
+        return math.nan
+    return float(np.sqrt(np.sum(parts**2) * len(parts) / samples_in_mean(parts)))
 
 
 def _changes(
@@ -328,9 +392,10 @@ def heading_fit(
         return None
     columns = np.stack([per_heading_m, per_bias_m, estimated_m], axis=2)
     off_m = reference_m - estimated_m
-    for rows in (
-        [slice(None)] if piece is None else [piece == number for number in np.unique(piece)]
-    ):
+    if piece is None:
+        piece = np.zeros(len(time_ns), np.int64)
+    for number in np.unique(piece):
+        rows = piece == number
         columns[rows] -= columns[rows].mean(axis=0)
         off_m[rows] -= off_m[rows].mean(axis=0)
     weights = np.linalg.pinv(columns.reshape(-1, 3)).reshape(3, -1, 2)
@@ -365,12 +430,14 @@ def jump_table(
     """
     rows = []
     for history in histories:
-        if not (history.filter in motions or history.estimates_position):
-            continue
         start_ns = int(history.time_ns[0])
         end_ns = int(history.time_ns[-1])
-        recorded = motions.get(history.filter)
-        motion = history.motion() if recorded is None else recorded.within(start_ns, end_ns)
+        if history.filter in motions:
+            motion = motions[history.filter].within(start_ns, end_ns)
+        elif history.estimates_position:
+            motion = history.motion()
+        else:
+            continue
         # A repeated position counts once; all velocities are kept.
         placed = np.flatnonzero(motion.known["positions"])
         again = placed[1:][(np.diff(motion.position[placed, :2], axis=0) == 0.0).all(axis=1)]
@@ -385,6 +452,13 @@ def jump_table(
             at_s = (int(motion.time_ns[motion.known["positions"]][largest + 1]) - start_ns) * 1e-9
             jumps = len(find_jumps(unlike_m, SMALLEST_JUMP_M))
             rows.append(
-                JumpRow(log, history.filter, len(known), jumps, float(unlike_m[largest]), at_s)
+                JumpRow(
+                    log=log,
+                    filter=history.filter,
+                    steps=len(known),
+                    jumps=jumps,
+                    largest_m=float(unlike_m[largest]),
+                    largest_at_s=at_s,
+                )
             )
     return rows

@@ -3,6 +3,7 @@
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -78,7 +79,9 @@ class Tally:
         self.filter = first.filter
         self._time_s = first.time_s
         self._runs = 0
-        self._mean, self._squares, self._var = (np.zeros_like(first.error) for _ in range(3))
+        self._mean = np.zeros_like(first.error)
+        self._squares = np.zeros_like(first.error)
+        self._var = np.zeros_like(first.error)
         self._nees = np.zeros_like(first.nees)
         self.nees_by_run: list[tuple[float, float]] = []
 
@@ -137,16 +140,21 @@ def montecarlo_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
         for ensemble in ensembles
     )
     table["ratio"] = table["rms_error"] / table["final_sd"]
-    for name, column in (
-        ("predicted_improvement_pct", "final_sd"),
-        ("true_improvement_pct", "rms_error"),
-    ):
-        before = np.tile(table[column][:DOF], len(ensembles)).tolist()
-        changes = [
-            improvement_pct(*pair) for pair in zip(before, table[column].tolist(), strict=True)
-        ]
-        table[name] = [*np.full(DOF, np.nan), *changes[DOF:]]
+    table["predicted_improvement_pct"] = _improvements_pct(table["final_sd"])
+    table["true_improvement_pct"] = _improvements_pct(table["rms_error"])
     return table
+
+
+def _improvements_pct(sizes: "pd.Series[float]") -> list[float]:
+    """Return how much smaller the sizes of each filter's states are than the baseline's, which come first.
+
+    They are NaN for the baseline itself.
+    """
+    of_baseline = sizes.tolist()[:DOF]
+    changes = [math.nan] * DOF
+    for row, size in enumerate(sizes.tolist()[DOF:]):
+        changes.append(improvement_pct(of_baseline[row % DOF], size))
+    return changes
 
 
 def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
@@ -213,48 +221,61 @@ def outage_table(
 
 def runs_table(seeds: Sequence[int], tallies: Sequence[Tally]) -> pd.DataFrame:
     """List the runs of each filter with their seeds, so that a single run can be repeated."""
-    rows = [
-        (run, seed, tally.filter, *tally.nees_by_run[run - 1])
-        for run, seed in enumerate(seeds, 1)
-        for tally in tallies
-    ]
+    rows = []
+    for run, seed in enumerate(seeds, 1):
+        for tally in tallies:
+            mean_nees, final_nees = tally.nees_by_run[run - 1]
+            rows.append((run, seed, tally.filter, mean_nees, final_nees))
     return pd.DataFrame(rows, columns=["run", "seed", "filter", "mean_nees", "final_nees"])
 
 
 def run_table(errors: Sequence[RunErrors]) -> pd.DataFrame:
     """Return the true errors of one run next to what each filter predicts, after the last ping."""
-    return _stacked(
-        {
-            **(ends := _states(run.filter, error=run.error[-1], sd=np.sqrt(run.var[-1]))),
-            "ratio": ends["error"] / ends["sd"],
-            "mean_nees": float(run.nees[1:].mean()),
-            "final_nees": float(run.nees[-1]),
-        }
-        for run in errors
-    )
+    tables = []
+    for run in errors:
+        ends = _states(run.filter, error=run.error[-1], sd=np.sqrt(run.var[-1]))
+        tables.append(
+            {
+                **ends,
+                "ratio": ends["error"] / ends["sd"],
+                "mean_nees": float(run.nees[1:].mean()),
+                "final_nees": float(run.nees[-1]),
+            }
+        )
+    return _stacked(tables)
 
 
 def nees_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     """Return the mean NEES over time with its 95 % interval."""
-    return _stacked(
-        {"filter": ensemble.filter, "time_s": ensemble.time_s, "mean_nees": ensemble.nees}
-        | dict(zip(("low", "high"), mean_interval(DOF, ensemble.runs), strict=True))
-        for ensemble in ensembles
-    )
+    tables = []
+    for ensemble in ensembles:
+        low, high = mean_interval(DOF, ensemble.runs)
+        tables.append(
+            {
+                "filter": ensemble.filter,
+                "time_s": ensemble.time_s,
+                "mean_nees": ensemble.nees,
+                "low": low,
+                "high": high,
+            }
+        )
+    return _stacked(tables)
 
 
 def ensemble_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     """Return sigma, ensemble sigma and ensemble mean over time, in shown units."""
-    return _stacked(
-        {
-            "filter": ensemble.filter,
-            "state": state.id,
-            "unit": state.unit,
-            "time_s": ensemble.time_s,
-            "sd": ensemble.sd[:, state.index] / state.factor,
-            "ensemble_sd": ensemble.error_sd[:, state.index] / state.factor,
-            "ensemble_mean": ensemble.error_mean[:, state.index] / state.factor,
-        }
-        for ensemble in ensembles
-        for state in STATES
-    )
+    tables = []
+    for ensemble in ensembles:
+        for state in STATES:
+            tables.append(
+                {
+                    "filter": ensemble.filter,
+                    "state": state.id,
+                    "unit": state.unit,
+                    "time_s": ensemble.time_s,
+                    "sd": ensemble.sd[:, state.index] / state.factor,
+                    "ensemble_sd": ensemble.error_sd[:, state.index] / state.factor,
+                    "ensemble_mean": ensemble.error_mean[:, state.index] / state.factor,
+                }
+            )
+    return _stacked(tables)

@@ -16,11 +16,19 @@ from insdvl_replay.core.dive_record import ReferenceDelay
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import DRAWN_HEADING, TRACK
 from insdvl_replay.core.states import POSITION
-from insdvl_replay.core.tables import JumpRow, ReferenceErrorRow, Tables, finite
+from insdvl_replay.core.tables import (
+    ConvergenceRow,
+    JumpRow,
+    OutageRow,
+    ReferenceErrorRow,
+    Tables,
+    finite,
+)
 from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.evaluation.consistency import consistency_table
 from insdvl_replay.evaluation.convergence import (
     ConvergenceCurves,
+    MeasuredConvergence,
     convergence_curves,
     convergence_table,
     improvement_table,
@@ -102,15 +110,15 @@ def tables_of_filters(
     lost_m: float,  # position error above which a vehicle counts as lost
 ) -> tuple[dict[str, ReferenceErrors], Tables]:
     """Compare the filters with the reference and with each other; return their errors by filter, too."""
-    log, reference, (baseline, *candidates) = dive.name, dive.reference, histories
+    log = dive.name
+    reference = dive.reference
+    baseline, *candidates = histories
     names = [history.filter for history in histories]
-    # Others than the built-in filters are compared from the dive's own start.
-    run_here = {history.filter for history in spread}
-    others = (baseline, *(history for history in candidates if history.filter not in run_here))
     errors = {}
     in_states = {}
     drift = []
     fits = []
+    settled_s = {}
     if reference is not None:
         for history in histories:
             errors[history.filter] = reference_errors(history, reference, baseline)
@@ -118,71 +126,75 @@ def tables_of_filters(
         drift = drift_table(
             log, errors, reference, start_ns, lost_m=lost_m, bridged_gaps=bridged_gaps
         )
-        fits = [] if bridged_gaps else track_fit_table(log, errors, reference)
+        if not bridged_gaps:
+            fits = track_fit_table(log, errors, reference)
+        settled_s = settling_times(baseline, errors[baseline.filter].time_ns)
     convergence = {found.filter: measured_convergences(drawn[0], found) for found in drawn[1:]}
     reference_error = reference_error_table(log, histories, errors, bridged_gaps=bridged_gaps)
     consistency = consistency_table(log, histories, sensor_sd)
     credibility = credibility_table(log, names, in_states)
-    held_out = {history.filter: held_out_errors(history, sensor_sd) for history in histories}
-    held_out_tracks = {history.filter: held_out_track(history, sensor_sd) for history in histories}
-    settled_s = settling_times(baseline, errors[baseline.filter].time_ns) if errors else {}
+
     in_time = accuracy_series(
         histories, errors, reference, noise, settled_s, bridged_gaps=bridged_gaps
     )
+    held_out = {history.filter: held_out_errors(history, sensor_sd) for history in histories}
     tracks = track_series(histories, errors, noise, bridged_gaps=bridged_gaps)
-    is_compared = any("position" in found for found in tracks.values())
-    track_pairs = pairs_of(
-        baseline, candidates, {name: held_out_tracks[name] | tracks[name] for name in names}
-    )
-    for name, pair in turned_pairs(
-        turned, reference, noise, sensor_sd, bridged_gaps=bridged_gaps
-    ).items():
+    track_pairs = _track_pairs(histories, tracks, sensor_sd)
+    from_drawn = turned_pairs(turned, reference, noise, sensor_sd, bridged_gaps=bridged_gaps)
+    for name, (before_drawn, after_drawn) in from_drawn.items():
         before, after = track_pairs[name]
-        track_pairs[name] = {**before, **pair[0]}, {**after, **pair[1]}
+        track_pairs[name] = ({**before, **before_drawn}, {**after, **after_drawn})
+    by_reference = any("position" in series for series in tracks.values())
     measured = Measured(
         accuracy=pairs_of(baseline, candidates, in_time),
         outage=_outage_pairs(names, outages, user_outages),
         held_out=pairs_of(baseline, candidates, held_out),
         track=track_pairs,
-        ends={
-            history.filter: _ends(history, reference_error)
-            for history in candidates
-            if not history.is_turned
-        },
+        ends=_ends(candidates, reference_error),
         convergence=convergence,
         prediction=predictions(histories, outages, user_outages, settled_s),
-        crps={
-            history.filter: (position_crps(baseline, errors), position_crps(history, errors))
-            for history in candidates
-            if history.estimates_position
-            and baseline.estimates_position
-            and history.filter in errors
-        },
+        crps=_crps_pairs(histories, errors),
         drawn=max((len(found.error) for found in drawn), default=0),
         partial=[history.filter for history in candidates if history.is_partial],
-        late_mps=late_mps(dive.reference, dive.reference_delay),
+        late_mps=late_mps(reference, dive.reference_delay),
         # Held-out fixes are independent of the filters.
-        independent=independent or not is_compared,
+        independent=independent or not by_reference,
     )
-    user_outage_rows = [
-        row
-        for name, runs in user_outages.items()
-        for row in outage_test_table(log, runs)
-        if row.filter == name
-    ]
     return errors, Tables(
         improvement=improvement_table(log, histories),
-        convergence=convergence_table(log, spread, convergence)
-        + convergence_table(log, others, convergence),
+        convergence=_convergence_rows(log, histories, spread, convergence),
         reference_error=reference_error,
         consistency=consistency,
         credibility=credibility,
         evidence=evidence_table(log, names[0], names[1:], measured, consistency, credibility),
-        outage=outage_test_table(log, outages) + user_outage_rows,
+        outage=_outage_rows(log, outages, user_outages),
         drift=drift,
         track_fit=fits,
         jumps=jumps,
     )
+
+
+def _convergence_rows(
+    log: str,
+    histories: Sequence[History],
+    spread: tuple[History, ...],
+    measured: Mapping[str, Mapping[str, MeasuredConvergence]],
+) -> list[ConvergenceRow]:
+    """Compare the built-in filters from uncertain starts, the others from the dive's own start."""
+    run_here = {history.filter for history in spread}
+    baseline, *candidates = histories
+    others = [history for history in candidates if history.filter not in run_here]
+    from_spread = convergence_table(log, spread, measured)
+    return from_spread + convergence_table(log, (baseline, *others), measured)
+
+
+def _outage_rows(
+    log: str, outages: OutageRuns, user_outages: Mapping[str, OutageRuns]
+) -> list[OutageRow]:
+    rows = outage_test_table(log, outages)
+    for name, runs in user_outages.items():
+        rows += [row for row in outage_test_table(log, runs) if row.filter == name]
+    return rows
 
 
 def accuracy_series(
@@ -203,17 +215,16 @@ def accuracy_series(
     found = dict[str, Series]()
     for history in histories:
         own = errors[history.filter]
-        covered = covered_errors(own, start_ns, end_ns) if history is baseline else own
+        if history is baseline:
+            own = covered_errors(own, start_ns, end_ns)
         with np.errstate(over="ignore", invalid="ignore"):
             series = accuracy_errors(
-                covered, reference, noise, settled_s, start_ns=start_ns, bridged_gaps=bridged_gaps
+                own, reference, noise, settled_s, start_ns=start_ns, bridged_gaps=bridged_gaps
             )
-        # A solution that was turned to the baseline's heading says nothing of it.
-        found[history.filter] = {
-            name: one
-            for name, one in series.items()
-            if name in HEADING_FREE or not history.is_turned
-        }
+        if history.is_turned:
+            # A solution that was turned to the baseline's heading says nothing of it.
+            series = {name: one for name, one in series.items() if name in HEADING_FREE}
+        found[history.filter] = series
     return found
 
 
@@ -232,15 +243,12 @@ def track_series(
     baseline = histories[0]
     if baseline.filter not in errors or not len(errors[baseline.filter].time_ns) or bridged_gaps:
         return found
-    time_ns = errors[baseline.filter].time_ns
+    of_baseline = errors[baseline.filter]
+    start_ns = int(baseline.time_ns[0])
+    end_ns = int(baseline.time_ns[-1])
     for quantity, axes in (("position", [0, 1]), ("depth", [2])):
-        known = np.asarray(
-            np.isfinite(errors[baseline.filter].position_error_ned_m[:, axes]).all(axis=1)
-        )
-        if (
-            covered_share(time_ns, known, int(baseline.time_ns[0]), int(baseline.time_ns[-1]))
-            < WELL_COVERED
-        ):
+        known = np.asarray(np.isfinite(of_baseline.position_error_ned_m[:, axes]).all(axis=1))
+        if covered_share(of_baseline.time_ns, known, start_ns, end_ns) < WELL_COVERED:
             continue
         for history in histories:
             if not history.is_turned:
@@ -248,6 +256,20 @@ def track_series(
                 noise_m = math.sqrt(len(axes)) * noise.position_m
                 found[history.filter][quantity] = ErrorSeries("m", error_m, noise_m)
     return found
+
+
+def _track_pairs(
+    histories: Sequence[History],  # the first is the baseline
+    tracks: Mapping[str, Series],  # from `track_series`
+    sensor_sd: Mapping[str, Floats],
+) -> dict[str, tuple[Series, Series]]:
+    """Pair the errors of the tracks, by candidate: against the reference, where it has them, else held-out sensors."""
+    baseline, *candidates = histories
+    series = {
+        history.filter: {**held_out_track(history, sensor_sd), **tracks[history.filter]}
+        for history in histories
+    }
+    return pairs_of(baseline, candidates, series)
 
 
 def turned_pairs(
@@ -266,7 +288,9 @@ def turned_pairs(
     found: dict[str, Series] = {}
     for history in turned:
         series = held_out_track(history, sensor_sd) | tracks[history.filter]
-        found[history.filter] = {DRAWN_HEADING: series["position"]} if "position" in series else {}
+        found[history.filter] = {}
+        if "position" in series:
+            found[history.filter] = {DRAWN_HEADING: series["position"]}
     return pairs_of(turned[0], turned[1:], found)
 
 
@@ -300,6 +324,21 @@ def predictions(
     return found
 
 
+def _crps_pairs(
+    histories: Sequence[History], errors: Mapping[str, ReferenceErrors]
+) -> dict[str, tuple[float, float]]:
+    """Return the CRPS of the position of the baseline and of each candidate that estimate it, by candidate."""
+    baseline, *candidates = histories
+    if not errors or not baseline.estimates_position:
+        return {}
+    before = position_crps(baseline, errors)
+    return {
+        history.filter: (before, position_crps(history, errors))
+        for history in candidates
+        if history.estimates_position
+    }
+
+
 def position_crps(history: History, errors: Mapping[str, ReferenceErrors]) -> float:
     """Return the mean CRPS of a filter's horizontal position, m."""
     own = errors[history.filter]
@@ -325,30 +364,37 @@ def _outage_pairs(
     for name in candidates:
         drifts = window_drifts(user_outages.get(name, outages))
         if name in drifts:
-            before, after = (
-                {
-                    f"outage_{window}": ErrorSeries("m", drift_m)
-                    for window, drift_m in drifts[one].items()
-                }
-                for one in (baseline, name)
-            )
-            pairs[name] = before, after
+            pairs[name] = (_outage_series(drifts[baseline]), _outage_series(drifts[name]))
     return pairs
 
 
-def _ends(candidate: History, rows: Sequence[ReferenceErrorRow]) -> dict[str, tuple[float, float]]:
-    """Return the errors of both tracks at the end and in percent of the distance, where the reference covers it."""
-    compared = [
-        row
-        for row in rows
-        if row.filter == candidate.filter and row.status == ReferenceStatus.COMPARED
-    ]
-    known = {row.quantity: row for row in compared}
-    found = {}
-    for quantity, (_, name, column) in TRACK.items():
-        if name in known:
-            before, after = (getattr(known[name], key) for key in (f"baseline_{column}", column))
-            found[quantity] = abs(finite(before)), abs(finite(after))
+def _outage_series(drifts: Mapping[str, Floats]) -> Series:
+    """Return the drifts of a filter, given by length of the windows, by quantity of the evidence."""
+    return {f"outage_{length}": ErrorSeries("m", drift_m) for length, drift_m in drifts.items()}
+
+
+def _ends(
+    candidates: Iterable[History], rows: Sequence[ReferenceErrorRow]
+) -> dict[str, dict[str, tuple[float, float]]]:
+    """Return the errors of both tracks at the end and in percent of the distance, by candidate and quantity.
+
+    There are none of a solution that was turned, nor where the reference covers too little.
+    """
+    found: dict[str, dict[str, tuple[float, float]]] = {}
+    for history in candidates:
+        if history.is_turned:
+            continue
+        found[history.filter] = {}
+        compared = {
+            row.quantity: row
+            for row in rows
+            if row.filter == history.filter and row.status == ReferenceStatus.COMPARED
+        }
+        for quantity, (_, name, column) in TRACK.items():
+            if name in compared:
+                before = abs(finite(getattr(compared[name], f"baseline_{column}")))
+                after = abs(finite(getattr(compared[name], column)))
+                found[history.filter][quantity] = (before, after)
     return found
 
 
@@ -396,8 +442,15 @@ def curves_of(drawn: Sequence[DrawnErrors], outages: OutageRuns) -> Curves:
             error_m = np.hypot(
                 errors.position_error_ned_m[..., 0], errors.position_error_ned_m[..., 1]
             )
-        if np.isfinite(error_m).all(axis=0).any():
-            shown = error_m[1:] if len(error_m) > 1 else error_m
-            ends = np.median(shown, axis=0), shown.min(axis=0), shown.max(axis=0)
-            position[errors.filter] = PositionCurve(errors.time_s, *ends, len(shown))
+        if not np.isfinite(error_m).all(axis=0).any():
+            continue
+        if len(error_m) > 1:
+            error_m = error_m[1:]
+        position[errors.filter] = PositionCurve(
+            time_s=errors.time_s,
+            median_m=np.median(error_m, axis=0),
+            low_m=error_m.min(axis=0),
+            high_m=error_m.max(axis=0),
+            starts=len(error_m),
+        )
     return Curves(outage_curves(outages), convergence_curves(drawn), position)

@@ -143,8 +143,7 @@ def covered_errors(errors: ReferenceErrors, start_ns: int, end_ns: int) -> Refer
 
     def kept(columns: Floats) -> Floats:
         known = np.asarray(np.isfinite(columns).all(axis=1))
-        share = covered_share(errors.time_ns, known, start_ns, end_ns) if known.any() else 0.0
-        if share >= WELL_COVERED:
+        if known.any() and covered_share(errors.time_ns, known, start_ns, end_ns) >= WELL_COVERED:
             return columns
         return np.full_like(columns, np.nan)
 
@@ -196,41 +195,62 @@ def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[st
     one reading, by the sensor's name, SI; the first component is used for all.
     """
     found = {}
-    for innovations in (met for met in history.innovations if met.is_held_out):
-        sensor = innovations.measurement.removeprefix(HELD_OUT)
+    for met in history.innovations:
+        if not met.is_held_out:
+            continue
+        sensor = met.measurement.removeprefix(HELD_OUT)
         if sensor == "heading":
-            errors_deg = innovations.innovation / DEG
             sd_deg = float(noise_sd[sensor][0]) / DEG
-            found[innovations.measurement] = ErrorSeries("deg", errors_deg, sd_deg)
-        elif along := ALONG.get(sensor):
-            apart_m = innovations.innovation[:, : len(along)]
-            if len(history.corrected):
-                rows = np.searchsorted(history.time_ns, innovations.time_ns, side="right") - 1
-                corrected_m = north_east_down_m(history.position[rows], history.dead_reckoned[rows])
-                apart_m = apart_m - corrected_m[:, along]
-            first, counts, apart_m = _averaged(innovations, apart_m)
-            since_ns = innovations.time_ns - innovations.time_ns[first].repeat(counts)
-            mean_ns = (
-                innovations.time_ns[first]
-                + np.asarray(np.add.reduceat(since_ns, first), np.int64) // counts
+            found[met.measurement] = ErrorSeries("deg", met.innovation / DEG, sd_deg)
+        elif sensor in ALONG:
+            found[met.measurement] = _held_out_drift(
+                history, met, ALONG[sensor], float(noise_sd[sensor][0])
             )
-            segments = time_segments(mean_ns)
-            change_m = apart_m[segments.last] - apart_m[segments.first]
-            noise_m = math.sqrt(2.0 * len(along) / float(np.median(counts))) * float(
-                noise_sd[sensor][0]
-            )
-            found[innovations.measurement] = ErrorSeries("m", change_m, noise_m)
     return {quantity: errors for quantity, errors in found.items() if len(errors.errors) > 1}
+
+
+def _held_out_drift(
+    history: History,
+    met: Innovations,
+    along: list[int],  # the axes of n that the sensor measures
+    sd_m: float,  # of one reading
+) -> ErrorSeries:
+    """Return how far a filter drifts from a sensor of its position in a minute, without its corrections."""
+    apart_m = met.innovation[:, : len(along)]
+    if len(history.corrected):
+        rows = np.searchsorted(history.time_ns, met.time_ns, side="right") - 1
+        corrected_m = north_east_down_m(history.position[rows], history.dead_reckoned[rows])
+        apart_m = apart_m - corrected_m[:, along]
+    averages = _averaged(met.time_ns, apart_m)
+    since_ns = met.time_ns - met.time_ns[averages.first].repeat(averages.counts)
+    mean_since_ns = np.add.reduceat(since_ns, averages.first).astype(np.int64) // averages.counts
+    segments = time_segments(met.time_ns[averages.first] + mean_since_ns)
+    change_m = averages.values[segments.last] - averages.values[segments.first]
+    noise_m = math.sqrt(2.0 * len(along) / averages.usual_count) * sd_m
+    return ErrorSeries("m", change_m, noise_m)
 
 
 Rows = Integers
 
 
-def _averaged(innovations: Innovations, values: Floats) -> tuple[Rows, Rows, Floats]:
-    """Average values, shape (k, s), over a few seconds; return the first rows, the counts, and the averages."""
-    first = thinned(innovations.time_ns, STEP_S)
+class _Averages(NamedTuple):
+    """Readings in groups of a few seconds."""
+
+    first: Rows  # (g,), the first reading of each group
+    counts: Rows  # (g,), readings of each
+    values: Floats  # (g, s), their averages
+
+    @property
+    def usual_count(self) -> float:
+        """The median number of readings of a group."""
+        return float(np.median(self.counts))
+
+
+def _averaged(time_ns: TimeNs, values: Floats) -> _Averages:
+    """Average values, shape (k, s), over a few seconds."""
+    first = thinned(time_ns, STEP_S)
     counts = np.diff(first, append=len(values))
-    return first, counts, np.add.reduceat(values, first) / counts[:, None]
+    return _Averages(first, counts, np.add.reduceat(values, first) / counts[:, None])
 
 
 def held_out_track(history: History, noise_sd: Mapping[str, Floats]) -> dict[str, ErrorSeries]:
@@ -238,16 +258,17 @@ def held_out_track(history: History, noise_sd: Mapping[str, Floats]) -> dict[str
     found = {}
     start_ns = int(history.time_ns[0])
     end_ns = int(history.time_ns[-1])
-    for innovations in (
-        met for met in history.innovations if met.is_held_out and len(met.time_ns) > 1
-    ):
-        sensor = innovations.measurement.removeprefix(HELD_OUT)
-        known = np.asarray(np.isfinite(innovations.innovation).all(axis=1))
-        is_covered = covered_share(innovations.time_ns, known, start_ns, end_ns) >= WELL_COVERED
-        if (along := ALONG.get(sensor)) and is_covered:
-            _, counts, apart_m = _averaged(innovations, innovations.innovation[:, : len(along)])
-            noise_m = math.sqrt(len(along) / float(np.median(counts))) * float(noise_sd[sensor][0])
-            found[sensor] = ErrorSeries("m", apart_m, noise_m)
+    for met in history.innovations:
+        sensor = met.measurement.removeprefix(HELD_OUT)
+        if not met.is_held_out or sensor not in ALONG or len(met.time_ns) < 2:
+            continue
+        known = np.asarray(np.isfinite(met.innovation).all(axis=1))
+        if covered_share(met.time_ns, known, start_ns, end_ns) < WELL_COVERED:
+            continue
+        axes = len(ALONG[sensor])
+        averages = _averaged(met.time_ns, met.innovation[:, :axes])
+        noise_m = math.sqrt(axes / averages.usual_count) * float(noise_sd[sensor][0])
+        found[sensor] = ErrorSeries("m", averages.values, noise_m)
     return found
 
 
@@ -272,15 +293,21 @@ def compared(before: ErrorSeries, after: ErrorSeries) -> Compared:
     new_errors = after.errors[known]
     # The errors of a filter that diverged may overflow.
     with np.errstate(over="ignore", invalid="ignore"):
-        baseline, value, moves = (
-            _rms(columns) for columns in (errors, new_errors, new_errors - errors)
-        )
+        baseline = _rms(errors)
+        value = _rms(new_errors)
+        moves = _rms(new_errors - errors)
     square = baseline**2
     noise_square = before.noise**2
-    share = min(noise_square / square, 1.0) if square > 0.0 else math.nan
-    own = math.sqrt(max(square - noise_square, LEAST_OWN_SHARE * square))
-    acts = 0.0 if moves == 0.0 else moves / own if own > 0.0 else math.nan
-    return Compared(baseline, value, moves, acts, share, int(known.sum()))
+    noise_share = math.nan
+    if square > 0.0:
+        noise_share = min(noise_square / square, 1.0)
+    own_error = math.sqrt(max(square - noise_square, LEAST_OWN_SHARE * square))
+    acts = math.nan
+    if moves == 0.0:
+        acts = 0.0
+    elif own_error > 0.0:
+        acts = moves / own_error
+    return Compared(baseline, value, moves, acts, noise_share, int(known.sum()))
 
 
 def _rms(errors: Floats) -> float:
@@ -375,10 +402,11 @@ def _ratio(baseline: float, value: float) -> float:
 
 def _rows_of_pair(new: Callable[..., EvidenceRow], kind: str, pair: Pair) -> Iterator[EvidenceRow]:
     """Compare two filters in the quantities that both have."""
-    for quantity in (name for name in pair[0] if name in pair[1]):
-        before = pair[0][quantity]
-        after = pair[1][quantity]
-        found = compared(before, after)
+    of_baseline, of_candidate = pair
+    for quantity, before in of_baseline.items():
+        if quantity not in of_candidate:
+            continue
+        found = compared(before, of_candidate[quantity])
         if not found.samples:
             continue
         yield new(
@@ -404,8 +432,8 @@ def role_alone(quantity: str, windows: int, *, independent: bool) -> Role:
 
 def _role(quantity: str, samples: int, *, may_decide: bool = True) -> Role:
     """Return what a row of a dive may do."""
-    is_outage = quantity.startswith("outage")
-    if quantity in PRIMARIES and may_decide and not (is_outage and samples < FEWEST_WINDOWS):
+    has_few_windows = quantity.startswith("outage") and samples < FEWEST_WINDOWS
+    if quantity in PRIMARIES and may_decide and not has_few_windows:
         return Role.PRIMARY
     if any(quantity in kind for kind in SECONDARIES.values()):
         return Role.SECONDARY
@@ -443,7 +471,9 @@ def _track_rows(
 def _prediction_rows(
     new: Callable[..., EvidenceRow], measured: Measured, candidate: str
 ) -> Iterator[EvidenceRow]:
-    if (score := measured.prediction.get(candidate)) is not None:
+    """Compare how well two filters predict the DVL, and how well the position."""
+    if candidate in measured.prediction:
+        score = measured.prediction[candidate]
         yield new(
             evidence=PREDICTION,
             quantity=PREDICTION,
@@ -470,19 +500,22 @@ def _prediction_rows(
 def _convergence_rows(
     new: Callable[..., EvidenceRow], converged: Mapping[str, MeasuredConvergence], drawn: int
 ) -> Iterator[EvidenceRow]:
+    """Compare the times after which two filters have settled, from drawn starts."""
     for quantity, name in CONVERGED.items():
-        if (found := converged.get(name)) is not None:
-            yield new(
-                evidence="convergence",
-                quantity=f"convergence_{quantity}",
-                unit="s",
-                baseline=found.baseline_s,
-                value=found.candidate_s,
-                ratio=found.candidate_s / found.baseline_s,
-                samples=drawn,
-                starts=drawn,
-                role=Role.SETTLING,
-            )
+        if name not in converged:
+            continue
+        found = converged[name]
+        yield new(
+            evidence="convergence",
+            quantity=f"convergence_{quantity}",
+            unit="s",
+            baseline=found.baseline_s,
+            value=found.candidate_s,
+            ratio=found.candidate_s / found.baseline_s,
+            samples=drawn,
+            starts=drawn,
+            role=Role.SETTLING,
+        )
 
 
 # --- Consistency as evidence; it decides nothing.
@@ -500,15 +533,32 @@ class _Size(NamedTuple):
 
     @staticmethod
     def of_mean(row: ConsistencyRow | CredibilityRow, mean: Number) -> "_Size":
-        return _Size(row.filter, finite(mean) / row.dof if row.dof else math.nan, row.verdict)
+        size = math.nan
+        if row.dof:
+            size = finite(mean) / row.dof
+        return _Size(row.filter, size, row.verdict)
+
+    @property
+    def is_known(self) -> bool:
+        return math.isfinite(self.size)
+
+    @property
+    def off(self) -> float:
+        """How far the size is from 1: the logarithm of its factor, infinite for zero."""
+        if self.size > 0.0:
+            return abs(math.log(self.size))
+        return math.inf
 
     @property
     def order(self) -> tuple[int, float]:
-        """Sort key: the worst verdict is last, then the largest size.
+        """Sort key: the worst verdict is last, then the largest size, and what is not known is first.
 
         Small sizes are less certain, since a filter that starts on the reference has small errors for a while.
         """
-        return _RANK.get(self.verdict, -1), -1.0 if math.isnan(self.size) else self.size
+        rank = _RANK.get(self.verdict, -1)
+        if math.isnan(self.size):
+            return rank, -1.0
+        return rank, self.size
 
 
 def _consistency_rows(
@@ -522,27 +572,27 @@ def _consistency_rows(
     """Compare how far NIS and NEES are from what each filter expects; the ratio is that of the distances from 1."""
     sizes_of = _consistency_sizes(baseline, consistency, credibility, candidate, is_partial)
     for quantity, sizes in sizes_of.items():
-        before, after = (
-            max(
-                (found for found in sizes if found.filter == name),
-                key=lambda found: found.order,
-                default=None,
-            )
-            for name in (baseline, candidate)
+        before = _worst(sizes, baseline)
+        after = _worst(sizes, candidate)
+        if before is None or after is None or not (before.is_known and after.is_known):
+            continue
+        ratio = math.nan
+        if math.isfinite(before.off):
+            ratio = math.exp(after.off - before.off)
+        yield new(
+            evidence=CONSISTENCY,
+            quantity=quantity,
+            unit="",
+            baseline=before.size,
+            value=after.size,
+            ratio=ratio,
         )
-        if before and after and math.isfinite(before.size) and math.isfinite(after.size):
-            off, new_off = (
-                abs(math.log(found.size)) if found.size > 0.0 else math.inf
-                for found in (before, after)
-            )
-            yield new(
-                evidence=CONSISTENCY,
-                quantity=quantity,
-                unit="",
-                baseline=before.size,
-                value=after.size,
-                ratio=math.exp(new_off - off) if math.isfinite(off) else math.nan,
-            )
+
+
+def _worst(sizes: Sequence[_Size], name: str) -> _Size | None:
+    """Return the size of a filter with the worst verdict; None if it has no size."""
+    own = [size for size in sizes if size.filter == name]
+    return max(own, key=lambda size: size.order, default=None)
 
 
 def _consistency_sizes(
@@ -557,16 +607,15 @@ def _consistency_sizes(
     Further sensors of the candidate count only if it is overconfident in them. A partial solution has only some groups.
     """
     shared = {row.measurement for row in consistency if row.filter == baseline}
-    given = {row.quantity for row in credibility if row.filter == candidate}
-    groups = given & set(ALL_CREDIBILITY_GROUPS) if is_partial else ALL_CREDIBILITY_GROUPS
-    return {
-        "nis": [
-            _Size.of_mean(row, row.mean_nis)
-            for row in consistency
-            if is_used(row.measurement)
-            and (row.measurement in shared or row.verdict == Consistency.OVERCONFIDENT)
-        ],
-        "nees": [
-            _Size.of_mean(row, row.mean_nees) for row in credibility if row.quantity in groups
-        ],
-    }
+    compared_groups = set(ALL_CREDIBILITY_GROUPS)
+    if is_partial:
+        compared_groups &= {row.quantity for row in credibility if row.filter == candidate}
+    nis = []
+    for row in consistency:
+        counts = row.measurement in shared or row.verdict == Consistency.OVERCONFIDENT
+        if counts and is_used(row.measurement):
+            nis.append(_Size.of_mean(row, row.mean_nis))
+    nees = [
+        _Size.of_mean(row, row.mean_nees) for row in credibility if row.quantity in compared_groups
+    ]
+    return {"nis": nis, "nees": nees}

@@ -63,7 +63,9 @@ def log_ratio_interval(
         have equal weight, and the scatter is that of the dives within them.
     """
     logs = np.asarray(log_ratios, np.float64)
-    names = np.asarray([""] * len(logs) if vehicles is None else [*vehicles])
+    if vehicles is None:
+        vehicles = [""] * len(logs)
+    names = np.asarray([*vehicles])
     known = np.isfinite(logs)
     logs = logs[known]
     names = names[known]
@@ -75,10 +77,16 @@ def log_ratio_interval(
         return Interval(ratio, NAN, NAN, NAN, NAN, n, len(groups), scatter, NAN)
     half = float(stdtrit(freedom, 0.5 + 0.5 * level)) * error
     half_always = error * quantile_always(round(freedom) + 1)
-    ends = (mean - half, mean + half, mean - half_always, mean + half_always)
-    low, high, low_always, high_always = map(_exp, ends)
     return Interval(
-        ratio, low, high, low_always, high_always, n, len(groups), scatter, _p(mean, error, freedom)
+        ratio=ratio,
+        low=_exp(mean - half),
+        high=_exp(mean + half),
+        low_always=_exp(mean - half_always),
+        high_always=_exp(mean + half_always),
+        dives=n,
+        vehicles=len(groups),
+        scatter=scatter,
+        p=_p(mean, error, freedom),
     )
 
 
@@ -89,14 +97,17 @@ def _mean_and_error(groups: Sequence[Floats]) -> tuple[float, float, float, floa
     sizes = np.array([len(group) for group in groups], np.float64)
     within = float(sum(((group - group.mean()) ** 2).sum() for group in groups))
     spare = float(sizes.sum()) - len(groups)
-    scatter = math.sqrt(within / spare) if spare > 0.0 else NAN
     means = np.array([group.mean() for group in groups])
     mean = float(means.mean())
     if len(groups) >= FEWEST_VEHICLES:
-        error = float(means.std(ddof=1)) / math.sqrt(len(groups))
-        return mean, error, len(groups) - 1.0, scatter if spare > 0.0 else float(means.std(ddof=1))
+        scatter = float(means.std(ddof=1))
+        error = scatter / math.sqrt(len(groups))
+        if spare > 0.0:
+            scatter = math.sqrt(within / spare)
+        return mean, error, len(groups) - 1.0, scatter
     if spare <= 0.0:
         return mean, NAN, NAN, NAN
+    scatter = math.sqrt(within / spare)
     variances = scatter**2 / sizes
     freedom = spare
     if len(groups) > 1 and sizes.min() > 1.0:
@@ -195,7 +206,10 @@ def change_found(scatter: float, dives: int, level: float = LEVEL) -> float:
         shift = 0.5 * (least + most)
         # The statistic is noncentral t; it must exceed the quantile.
         missed = float(nctdtr(freedom, shift, quantile))
-        least, most = (shift, most) if missed > 1.0 - POWER else (least, shift)
+        if missed > 1.0 - POWER:
+            least = shift
+        else:
+            most = shift
     return _exp(-(math.log(BAND) + most * error))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, TimeNs, seconds
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.history import History
+from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import AXES, axis_of, is_reserved
 from insdvl_replay.core.states import DEG, PHI, SENSORS
 from insdvl_replay.core.tables import Tables, finite
@@ -26,7 +26,7 @@ from insdvl_replay.evaluation.consistency import (
     rejected,
     repeats,
 )
-from insdvl_replay.evaluation.reference_errors import WELL_COVERED, covered_share
+from insdvl_replay.evaluation.reference_errors import WELL_COVERED, Known, covered_share
 
 # Median NIS over that of chi-square: the sensor's error is three times its sd, or the sensor is misread.
 CONTRADICTED: Final = 9.0
@@ -68,90 +68,125 @@ def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     """Warn of filters without updates of an aiding, with innovations that are not finite, with many rejections, or with
     a sensor that contradicts them.
     """
-    warnings = (warning for history in histories for warning in _update_warnings(history))
-    return tuple(
-        Note(code, text, count, Severity.WARNING, hint) for code, text, count, hint in warnings
-    )
+    notes: list[Note] = []
+    for history in histories:
+        for met in history.innovations:
+            notes += _warnings_on(history, met)
+        if len(history.reopened_ns):
+            notes.append(_reopened(history))
+    return tuple(notes)
 
 
-def _update_warnings(history: History) -> Iterator[tuple[str, str, int, str]]:
-    """Yield code, text, count and hint of each."""
-    name = history.filter
-    settings = f"filters.{history.filter}"
-    gate_hint = (
-        f"check lever arm and mounting, raise [noise], or --set {settings}.gate_probability=1.0"
+def _warnings_on(history: History, met: Innovations) -> list[Note]:
+    """Warn of the updates of a filter by one measurement."""
+    if not len(met.used):
+        return [_without_updates(history, met)]
+    if met.is_held_out:
+        return []
+    if not np.isfinite(met.nis).all():
+        return [_not_finite(history, met)]
+    found = [
+        _many_rejected(history, met),
+        _contradicting(history, met),
+        _slow_heading_error(history, met),
+    ]
+    return [note for note in found if note is not None]
+
+
+def _without_updates(history: History, met: Innovations) -> Note:
+    text = f"filter {history.filter} received no {met.measurement}"
+    hint = ""
+    if met.measurement == "acceleration":
+        hint = f"filters.{history.filter}.acceleration.max_window_gap_s or window"
+    return Note("aiding_without_updates", text, 0, Severity.WARNING, hint)
+
+
+def _not_finite(history: History, met: Innovations) -> Note:
+    """Warn of a filter that diverged, or of a user's measurement whose prediction is not always a number."""
+    lost = ~np.isfinite(met.nis)
+    count = int(lost.sum())
+    are_lost = (
+        f"{count} of {len(lost)} {met.measurement} innovations are not finite, "
+        f"from number {np.argmax(lost) + 1} on"
     )
-    for met in history.innovations:
-        kind = met.measurement
-        total = len(met.used)
-        lost = ~np.isfinite(met.nis)
-        many = int(rejected(met).sum())
-        if total == 0:
-            hint = (
-                f"{settings}.acceleration.max_window_gap_s or window"
-                if kind == "acceleration"
-                else ""
-            )
-            yield "aiding_without_updates", f"filter {name} received no {kind}", 0, hint
-        if total == 0 or met.is_held_out:
-            continue
-        if lost.any():
-            count = int(lost.sum())
-            are_lost = f"{count} of {total} {kind} innovations are not finite, from number {np.argmax(lost) + 1} on"
-            if not is_reserved(kind) and np.isfinite(history.velocity_n[-1]).all():
-                text = f"filter {name} skipped some updates: {are_lost}"
-                yield (
-                    "innovations_not_finite",
-                    text,
-                    count,
-                    "check the arithmetic of `predict` of this measurement",
-                )
-            else:
-                sizes = "check the units and sizes of [noise], [initial] and the aiding"
-                hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
-                yield "filter_not_finite", f"filter {name} diverged: {are_lost}", count, hint
-            continue
-        if many > MANY_REJECTED * total:
-            yield (
-                "gate_rejects_many",
-                f"filter {name} rejected {many} of {total} {kind} innovations",
-                many,
-                gate_hint,
-            )
-        # A sensor other than the DVL that contradicts all others. The median is used, since outliers are few and the
-        # gate rejects them.
-        size = float(np.median(met.nis)) / chi_square_quantile(0.5, met.dof)
-        if kind in SENSORS and total >= FEWEST_UPDATES and size > CONTRADICTED:
-            text = (
-                f"filter {name} and its {kind} contradict each other: the median NIS of {kind} is {size:.3g} times "
-                "the expected one"
-            )
-            hint = f"units, axes, stamp and delay in [{kind}], or a larger sd there"
-            hint += f'; evaluation.held_out = ["{kind}"] only compares it'
-            yield f"{kind}_disagrees", text, total, hint
-        # With a slow heading error the innovations are small, since the filter follows the error.
-        may_be_slow = kind == "heading" and all(
-            state.id != "heading_bias" for state in history.states
-        )
-        value, limit = autocorrelation(met.standardised, met.used) if may_be_slow else (0.0, 0.0)
-        if value >= SLOW and repeats(value, limit):
-            text = (
-                f"filter {name} follows a slow error of the heading sensor (lag-1 correlation of its innovations "
-                f"{value:.2f}), so its heading sigma is too small"
-            )
-            hint = (
-                f'{settings}.states = ["heading_bias"], with heading.bias_sd_deg and bias_time_s; a smaller '
-                "heading.sd_deg makes it worse"
-            )
-            yield "heading_slow_error", text, total, hint
-    if count := len(history.reopened_ns):
-        first_ns = min(int(met.time_ns[0]) for met in history.innovations if len(met.time_ns))
-        first_s = (int(history.reopened_ns[0]) - first_ns) / NS_PER_S
-        text = (
-            f"filter {name} was set to the DVL again after runs of rejected velocities ({count} in all, "
-            f"the first {first_s:.1f} s after the first reading)"
-        )
-        yield "gate_reopened", text, count, gate_hint
+    if not is_reserved(met.measurement) and np.isfinite(history.velocity_n[-1]).all():
+        text = f"filter {history.filter} skipped some updates: {are_lost}"
+        hint = "check the arithmetic of `predict` of this measurement"
+        return Note("innovations_not_finite", text, count, Severity.WARNING, hint)
+    text = f"filter {history.filter} diverged: {are_lost}"
+    sizes = "check the units and sizes of [noise], [initial] and the aiding"
+    hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
+    return Note("filter_not_finite", text, count, Severity.WARNING, hint)
+
+
+def _many_rejected(history: History, met: Innovations) -> Note | None:
+    total = len(met.used)
+    many = int(rejected(met).sum())
+    if not many > MANY_REJECTED * total:
+        return None
+    text = f"filter {history.filter} rejected {many} of {total} {met.measurement} innovations"
+    return Note("gate_rejects_many", text, many, Severity.WARNING, _gate_hint(history))
+
+
+def _gate_hint(history: History) -> str:
+    open_gate = f"--set filters.{history.filter}.gate_probability=1.0"
+    return f"check lever arm and mounting, raise [noise], or {open_gate}"
+
+
+def _contradicting(history: History, met: Innovations) -> Note | None:
+    """Warn of a sensor other than the DVL that contradicts all others.
+
+    The median is used, since outliers are few and the gate rejects them.
+    """
+    kind = met.measurement
+    if kind not in SENSORS or len(met.used) < FEWEST_UPDATES:
+        return None
+    size = float(np.median(met.nis)) / chi_square_quantile(0.5, met.dof)
+    if not size > CONTRADICTED:
+        return None
+    text = (
+        f"filter {history.filter} and its {kind} contradict each other: the median NIS of {kind} "
+        f"is {size:.3g} times the expected one"
+    )
+    hint = (
+        f"units, axes, stamp and delay in [{kind}], or a larger sd there"
+        f'; evaluation.held_out = ["{kind}"] only compares it'
+    )
+    return Note(f"{kind}_disagrees", text, len(met.used), Severity.WARNING, hint)
+
+
+def _slow_heading_error(history: History, met: Innovations) -> Note | None:
+    """Warn of a heading sensor whose error is slow, where the filter has no state for it.
+
+    Its innovations are small, since the filter follows the error.
+    """
+    estimates_bias = any(state.id == "heading_bias" for state in history.states)
+    if met.measurement != "heading" or estimates_bias:
+        return None
+    value, limit = autocorrelation(met.standardised, met.used)
+    if not (value >= SLOW and repeats(value, limit)):
+        return None
+    text = (
+        f"filter {history.filter} follows a slow error of the heading sensor (lag-1 correlation of "
+        f"its innovations {value:.2f}), so its heading sigma is too small"
+    )
+    hint = (
+        f'filters.{history.filter}.states = ["heading_bias"], with heading.bias_sd_deg and '
+        "bias_time_s; a smaller heading.sd_deg makes it worse"
+    )
+    return Note("heading_slow_error", text, len(met.used), Severity.WARNING, hint)
+
+
+def _reopened(history: History) -> Note:
+    """Warn of a filter that was set to the DVL again."""
+    count = len(history.reopened_ns)
+    first_ns = min(int(met.time_ns[0]) for met in history.innovations if len(met.time_ns))
+    first_s = (int(history.reopened_ns[0]) - first_ns) / NS_PER_S
+    text = (
+        f"filter {history.filter} was set to the DVL again after runs of rejected velocities "
+        f"({count} in all, the first {first_s:.1f} s after the first reading)"
+    )
+    return Note("gate_reopened", text, count, Severity.WARNING, _gate_hint(history))
 
 
 def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
@@ -161,10 +196,12 @@ def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
         found = []
         count = history.constants.shape[1]
         for column, state in enumerate(history.states[len(history.states) - count :]):
-            value, start = (history.constants[row, column] / state.factor for row in (-1, 0))
-            sd, start_sd = (history.sd[row, state.index] / state.factor for row in (-1, 0))
+            start = history.constants[0, column] / state.factor
+            end = history.constants[-1, column] / state.factor
+            start_sd = history.sd[0, state.index] / state.factor
+            end_sd = history.sd[-1, state.index] / state.factor
             found.append(
-                f"{state.label} {value:+.3g} {state.unit} (sd {sd:.2g} {state.unit}; "
+                f"{state.label} {end:+.3g} {state.unit} (sd {end_sd:.2g} {state.unit}; "
                 f"at the start {start:+.3g}, sd {start_sd:.2g})"
             )
         found += [
@@ -189,54 +226,78 @@ def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
 def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
     """Return hints on DVL geometry and noise, by the baseline's innovations and track."""
     name = baseline.filter
-    notes = []
-    nis = {
+    sizes = {
         row.measurement: finite(row.mean_nis) / row.dof
         for row in tables.consistency
         if row.filter == name
     }
-
-    sizes = {axis: nis[part] for axis in AXES if (part := axis_of("velocity", axis)) in nis}
-    high = max(sizes, key=sizes.__getitem__, default="")
-    compared = {
-        axis: size for axis, size in sizes.items() if axis != AXES[-1] or sizes[high] > TOO_LARGE
-    }
-    low = min(compared, key=compared.__getitem__, default="")
-    if low and sizes[low] > 0.0 and sizes[high] > APART * sizes[low]:
-        listed = ", ".join(f"{axis} {size:.2g}" for axis, size in sizes.items())
-        text = (
-            f"the innovations of {name} differ between axes: mean NIS / dof {listed}. {high} is "
-            f"{sizes[high] / sizes[low]:.3g} times {low}. Arm, mounting or delay of the DVL may be wrong"
-        )
-        notes.append(Note("innovations_apart", text, 1, hint=_CALIBRATE))
-
-    heading_sd_deg = float(np.max(baseline.sd[[0, -1], PHI.stop - 1])) / DEG
-    telling = {"scale": (TELLING_PCT, 0.0), "turn": (TELLING_DEG, heading_sd_deg)}
-    off = []
-    is_far = False
-    for row in tables.track_fit:
-        size, (least, known_sd) = abs(finite(row.fitted)), telling[row.quantity]
-        sd = math.hypot(finite(row.fitted_sd), known_sd)
-        if row.filter == name and size > least and size > CERTAIN_SDS * sd:
-            off.append(
-                f"a {row.quantity} of {finite(row.fitted):+.2f} {row.unit} (sd {sd:.2g} {row.unit})"
-            )
-            is_far |= size > FAR_OFF[row.quantity]
-    if off:
-        text = (
-            f"{' and '.join(off)} would align the track of {name} with the reference's: dvl.scale, "
-            "dvl.mounting_rpy_deg or initial.heading_deg may be wrong"
-        )
-        severity = Severity.WARNING if is_far else Severity.INFO
-        notes.append(Note("track_off", text, len(off), severity, _CALIBRATE))
-
+    found = [_hint_on_axes(name, sizes), _hint_on_track(tables, baseline)]
     if is_noise_far_off(tables, name):
-        text = (
-            f"the innovations of {name} are far {'smaller' if nis['velocity'] < LEAST else 'larger'} than predicted: "
-            f"mean NIS / dof of velocity is {nis['velocity']:.2g}, 1 is expected"
-        )
-        notes.append(Note(NOISE_FAR_OFF, text, 1, hint=_CONTROL))
-    return tuple(notes)
+        found.append(_hint_on_noise(name, sizes["velocity"]))
+    return tuple(note for note in found if note is not None)
+
+
+def _hint_on_axes(name: str, sizes: Mapping[str, float]) -> Note | None:
+    """Hint at the DVL's geometry where the mean NIS / dof, by measurement, differs between the axes of the velocity."""
+    by_axis = {}
+    for axis in AXES:
+        part = axis_of("velocity", axis)
+        if part in sizes:
+            by_axis[axis] = sizes[part]
+    if not by_axis:
+        return None
+    high = max(by_axis, key=by_axis.__getitem__)
+    compared = dict(by_axis)
+    if not by_axis[high] > TOO_LARGE:
+        compared.pop(AXES[-1], None)
+    if not compared:
+        return None
+    low = min(compared, key=compared.__getitem__)
+    if not (by_axis[low] > 0.0 and by_axis[high] > APART * by_axis[low]):
+        return None
+    listed = ", ".join(f"{axis} {size:.2g}" for axis, size in by_axis.items())
+    text = (
+        f"the innovations of {name} differ between axes: mean NIS / dof {listed}. {high} is "
+        f"{by_axis[high] / by_axis[low]:.3g} times {low}. "
+        "Arm, mounting or delay of the DVL may be wrong"
+    )
+    return Note("innovations_apart", text, 1, hint=_CALIBRATE)
+
+
+def _hint_on_track(tables: Tables, baseline: History) -> Note | None:
+    """Hint at the DVL's geometry and the heading where the baseline's track has another scale or direction."""
+    heading_sd_deg = float(np.max(baseline.sd[[0, -1], PHI.stop - 1])) / DEG
+    least = {"scale": TELLING_PCT, "turn": TELLING_DEG}
+    known_sd = {"scale": 0.0, "turn": heading_sd_deg}
+    off = []
+    severity = Severity.INFO
+    for row in tables.track_fit:
+        size = abs(finite(row.fitted))
+        sd = math.hypot(finite(row.fitted_sd), known_sd[row.quantity])
+        is_telling = size > least[row.quantity] and size > CERTAIN_SDS * sd
+        if row.filter != baseline.filter or not is_telling:
+            continue
+        fitted = f"{finite(row.fitted):+.2f} {row.unit} (sd {sd:.2g} {row.unit})"
+        off.append(f"a {row.quantity} of {fitted}")
+        if size > FAR_OFF[row.quantity]:
+            severity = Severity.WARNING
+    if not off:
+        return None
+    text = (
+        f"{' and '.join(off)} would align the track of {baseline.filter} with the reference's: "
+        "dvl.scale, dvl.mounting_rpy_deg or initial.heading_deg may be wrong"
+    )
+    return Note("track_off", text, len(off), severity, _CALIBRATE)
+
+
+def _hint_on_noise(name: str, size: float) -> Note:
+    """Hint at the noise settings of a filter whose velocities have this mean NIS / dof."""
+    word = "smaller" if size < LEAST else "larger"
+    text = (
+        f"the innovations of {name} are far {word} than predicted: "
+        f"mean NIS / dof of velocity is {size:.2g}, 1 is expected"
+    )
+    return Note(NOISE_FAR_OFF, text, 1, hint=_CONTROL)
 
 
 def is_noise_far_off(tables: Tables, baseline: str) -> bool:
@@ -244,20 +305,15 @@ def is_noise_far_off(tables: Tables, baseline: str) -> bool:
 
     Small but correlated innovations do not show it: they are a lasting error, which less noise would make worse.
     """
-    row = next(
-        (
-            row
-            for row in tables.consistency
-            if (row.filter, row.measurement) == (baseline, "velocity")
-        ),
-        None,
-    )
-    if row is None or row.mean_nis is None:
-        return False
-    size = row.mean_nis / row.dof
-    return size > MOST or (
-        size < LEAST and not repeats(finite(row.autocorrelation), finite(row.autocorrelation_limit))
-    )
+    for row in tables.consistency:
+        if row.filter != baseline or row.measurement != "velocity":
+            continue
+        if row.mean_nis is None:
+            return False
+        size = row.mean_nis / row.dof
+        lasts = repeats(finite(row.autocorrelation), finite(row.autocorrelation_limit))
+        return size > MOST or (size < LEAST and not lasts)
+    return False
 
 
 # --- Whether a sensor can have a given white noise. A filter that fits its noise also fits the effects of a wrong lever
@@ -312,7 +368,10 @@ def readings_scatter(readings: Floats, step_s: float) -> float:
 
 def sensor_class(key: str, noise: float) -> str:
     """Name the best class of `CLASSES` that can have this noise; empty if none can."""
-    return next((name for name, worst in CLASSES[key].worst.items() if noise <= worst), "")
+    for name, worst in CLASSES[key].worst.items():
+        if noise <= worst:
+            return name
+    return ""
 
 
 def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
@@ -355,31 +414,13 @@ def reference_notes(
         text = "the reference shares sensors with the filters, so common errors cannot be seen"
         notes.append(Note("reference_not_independent", text))
     known = {quantity: rows for quantity, rows in reference.known.items() if rows.any()}
-    covering = [("reference", reference.time_ns, known)]
+    notes += _coverage_notes("reference", reference.time_ns, known, start_ns, end_ns)
     if truth is not None:
-        biases = {"accelerometer biases": truth.accel_bias_b, "gyro biases": truth.gyro_bias_b}
-        in_truth = {
-            quantity: np.asarray(np.isfinite(values).all(axis=1))
-            for quantity, values in biases.items()
+        known = {
+            "accelerometer biases": np.asarray(np.isfinite(truth.accel_bias_b).all(axis=1)),
+            "gyro biases": np.asarray(np.isfinite(truth.gyro_bias_b).all(axis=1)),
         }
-        covering.append(("truth", truth.time_ns, in_truth))
-    for source, time_ns, found in covering:
-        # One note for each percentage, with all quantities of this coverage.
-        by_share: dict[str, list[str]] = {}
-        for quantity, rows in found.items():
-            share = covered_share(time_ns, rows, start_ns, end_ns)
-            if share < WELL_COVERED:
-                by_share.setdefault(f"{100.0 * share:.0f}", []).append(quantity)
-        inside = (time_ns >= start_ns) & (time_ns <= end_ns)
-        for percent, quantities in by_share.items():
-            joined = " and ".join(filter(None, [", ".join(quantities[:-1]), quantities[-1]]))
-            text = (
-                f"{joined} of the {source} cover {percent} % of the replay; errors "
-                f"against them are from this part only"
-            )
-            count = min(int(np.sum(found[quantity] & inside)) for quantity in quantities)
-            hint = "choose this part with --start and --end"
-            notes.append(Note(f"{source}_coverage", text, count, Severity.WARNING, hint))
+        notes += _coverage_notes("truth", truth.time_ns, known, start_ns, end_ns)
     count = int(np.sum((reference.time_ns >= start_ns) & (reference.time_ns <= end_ns)))
     if left_out := count - len(evaluated_ns):
         text = (
@@ -388,6 +429,28 @@ def reference_notes(
         )
         notes.append(Note("credibility_thinned", text, left_out))
     return (*notes, *reference_rate_notes(history, reference.time_ns))
+
+
+def _coverage_notes(
+    source: str, time_ns: TimeNs, known: Mapping[str, Known], start_ns: int, end_ns: int
+) -> Iterator[Note]:
+    """Warn of quantities that cover little of the replay: one note for each percentage, with all that have it."""
+    by_percent: dict[str, list[str]] = {}
+    for quantity, rows in known.items():
+        share = covered_share(time_ns, rows, start_ns, end_ns)
+        if share < WELL_COVERED:
+            by_percent.setdefault(f"{100.0 * share:.0f}", []).append(quantity)
+    inside = (time_ns >= start_ns) & (time_ns <= end_ns)
+    for percent, quantities in by_percent.items():
+        *others, last = quantities
+        joined = f"{', '.join(others)} and {last}" if others else last
+        text = (
+            f"{joined} of the {source} cover {percent} % of the replay; errors "
+            f"against them are from this part only"
+        )
+        count = min(int(np.sum(known[quantity] & inside)) for quantity in quantities)
+        hint = "choose this part with --start and --end"
+        yield Note(f"{source}_coverage", text, count, Severity.WARNING, hint)
 
 
 def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, ...]:

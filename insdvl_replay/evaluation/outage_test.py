@@ -98,7 +98,9 @@ def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> 
 
     They follow one upon the other, or in long dives at equal distances, see MOST_WINDOWS.
     """
-    usual_ns = float(np.median(np.diff(ping_ns))) if len(ping_ns) > 1 else np.inf
+    usual_ns = np.inf
+    if len(ping_ns) > 1:
+        usual_ns = float(np.median(np.diff(ping_ns)))
     middle_ns = ping_ns[:-1] + np.diff(ping_ns) // 2
     outages_before = np.cumsum(np.diff(ping_ns, prepend=ping_ns[:1]) > OUTAGE * usual_ns)
 
@@ -210,31 +212,34 @@ class WindowEnds(NamedTuple):
 def window_ends(outages: OutageRuns, name: str, windows: Windows) -> WindowEnds:
     """Return the ends of a filter's windows; those of two filters are pairs."""
     rows = np.searchsorted(outages.plan.runs[0], windows.first)
-    ends = [
-        (outages.runs[name][row], step)
-        for row, step in zip(rows, windows.last - windows.first, strict=True)
-    ]
-    columns = [
-        (*run.drift_n[step], *run.velocity_error_n[step], run.nis[step]) for run, step in ends
-    ]
-    north_m, east_m, down_m, north_mps, east_mps, _, nis = (
-        np.array(columns, np.float64).reshape(-1, 7).T
-    )
+    steps = windows.last - windows.first
+    drift_n = np.empty((len(rows), 3))
+    velocity_error_n = np.empty((len(rows), 3))
+    nis = np.empty(len(rows))
+    for window, (row, step) in enumerate(zip(rows, steps, strict=True)):
+        run = outages.runs[name][row]
+        drift_n[window] = run.drift_n[step]
+        velocity_error_n[window] = run.velocity_error_n[step]
+        nis[window] = run.nis[step]
     with np.errstate(over="ignore", invalid="ignore"):
-        drift_ne_m = np.column_stack([north_m, east_m])
-        end_mps = np.hypot(north_mps, east_mps)
-        return WindowEnds(drift_ne_m, np.hypot(north_m, east_m), np.abs(down_m), end_mps, nis)
+        return WindowEnds(
+            drift_ne_m=drift_n[:, :2],
+            drift_m=np.hypot(drift_n[:, 0], drift_n[:, 1]),
+            down_m=np.abs(drift_n[:, 2]),
+            velocity_mps=np.hypot(velocity_error_n[:, 0], velocity_error_n[:, 1]),
+            nis=nis,
+        )
 
 
 def window_drifts(outages: OutageRuns) -> dict[str, dict[str, Floats]]:
     """Return the drift, (w, 2) north and east, in each window that does not overlap, by filter and length, m."""
-    return {
-        name: {
-            f"{windows.window_s}s": window_ends(outages, name, windows).drift_ne_m
-            for windows in outages.plan.by_length
-        }
-        for name in outages.runs
-    }
+    drifts: dict[str, dict[str, Floats]] = {}
+    for name in outages.runs:
+        drifts[name] = {}
+        for windows in outages.plan.by_length:
+            ends = window_ends(outages, name, windows)
+            drifts[name][f"{windows.window_s}s"] = ends.drift_ne_m
+    return drifts
 
 
 class OutageCurve(NamedTuple):
@@ -250,23 +255,29 @@ class OutageCurve(NamedTuple):
 def outage_curves(outages: OutageRuns) -> dict[str, OutageCurve]:
     """Return the drift of each filter in the windows that are shown, at whole seconds; empty without windows."""
     shown = outages.plan.shown
+    if not len(shown.first):
+        return {}
     at_s = np.arange(SHOWN_S + 1.0)
-    curves = {}
+    begin_ns = outages.plan.ping_ns[shown.first]
     rows = np.searchsorted(outages.plan.runs[0], shown.first)
-    for name, runs in outages.runs.items() if len(shown.first) else ():
-        with np.errstate(over="ignore", invalid="ignore"):
-            drift_m = np.array(
-                [
-                    np.interp(at_s, run.time_s, np.hypot(*run.drift_n[:, :2].T))
-                    for run in (runs[row] for row in rows)
-                ]
-            )
-        (median_m, p95_m), known = np.full((2, len(at_s)), np.nan), np.isfinite(drift_m).all(axis=0)
+    curves = {}
+    for name, runs in outages.runs.items():
+        drift_m = np.array([_horizontal_drift_m(runs[row], at_s) for row in rows])
+        known = np.isfinite(drift_m).all(axis=0)
+        median_m = np.full(len(at_s), np.nan)
+        p95_m = np.full(len(at_s), np.nan)
         if known.any():
             median_m[known], p95_m[known] = np.quantile(drift_m[:, known], [0.5, 0.95], axis=0)
         ends_m = window_ends(outages, name, shown).drift_m
-        curves[name] = OutageCurve(at_s, median_m, p95_m, outages.plan.ping_ns[shown.first], ends_m)
+        curves[name] = OutageCurve(at_s, median_m, p95_m, begin_ns, ends_m)
     return curves
+
+
+def _horizontal_drift_m(run: OutageRun, at_s: Floats) -> Floats:
+    """Return the drift of a run at some times after the last used ping."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        drift_m = np.hypot(run.drift_n[:, 0], run.drift_n[:, 1])
+        return np.interp(at_s, run.time_s, drift_m)
 
 
 # --- The table, and the alarm.
@@ -274,42 +285,70 @@ def outage_curves(outages: OutageRuns) -> dict[str, OutageCurve]:
 
 def outage_test_table(log: str, outages: OutageRuns) -> list[OutageRow]:
     """Return the drift of each filter in windows of each length that fits the dive."""
-
-    def quantile(values: Floats, q: float) -> float:
-        if len(values) and np.isfinite(values).all():
-            return float(np.quantile(values, q))
-        return NAN
-
+    if not outages.runs:
+        return []
+    baseline, *candidates = outages.runs
     rows = []
     for windows in outages.plan.by_length:
-        count = len(windows.first)
-        distance_m = outages.distance_m[windows.last] - outages.distance_m[windows.first]
-        moved = distance_m >= SHORTEST_M
-        baseline_m = np.empty(0)
-        baseline_rms_m = NAN
-        for i, name in enumerate(outages.runs):
-            ends = window_ends(outages, name, windows)
-            against = (NAN, NAN)
-            drift_m = ends.drift_m
-            baseline_m = baseline_m if i else ends.drift_m
-            with np.errstate(over="ignore", invalid="ignore"):
-                rms_m = float(np.sqrt(np.mean(drift_m**2))) if count else NAN
-                baseline_rms_m = baseline_rms_m if i else rms_m
-                if i and count > 1 and np.isfinite([baseline_m, drift_m]).all():
-                    won_pct = 50.0 * float(
-                        np.mean(drift_m < baseline_m) + np.mean(drift_m <= baseline_m)
-                    )
-                    against = rms_m / baseline_rms_m if baseline_rms_m > 0.0 else NAN, won_pct
-                row = OutageRow(
-                    *(log, name, str(windows.window_s), count, windows.left_out),
-                    *(quantile(drift_m, 0.5), rms_m, quantile(drift_m, 0.95)),
-                    quantile(100.0 * drift_m[moved] / distance_m[moved], 0.5),
-                    *(quantile(ends.velocity_mps, 0.5), quantile(ends.down_m, 0.5)),
-                    *against,
-                    float(np.mean(ends.nis)) / 3.0 if count else NAN,
-                )
-            rows.append(row)
+        baseline_m = window_ends(outages, baseline, windows).drift_m
+        with np.errstate(over="ignore", invalid="ignore"):
+            rows.append(_outage_row(log, outages, baseline, windows, np.empty(0)))
+            for name in candidates:
+                rows.append(_outage_row(log, outages, name, windows, baseline_m))
     return rows
+
+
+def _outage_row(
+    log: str,
+    outages: OutageRuns,
+    name: str,
+    windows: Windows,
+    baseline_m: Floats,  # (w,), the drifts of the baseline; none of it in its own row
+) -> OutageRow:
+    """Return the drift of a filter in windows of one length."""
+    ends = window_ends(outages, name, windows)
+    distance_m = outages.distance_m[windows.last] - outages.distance_m[windows.first]
+    moved = distance_m >= SHORTEST_M
+    ratio = NAN
+    won_pct = NAN
+    if len(baseline_m) > 1 and np.isfinite([baseline_m, ends.drift_m]).all():
+        won = np.mean(ends.drift_m < baseline_m) + np.mean(ends.drift_m <= baseline_m)
+        won_pct = 50.0 * float(won)
+        if _rms(baseline_m) > 0.0:
+            ratio = _rms(ends.drift_m) / _rms(baseline_m)
+    nis = NAN
+    if len(ends.nis):
+        nis = float(np.mean(ends.nis))
+    return OutageRow(
+        log=log,
+        filter=name,
+        window_s=str(windows.window_s),
+        windows=len(windows.first),
+        left_out=windows.left_out,
+        drift_median_m=_quantile(ends.drift_m, 0.5),
+        drift_rms_m=_rms(ends.drift_m),
+        drift_p95_m=_quantile(ends.drift_m, 0.95),
+        drift_of_distance_pct=_quantile(100.0 * ends.drift_m[moved] / distance_m[moved], 0.5),
+        end_velocity_mps=_quantile(ends.velocity_mps, 0.5),
+        vertical_median_m=_quantile(ends.down_m, 0.5),
+        ratio_to_baseline=ratio,
+        windows_won_pct=won_pct,
+        nis_per_dof=nis / 3.0,
+    )
+
+
+def _rms(values: Floats) -> float:
+    """Return the root mean square; NaN for no values."""
+    if len(values):
+        return float(np.sqrt(np.mean(values**2)))
+    return NAN
+
+
+def _quantile(values: Floats, q: float) -> float:
+    """Return a quantile; NaN for no values, or if one is not finite."""
+    if len(values) and np.isfinite(values).all():
+        return float(np.quantile(values, q))
+    return NAN
 
 
 def outage_alarm(
@@ -323,25 +362,27 @@ def outage_alarm(
     its limit most is reported. No noise makes it this large where the innovations under way, as NIS / dof of each
     filter, are consistent: then the geometry is wrong.
     """
-    excess = {
-        (row.window_s, row.filter): finite(row.nis_per_dof)
-        / max(ALARM, chi_square_quantile(SURELY, dof) / dof)
-        for row in rows
-        if row.filter in names and (dof := 3 * row.windows) and finite(row.nis_per_dof) > ALARM
-    }
-    window_s, _ = max(excess, key=excess.__getitem__, default=("", ""))
-    if not window_s or max(excess.values()) <= 1.0:
+    known = [row for row in rows if row.filter in names and row.nis_per_dof is not None]
+    worst = max(known, key=_excess, default=None)
+    if worst is None or _excess(worst) <= 1.0:
         return ""
-    known = [
-        row
-        for row in rows
-        if row.window_s == window_s and row.filter in names and row.nis_per_dof is not None
-    ]
-    sizes = [f"{row.filter} {row.nis_per_dof:.3g}" for row in known]
+    shown = [row for row in known if row.window_s == worst.window_s]
+    sizes = [f"{row.filter} {row.nis_per_dof:.3g}" for row in shown]
     cure = "Raise [noise]."
-    if any(
-        finite(row.nis_per_dof) > GEOMETRY > 5.0 * under_way.get(row.filter, np.inf)
-        for row in known
-    ):
-        cure = "The geometry is wrong: check dvl.mounting_rpy_deg, imu.axes and dvl.lever_arm_m."
-    return f" NIS / dof after {window_s} s without DVL: {', '.join(sizes)}, expected 1. {cure}"
+    for row in shown:
+        if finite(row.nis_per_dof) > GEOMETRY > 5.0 * under_way.get(row.filter, np.inf):
+            cure = (
+                "The geometry is wrong: check dvl.mounting_rpy_deg, imu.axes and dvl.lever_arm_m."
+            )
+    return (
+        f" NIS / dof after {worst.window_s} s without DVL: {', '.join(sizes)}, expected 1. {cure}"
+    )
+
+
+def _excess(row: OutageRow) -> float:
+    """Return the mean NIS at the ends of windows over the limit of the alarm; 0 below `ALARM`."""
+    size = finite(row.nis_per_dof)
+    dof = 3 * row.windows
+    if not dof or not size > ALARM:
+        return 0.0
+    return size / max(ALARM, chi_square_quantile(SURELY, dof) / dof)

@@ -16,7 +16,7 @@ import numpy as np
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import is_beam
-from insdvl_replay.evaluation.outage_test import OutageRuns
+from insdvl_replay.evaluation.outage_test import OutageRuns, Windows
 
 WINDOWS_S: Final = (60, 30)  # The longest of these that the dive has.
 
@@ -53,38 +53,45 @@ def prediction_of(
     The mean is that of two means of equal weight, where both are known: of the pings one step ahead, after the
     baseline has settled, and of the pings inside the windows of the outage test.
     """
-    parts = [
+    parts = []
+    for part in (
         _one_step(baseline, candidate, settled_s),
         _in_outages(baseline.filter, candidate.filter, outages),
-    ]
-    known = [part for part in parts if part is not None]
-    if not known:
+    ):
+        if part is not None:
+            parts.append(part)
+    if not parts:
         return None
-    before, after = (float(np.mean([part[place] for part in known])) for place in (0, 1))
-    return Score(before, after, sum(part.pings for part in known))
+    return Score(
+        baseline=float(np.mean([part.baseline for part in parts])),
+        value=float(np.mean([part.value for part in parts])),
+        pings=sum(part.pings for part in parts),
+    )
 
 
 def _one_step(baseline: History, candidate: History, settled_s: float) -> Score | None:
-    pings = [_pings_of(history) for history in (baseline, candidate)]
-    if not pings[0] or pings[0].keys() != pings[1].keys():
+    pings = _pings_of(baseline)
+    new_pings = _pings_of(candidate)
+    if not pings or pings.keys() != new_pings.keys():
         return None
-    sums = [0.0, 0.0]
+    total = 0.0
+    new_total = 0.0
     dof = 0
     count = 0
     from_ns = int(baseline.time_ns[0]) + round(settled_s * NS_PER_S)
-    for name, before in pings[0].items():
-        after = pings[1][name]
+    for name, before in pings.items():
+        after = new_pings[name]
         _, rows, new_rows = np.intersect1d(before.time_ns, after.time_ns, return_indices=True)
         scores = before.scores[rows]
         new_scores = after.scores[new_rows]
         known = (before.time_ns[rows] >= from_ns) & np.isfinite(scores) & np.isfinite(new_scores)
-        sums[0] += float(scores[known].sum())
-        sums[1] += float(new_scores[known].sum())
+        total += float(scores[known].sum())
+        new_total += float(new_scores[known].sum())
         dof += before.dof * int(known.sum())
         count += int(known.sum())
     if not dof:
         return None
-    return Score(sums[0] / dof, sums[1] / dof, count)
+    return Score(total / dof, new_total / dof, count)
 
 
 def _pings_of(history: History) -> Mapping[str, _Pings]:
@@ -108,25 +115,38 @@ def _minus_log_score(met: Innovations) -> Floats:
 def _in_outages(baseline: str, candidate: str, outages: OutageRuns) -> Score | None:
     if baseline not in outages.runs or candidate not in outages.runs:
         return None
-    by_length = {
-        windows.window_s: windows for windows in outages.plan.by_length if len(windows.first)
-    }
-    chosen = next((by_length[window_s] for window_s in WINDOWS_S if window_s in by_length), None)
-    if chosen is None:
+    windows = _chosen_windows(outages)
+    if windows is None:
         return None
-    rows = np.searchsorted(outages.plan.runs[0], chosen.first)
-    scores = []
-    for name in (baseline, candidate):
-        runs = outages.runs[name]
-        ends = zip(rows, chosen.last - chosen.first, strict=True)
-        scores.append(
-            np.concatenate([runs[row].minus_log_score[1 : step + 1] for row, step in ends])
-        )
-    known = np.isfinite(scores[0]) & np.isfinite(scores[1])
-    if scores[0].shape != scores[1].shape or not known.any():
+    scores = _scores_in(windows, outages, baseline)
+    new_scores = _scores_in(windows, outages, candidate)
+    if scores.shape != new_scores.shape:
         return None
-    before, after = (float(values[known].mean()) / 3.0 for values in scores)
+    known = np.isfinite(scores) & np.isfinite(new_scores)
+    if not known.any():
+        return None
+    before = float(scores[known].mean()) / 3.0
+    after = float(new_scores[known].mean()) / 3.0
     return Score(before, after, int(known.sum()))
+
+
+def _chosen_windows(outages: OutageRuns) -> Windows | None:
+    """Return the windows of the first length of `WINDOWS_S` that the dive has; None if it has none."""
+    for window_s in WINDOWS_S:
+        for windows in outages.plan.by_length:
+            if windows.window_s == window_s and len(windows.first):
+                return windows
+    return None
+
+
+def _scores_in(windows: Windows, outages: OutageRuns, name: str) -> Floats:
+    """Return minus the log scores of a filter for all held-out pings of some windows, one after the other."""
+    rows = np.searchsorted(outages.plan.runs[0], windows.first)
+    steps = windows.last - windows.first
+    scores = []
+    for row, step in zip(rows, steps, strict=True):
+        scores.append(outages.runs[name][row].minus_log_score[1 : step + 1])
+    return np.concatenate(scores)
 
 
 def crps(error: Floats, sigma: Floats) -> float:

@@ -4,9 +4,9 @@ Errors are estimated minus reference, NaN where either says nothing. Percentages
 is the reference's wherever it can be measured.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -69,14 +69,12 @@ def compared_distance_m(reference: ReferenceColumns, baseline: History, time_ns:
     end_ns = int(time_ns[-1])
     estimated_m = distance_travelled_m(baseline, time_ns)
     within = reference.within(start_ns, end_ns)
-    by_speed, by_positions = (
-        covered_share(within.time_ns, within.known[quantity], start_ns, end_ns) >= WELL_COVERED
-        for quantity in ("velocities", "positions")
-    )
-    if not (by_speed or by_positions):
+    speed_share = covered_share(within.time_ns, within.known["velocities"], start_ns, end_ns)
+    position_share = covered_share(within.time_ns, within.known["positions"], start_ns, end_ns)
+    if max(speed_share, position_share) < WELL_COVERED:
         return estimated_m
     referred_m = float(reference_distance_m(within, np.union1d(start_ns, within.time_ns))[-1])
-    if by_speed:
+    if speed_share >= WELL_COVERED:
         return referred_m
     return min(referred_m, estimated_m)
 
@@ -211,9 +209,8 @@ def errors_at(
     """
     ours = np.searchsorted(history.time_ns, time_ns)
     theirs = np.searchsorted(reference.time_ns, time_ns)
-    error = np.full(
-        (len(time_ns), POSITION.stop if history.estimates_position else POSITION.start), np.nan
-    )
+    states = POSITION.stop if history.estimates_position else POSITION.start
+    error = np.full((len(time_ns), states), np.nan)
     error[:, DV], error[:, PHI] = motion_error(
         history.velocity_n[ours],
         history.mat_nb[ours],
@@ -277,15 +274,22 @@ def drawn_errors(runs: Sequence[DrawnErrors], *, own_sd: bool = True) -> DrawnEr
 
     The standard deviations are those of the dive's own start, else of the first random one.
     """
-    names = ["velocity_error_n", "error", "position_error_ned_m", "drifting_ned_m"]
-    columns: dict[str, Any] = {
-        name: np.concatenate([getattr(run, name) for run in runs]) for name in names
-    }
-    if (
-        runs[0].drifting_ned_m is runs[0].position_error_ned_m
-    ):  # without corrections one array holds both
-        columns["drifting_ned_m"] = columns["position_error_ned_m"]
-    return replace(runs[0], sd=runs[0 if own_sd or len(runs) < 2 else 1].sd, **columns)
+    position_error_ned_m = np.concatenate([run.position_error_ned_m for run in runs])
+    drifting_ned_m = position_error_ned_m
+    has_corrections = runs[0].drifting_ned_m is not runs[0].position_error_ned_m
+    if has_corrections:  # without them one array holds both
+        drifting_ned_m = np.concatenate([run.drifting_ned_m for run in runs])
+    sd = runs[0].sd
+    if not own_sd and len(runs) > 1:
+        sd = runs[1].sd
+    return replace(
+        runs[0],
+        position_error_ned_m=position_error_ned_m,
+        velocity_error_n=np.concatenate([run.velocity_error_n for run in runs]),
+        error=np.concatenate([run.error for run in runs]),
+        sd=sd,
+        drifting_ned_m=drifting_ned_m,
+    )
 
 
 def squared_errors(drawn: DrawnErrors) -> dict[str, Floats]:
@@ -328,61 +332,98 @@ def reference_error_table(
     instants.
     """
     baseline, *candidates = histories
+    rows: list[ReferenceErrorRow] = []
+    for candidate in candidates or [baseline]:
+        if errors:
+            rows += _rows_of_candidate(log, baseline, candidate, errors, bridged_gaps=bridged_gaps)
+        else:
+            rows += _rows_without_reference(log, candidate)
+    return rows
+
+
+def _rows_without_reference(log: str, candidate: History) -> Iterator[ReferenceErrorRow]:
+    for quantity, unit in REFERENCE_QUANTITIES.items():
+        yield ReferenceErrorRow(
+            log=log,
+            filter=candidate.filter,
+            quantity=quantity,
+            unit=unit,
+            baseline_rmse=np.nan,
+            rmse=np.nan,
+            improvement_pct=np.nan,
+            baseline_final=np.nan,
+            final=np.nan,
+            samples=0,
+            status=ReferenceStatus.NO_REFERENCE,
+        )
+
+
+def _rows_of_candidate(
+    log: str,
+    baseline: History,
+    candidate: History,
+    errors: Mapping[str, ReferenceErrors],
+    *,
+    bridged_gaps: bool,
+) -> Iterator[ReferenceErrorRow]:
+    """Yield the errors of a candidate next to those of the baseline, by quantity."""
+    own = errors[candidate.filter]
+    of_baseline = errors[baseline.filter]
+    after = _shown(own, own.distance_m)
+    before = _shown(of_baseline, of_baseline.distance_m)
+    compared = before
+    if candidate.is_partial:
+        at_same_distance = _shown(of_baseline, min(own.distance_m, of_baseline.distance_m))
+        compared = {
+            quantity: np.where(np.isfinite(after[quantity]), error, np.nan)
+            for quantity, error in at_same_distance.items()
+        }
     start_ns = int(baseline.time_ns[0])
     end_ns = int(baseline.time_ns[-1])
-    rows = []
-    shown = {name: _shown(found, found.distance_m) for name, found in errors.items()}
-    for candidate in candidates or [baseline]:
-        after = shown.get(candidate.filter, {})
-        before = shown.get(baseline.filter, {})
-        compared = before
-        if candidate.is_partial and errors:
-            distance_m = min(
-                errors[name].distance_m for name in (candidate.filter, baseline.filter)
-            )
-            same_distance = _shown(errors[baseline.filter], distance_m)
-            compared = {
-                name: np.where(np.isfinite(after[name]), same_distance[name], np.nan)
-                for name in before
-            }
-        for quantity, unit in REFERENCE_QUANTITIES.items():
-            known = np.isfinite(compared.get(quantity, NO_ERRORS))
-            before_rmse, before_final = _rms_and_final(compared.get(quantity, NO_ERRORS))
-            rmse, final = _rms_and_final(after.get(quantity, NO_ERRORS))
-            if candidate is baseline:
-                before_rmse = before_final = np.nan
-            if not errors:
-                status = ReferenceStatus.NO_REFERENCE
-            elif known.any() and bridged_gaps and quantity in DEAD_RECKONED:
-                status = ReferenceStatus.LOST_IN_GAP
-            elif known.any():
-                covered = (
-                    covered_share(errors[baseline.filter].time_ns, known, start_ns, end_ns)
-                    >= WELL_COVERED
-                )
-                status = ReferenceStatus.COMPARED if covered else ReferenceStatus.PARTLY_COVERED
-            elif np.isfinite(before[quantity]).any():
-                status = ReferenceStatus.NOT_IN_SOLUTION
-            elif quantity == "position_h_pct" and np.isfinite(after["position_h"]).any():
-                status = ReferenceStatus.NO_DISTANCE
-            else:
-                status = ReferenceStatus.NOT_IN_REFERENCE
-            rows.append(
-                ReferenceErrorRow(
-                    log=log,
-                    filter=candidate.filter,
-                    quantity=quantity,
-                    unit=unit,
-                    baseline_rmse=before_rmse,
-                    rmse=rmse,
-                    improvement_pct=improvement_pct(before_rmse, rmse),
-                    baseline_final=before_final,
-                    final=final,
-                    samples=int(known.sum()),
-                    status=status,
-                )
-            )
-    return rows
+    for quantity, unit in REFERENCE_QUANTITIES.items():
+        known = np.isfinite(compared[quantity])
+        if known.any():
+            share = covered_share(of_baseline.time_ns, known, start_ns, end_ns)
+            status = _status_by_coverage(quantity, share, bridged_gaps=bridged_gaps)
+        else:
+            status = _why_not_compared(quantity, before, after)
+        # A baseline without candidates stands next to none.
+        errors_of_baseline = NO_ERRORS if candidate is baseline else compared[quantity]
+        baseline_rmse, baseline_final = _rms_and_final(errors_of_baseline)
+        rmse, final = _rms_and_final(after[quantity])
+        yield ReferenceErrorRow(
+            log=log,
+            filter=candidate.filter,
+            quantity=quantity,
+            unit=unit,
+            baseline_rmse=baseline_rmse,
+            rmse=rmse,
+            improvement_pct=improvement_pct(baseline_rmse, rmse),
+            baseline_final=baseline_final,
+            final=final,
+            samples=int(known.sum()),
+            status=status,
+        )
+
+
+def _status_by_coverage(quantity: str, share: float, *, bridged_gaps: bool) -> ReferenceStatus:
+    """Return the status of an error that is known for some share of the replay."""
+    if bridged_gaps and quantity in DEAD_RECKONED:
+        return ReferenceStatus.LOST_IN_GAP
+    if share >= WELL_COVERED:
+        return ReferenceStatus.COMPARED
+    return ReferenceStatus.PARTLY_COVERED
+
+
+def _why_not_compared(
+    quantity: str, before: Mapping[str, Floats], after: Mapping[str, Floats]
+) -> ReferenceStatus:
+    """Return why an error is not known at any time: the errors of baseline and candidate are given, by quantity."""
+    if np.isfinite(before[quantity]).any():
+        return ReferenceStatus.NOT_IN_SOLUTION
+    if quantity == "position_h_pct" and np.isfinite(after["position_h"]).any():
+        return ReferenceStatus.NO_DISTANCE
+    return ReferenceStatus.NOT_IN_REFERENCE
 
 
 def _shown(errors: ReferenceErrors, distance_m: float) -> dict[str, Floats]:

@@ -53,20 +53,23 @@ class Repeat:
         """Say how far the answer moves, and when."""
         if self.failure:
             return f"fails {self.change or 'in a second run'}: {self.failure}"
-        moved = (
-            [f"its position by {metres(self.moves_m)} (rms)"] if math.isfinite(self.moves_m) else []
-        )
+        moved = self._moved(baseline)
+        if self.change == Change.AGAIN:
+            return f"gives another answer in a second run, which moves {moved}"
+        return f"moves {moved}, {self.change}"
+
+    def _moved(self, baseline: str) -> str:
+        """Say what moves, and how far."""
+        moved = []
+        if math.isfinite(self.moves_m):
+            moved.append(f"its position by {metres(self.moves_m)} (rms)")
         if math.isfinite(self.acts):
             share = f"{share_text(self.acts)} of the error of {baseline}"
-            is_position = bool(moved) and self.quantity == "position"
-            moved = (
-                [f"{moved[0]}, {share}"]
-                if is_position
-                else [*moved, f"its {label(self.quantity)} by {share}"]
-            )
-        if self.change == Change.AGAIN:
-            return f"gives another answer in a second run, which moves {' and '.join(moved) or 'its solution'}"
-        return f"moves {' and '.join(moved) or 'its solution'}, {self.change}"
+            if moved and self.quantity == "position":
+                moved = [f"{moved[0]}, {share}"]
+            else:
+                moved.append(f"its {label(self.quantity)} by {share}")
+        return " and ".join(moved) or "its solution"
 
 
 def metres(value: float) -> str:
@@ -115,10 +118,10 @@ def errors_of_runs(
     settled_s = settling_times(baseline, errors[baseline.filter].time_ns)
     tracks = track_series(named, errors, noise, bridged_gaps=bridged_gaps)
     in_time = accuracy_series(named, errors, reference, noise, settled_s, bridged_gaps=bridged_gaps)
-    found = [{**tracks[history.filter], **in_time[history.filter]} for history in named]
-    is_known = all(
-        quantity in series and np.isfinite(series[quantity].errors).any() for series in found
-    )
-    if is_known:
-        return [series[quantity] for series in found]
-    return []
+    found = []
+    for history in named:
+        series = {**tracks[history.filter], **in_time[history.filter]}
+        if quantity not in series or not np.isfinite(series[quantity].errors).any():
+            return []
+        found.append(series[quantity])
+    return found

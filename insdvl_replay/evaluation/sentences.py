@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from insdvl_replay.core.dive_record import StartHeading
 from insdvl_replay.core.errors import counted
@@ -82,17 +82,31 @@ def _ratio_and_interval(row: PooledRow) -> str:
     return f"{ratio_text(row.ratio)} ({interval})"
 
 
+class _Words(NamedTuple):
+    """The words in which numbers are compared."""
+
+    smaller: str
+    larger: str
+    large: str
+
+
+_OF_SIZES: Final = _Words("smaller", "larger", "large")
+_OF_TIMES: Final = _Words("sooner", "later", "late")
+
+
 def changed(row: PooledRow) -> str:
     """Say how much smaller or larger, or sooner or later, a quantity is."""
     name = label(row.quantity)
     ratio = finite(row.ratio)
-    is_time = row.evidence == "convergence"
+    words = _OF_TIMES if row.evidence == "convergence" else _OF_SIZES
     if not math.isfinite(ratio):
         return f"{name} unknown"
     if ratio >= MANY_TIMES:
-        return f"{name} {ratio:.3g} times as {'late' if is_time else 'large'}"
-    smaller, larger = ("sooner", "later") if is_time else ("smaller", "larger")
-    return f"{name} {abs(100.0 * (ratio - 1.0)):.1f} % {smaller if ratio <= 1.0 else larger}"
+        return f"{name} {ratio:.3g} times as {words.large}"
+    percent = f"{abs(100.0 * (ratio - 1.0)):.1f} %"
+    if ratio <= 1.0:
+        return f"{name} {percent} {words.smaller}"
+    return f"{name} {percent} {words.larger}"
 
 
 # --- The headline.
@@ -122,6 +136,11 @@ def grounds(answer: Answer) -> str:
         return "no evidence"
     if answer.undecided == Undecided.ONE_DIVE:
         return f"on this dive {changed(primary)}; {answer.undecided}"
+    return ", ".join(_for_and_against(answer, primary))
+
+
+def _for_and_against(answer: Answer, primary: PooledRow) -> list[str]:
+    """Return the ratio that made the verdict, and what speaks for and against it."""
     pieces = [ratio_with_interval(primary)]
     if answer.dives > 1:
         better = "sooner" if primary.evidence == "convergence" else "smaller"
@@ -130,8 +149,12 @@ def grounds(answer: Answer) -> str:
     if answer.is_by_heading and drawn is not None:
         pieces[0] += " from the heading of the reference"
         pieces.append(f"but {ratio_with_interval(drawn)}")
-    pieces += [_warning(answer, row) for row in answer.warnings]
-    return ", ".join(pieces)
+    for row in answer.warnings:
+        warning = _warning(row)
+        if answer.verdict in (*GOOD, *BAD):
+            warning = f"but {warning}"
+        pieces.append(warning)
+    return pieces
 
 
 def _is_measured(answer: Answer) -> bool:
@@ -139,10 +162,9 @@ def _is_measured(answer: Answer) -> bool:
     return answer.decisive is not None and math.isfinite(finite(answer.decisive.ratio))
 
 
-def _warning(answer: Answer, row: PooledRow) -> str:
-    joined = "but " if answer.verdict in (*GOOD, *BAD) else ""
+def _warning(row: PooledRow) -> str:
     name = "without the DVL" if row.evidence == "outage" else label(row.quantity)
-    return f"{joined}{name} {_ratio_and_interval(row)} {row.verdict}"
+    return f"{name} {_ratio_and_interval(row)} {row.verdict}"
 
 
 # --- The lines below.
@@ -157,21 +179,28 @@ def acts_line(answer: Answer) -> str:
 
 def _acting(answer: Answer) -> str:
     """Say how far the candidate moves the primary quantity, and the quantity that it moves most."""
-    primary = answer.decisive
     largest = answer.acting
     if largest is None:
         return "how far it moves the errors is not known"
     if finite(largest.acts) == 0.0:
         return "identical: it was never updated, its weight vanishes in the noise, or a setting was not read"
-    position = next((row for row in answer.rows if row.quantity == "position"), primary)
-    shown = position if position is not None and math.isfinite(finite(position.acts)) else largest
-    what = _named(shown)
-    moved = f"moves {what} by {_moves(shown)}, {share_text(shown.acts)} of its error"
+    shown = _position_or_primary(answer)
+    if shown is None or not math.isfinite(finite(shown.acts)):
+        shown = largest
+    moved = f"moves {_named(shown)} by {_moves(shown)}, {share_text(shown.acts)} of its error"
     if largest.quantity == shown.quantity:
         return moved
     if answer.verdict == Verdict.NO_EFFECT:
         return f"{moved}; no error by more than {share_text(largest.acts_most)}"
     return f"{moved}; {_named(largest)} by {share_text(largest.acts)}"
+
+
+def _position_or_primary(answer: Answer) -> PooledRow | None:
+    """Return the row of the position, else the primary row; None if there is neither."""
+    for row in answer.rows:
+        if row.quantity == "position":
+            return row
+    return answer.decisive
 
 
 def _named(row: PooledRow) -> str:
@@ -199,11 +228,14 @@ def start_of(headings: Iterable[StartHeading]) -> str:
         by_source.setdefault(heading.source, []).append(heading.sd_deg)
     texts = []
     for source, sds_deg in by_source.items():
-        least = f"{min(sds_deg):.2g}"
+        size = f"{min(sds_deg):.2g}"
         most = f"{max(sds_deg):.2g}"
-        size = least if least == most else f"{least} to {most}"
-        dives = f" on {counted(len(sds_deg), 'dive')}" if len(by_source) > 1 else ""
-        texts.append(f"{_HEADINGS[source]} ({size} deg){dives}")
+        if most != size:
+            size = f"{size} to {most}"
+        text = f"{_HEADINGS[source]} ({size} deg)"
+        if len(by_source) > 1:
+            text = f"{text} on {counted(len(sds_deg), 'dive')}"
+        texts.append(text)
     return ", ".join(texts)
 
 
@@ -214,12 +246,11 @@ def start_line(answer: Answer, start: str = "") -> str:
         if start:
             return f"start: {start}"
         return ""
-    found = (
-        changed(row)
-        if answer.evaluated < FEWEST_DIVES
-        else f"{ratio_with_interval(row)} {row.verdict}"
-    )
-    return f"start: {start or 'heading of the reference'}; from a heading as uncertain as [initial]: {found}"
+    found = f"{ratio_with_interval(row)} {row.verdict}"
+    if answer.evaluated < FEWEST_DIVES:
+        found = changed(row)
+    own = start or "heading of the reference"
+    return f"start: {own}; from a heading as uncertain as [initial]: {found}"
 
 
 def settling_line(answer: Answer, initial: str = "") -> str:
@@ -227,14 +258,15 @@ def settling_line(answer: Answer, initial: str = "") -> str:
     row = answer.settles
     if row is None:
         return ""
-    start = (
-        f", from starts as uncertain as [initial]: {initial}" if initial else ", from drawn starts"
-    )
+    starts = "from drawn starts"
+    if initial:
+        starts = f"from starts as uncertain as [initial]: {initial}"
     if not math.isfinite(finite(row.ratio)):
-        return f"convergence: {label(row.quantity)} not comparable, since a filter never settles{start}"
+        name = label(row.quantity)
+        return f"convergence: {name} not comparable, since a filter never settles, {starts}"
     if answer.evaluated < FEWEST_DIVES:
         return f"convergence: {changed(row)}, from drawn starts"
-    return f"convergence: {shouted(row.verdict)}, {ratio_with_interval(row)}{start}"
+    return f"convergence: {shouted(row.verdict)}, {ratio_with_interval(row)}, {starts}"
 
 
 def predicted_line(answer: CandidateAnswer) -> str:
@@ -242,7 +274,8 @@ def predicted_line(answer: CandidateAnswer) -> str:
     pct = finite(answer.predicted_pct)
     if math.isnan(pct):
         return "predicted: unknown, since it reports the sigma of only some states, or of none."
-    said = f"predicted: {abs(pct):.1f} % {'smaller' if pct >= 0.0 else 'larger'} sigma"
+    word = "smaller" if pct >= 0.0 else "larger"
+    said = f"predicted: {abs(pct):.1f} % {word} sigma"
     if answer.evaluated > 1:
         said += f", median of {counted(answer.evaluated, 'dive')}"
     if pct < NOTABLE_PCT:
@@ -271,21 +304,36 @@ def plan_line(answer: Answer) -> str:
     primary = answer.decisive
     if primary is None or answer.verdict in (Verdict.NO_EFFECT, *WITHOUT_VERDICT):
         return ""
-    level = finite(primary.level_pct) / 100.0
-    name = label(primary.quantity)
     if primary.dives < FEWEST_DIVES:
-        if not answer.undecided:  # it is proved
+        is_proved = not answer.undecided
+        if is_proved:
             return ""
-        scatter = SCATTER_OF_ACTS * finite(primary.acts)
-        needed = dives_needed(scatter, SOUGHT, level) if math.isfinite(scatter) else None
-        about = f"; about {needed} dives like {'this one' if primary.dives == 1 else 'these'} find a change of 10 %"
-        return f"A verdict takes {FEWEST_DIVES} dives{about if needed else ''}."
+        return _plan_for_first_verdict(primary)
+    level = finite(primary.level_pct) / 100.0
     found = change_found(finite(primary.scatter), primary.dives, level)
     if not math.isfinite(found):
         return ""
+    said = (
+        f"These dives find a change of {100.0 * (1.0 - found):.0f} % in {label(primary.quantity)} "
+        "in four of five cases"
+    )
     needed = dives_needed(finite(primary.scatter), SOUGHT, level)
-    more = f"; {needed} dives: 10 %" if needed is not None and needed > primary.dives else ""
-    return f"These dives find a change of {100.0 * (1.0 - found):.0f} % in {name} in four of five cases{more}."
+    if needed is None or needed <= primary.dives:
+        return f"{said}."
+    return f"{said}; {needed} dives: 10 %."
+
+
+def _plan_for_first_verdict(primary: PooledRow) -> str:
+    """Say how many dives it takes, by a usual scatter of dives for a candidate that moves the errors so far."""
+    said = f"A verdict takes {FEWEST_DIVES} dives"
+    scatter = SCATTER_OF_ACTS * finite(primary.acts)
+    if not math.isfinite(scatter):
+        return f"{said}."
+    needed = dives_needed(scatter, SOUGHT, finite(primary.level_pct) / 100.0)
+    if needed is None:
+        return f"{said}."
+    these = "this one" if primary.dives == 1 else "these"
+    return f"{said}; about {needed} dives like {these} find a change of 10 %."
 
 
 def assay_line(rows: Sequence[PooledRow]) -> str:
@@ -295,18 +343,21 @@ def assay_line(rows: Sequence[PooledRow]) -> str:
         return ""
     if not seen:
         return f"assay: not sensitive, no control was seen: {', '.join(missed)}"
-    unseen = f"; not seen: {', '.join(missed)}" if missed else ""
-    return f"assay: seen: {', '.join(seen)}{unseen}"
+    if not missed:
+        return f"assay: seen: {', '.join(seen)}"
+    return f"assay: seen: {', '.join(seen)}; not seen: {', '.join(missed)}"
 
 
 def answer_lines(answer: CandidateAnswer, initial: str = "", start: str = "") -> list[str]:
     """Return the lines below the headline; the start is named where it is given, or where the answer depends on it."""
     if answer.verdict in WITHOUT_VERDICT:
         return [f"{begun_with_capital(answer.reason, answer)}. Settle this first."]
-    is_outage = answer.decisive is not None and answer.decisive.evidence == "outage"
-    lines = [
-        NOT_NAVIGATED if is_outage else "",
-        "" if answer.verdict == Verdict.NO_EFFECT else acts_line(answer),
+    lines = []
+    if answer.decisive is not None and answer.decisive.evidence == "outage":
+        lines.append(NOT_NAVIGATED)
+    if answer.verdict != Verdict.NO_EFFECT:
+        lines.append(acts_line(answer))
+    lines += [
         start_line(answer, start),
         settling_line(answer, initial),
         predicted_line(answer),

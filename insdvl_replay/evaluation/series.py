@@ -67,7 +67,9 @@ def _correlation_time(values: Floats) -> float:
     for _ in range(BIAS_ROUNDS + 1):
         corrected = correlation * (1.0 - bias) + weight * bias
         negative = corrected <= 0.0
-        end = int(np.argmax(negative)) if negative.any() else n
+        end = n
+        if negative.any():
+            end = int(np.argmax(negative))
         tau = float(2.0 * corrected[:end].sum() - 1.0)
         bias = min(tau / n, 1.0)
     return tau
@@ -96,10 +98,14 @@ def _squared_correlation_time(series: Floats) -> float:
     k = len(series)
     lag = np.arange(len(series))
     products = _lagged_products(series) / (k - lag)
-    correlation = np.clip(products / products[0], -1.0, 1.0) if products[0] != 0.0 else np.ones(k)
+    correlation = np.ones(k)
+    if products[0] != 0.0:
+        correlation = np.clip(products / products[0], -1.0, 1.0)
     times = 2.0 * np.cumsum((1.0 - lag / k) * correlation**2) - 1.0
     beyond = lag >= WINDOW_TIMES * times
-    return float(times[np.argmax(beyond)] if beyond.any() else times[-1])
+    if beyond.any():
+        return float(times[np.argmax(beyond)])
+    return float(times[-1])
 
 
 def _averages(values: Floats, *, slow: bool = False) -> Floats:
@@ -109,12 +115,14 @@ def _averages(values: Floats, *, slow: bool = False) -> Floats:
     """
     together = max(1, int(np.ceil(np.sqrt(len(values)) / 2.0)))
     groups = len(values) // together
-    averages = values[: groups * together].reshape(groups, together).mean(axis=1)
-    known = groups >= FEWEST_AVERAGES
-    if known and slow:
+    averages: Floats = values[: groups * together].reshape(groups, together).mean(axis=1)
+    if groups < FEWEST_AVERAGES:
+        return np.empty(0)
+    if slow:
         covariance = autocovariance(averages)
-        known = covariance[1] > SLOW * covariance[0] / np.sqrt(groups)
-    return averages if known else np.empty(0)
+        if not covariance[1] > SLOW * covariance[0] / np.sqrt(groups):
+            return np.empty(0)
+    return averages
 
 
 def autocovariance(values: Floats) -> Floats:

@@ -4,18 +4,17 @@ Filters that diverged or are misconfigured are not evaluated. No candidate of su
 filter of the user's whose answers differ from run to run is not repeatable.
 """
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 from scipy.special import chdtrc
 
-from insdvl_replay.core.dive_columns import NS_PER_S, in_pauses
+from insdvl_replay.core.dive_columns import NS_PER_S, Mask, TimeNs, in_pauses
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.history import History
+from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
     IS_REFERENCE,
@@ -81,8 +80,17 @@ def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
     Axes do not count: with eight tests, every third consistent filter fails one by chance.
     """
     words = {row.verdict for row in table if row.filter == filter_name and is_used(row.measurement)}
-    otherwise = Consistency.INSUFFICIENT if words else Consistency.NOT_AVAILABLE
-    return next((word for word in WORST_FIRST if word in words), otherwise)
+    if not words:
+        return Consistency.NOT_AVAILABLE
+    return _worst_of(words, Consistency.INSUFFICIENT)
+
+
+def _worst_of(words: Collection[str], otherwise: str) -> str:
+    """Return the worst verdict of some words, another word where none of them is a verdict."""
+    for word in WORST_FIRST:
+        if word in words:
+            return word
+    return otherwise
 
 
 def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
@@ -93,10 +101,11 @@ def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
     """
     own = [row for row in table if row.filter == filter_name]
     words = [row.verdict for row in own if row.quantity in ALL_CREDIBILITY_GROUPS]
-    otherwise = next(
-        iter(words), Consistency.NO_REFERENCE if own or not table else Consistency.NOT_AVAILABLE
-    )
-    return next((word for word in WORST_FIRST if word in words), otherwise)
+    if words:
+        return _worst_of(words, words[0])
+    if own or not table:
+        return Consistency.NO_REFERENCE
+    return Consistency.NOT_AVAILABLE
 
 
 # --- Filters that are not evaluated.
@@ -106,50 +115,71 @@ def not_evaluated(
     histories: tuple[History, ...],  # the first is the baseline
     errors: Mapping[str, ReferenceErrors],  # by filter; empty without a reference
     tables: Tables,
-    notes: Sequence[
-        Note
-    ],  # of the dive: where its columns contradict each other, no filter is evaluated
+    notes: Sequence[Note],  # of the dive
 ) -> dict[str, str]:
     """Return, by candidate, why it is not evaluated; candidates without a problem are left out.
 
+    Where columns of the dive contradict each other, as a note then says, no filter is evaluated.
     If only one of the two filters is far off, the evidence shows it. A baseline whose noise is far from what its
     innovations show is none to judge by (`misfit`), nor is a candidate that misreads a sensor of its own (`misread`).
     """
-    # Errors against the reference mean nothing for filters that are aided by the reference's own readings. Depth is an
-    # exception: it neither decides nor warns, and the rest of the reference is still valid.
+    invalid = _invalid_filters(histories, notes) | diverged_filters(histories)
+    suspect = _suspect_filters(histories, errors, tables)
+    baseline, *candidates = (history.filter for history in histories)
+    unusable = _contradictions(notes) or misfit(baseline, tables.consistency)
+    unsound = {}
+    for candidate in candidates:
+        wrong = [invalid[name] for name in (baseline, candidate) if name in invalid]
+        if baseline in suspect and candidate in suspect:
+            wrong += [suspect[baseline], suspect[candidate]]
+        reason = " and ".join(wrong) or unusable or misread(candidate, tables.consistency)
+        if reason:
+            unsound[candidate] = reason
+    return unsound
+
+
+def _invalid_filters(histories: Sequence[History], notes: Sequence[Note]) -> dict[str, str]:
+    """Return, by filter, why it failed, or why its errors against the reference mean nothing.
+
+    They mean nothing for filters that are aided by the reference's own readings. Depth is an exception: it neither
+    decides nor warns, and the rest of the reference is still valid.
+    """
     shared = {
         note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)
     }
-    invalid = dict[str, str]()
-    suspect = dict[str, str]()
+    invalid = {}
     for history in histories:
         name = history.filter
         if history.failure:
             invalid[name] = history.failure
         if f"solution_{name}" in shared:
             invalid[name] = f"{name} is the reference, or may have used it"
-        for sensor in (
-            met.measurement for met in history.innovations if met.measurement in shared - {"depth"}
-        ):
-            invalid[name] = f"{name} is aided by the {sensor} of the reference"
-        if found := surprised(name, tables.consistency) or far_off(
-            history, histories[0], errors, tables
-        ):
-            suspect[name] = found
-    invalid |= diverged_filters(histories)
-    contradicted = "; ".join(
+        for met in history.innovations:
+            sensor = met.measurement
+            if sensor in shared and sensor != "depth":
+                invalid[name] = f"{name} is aided by the {sensor} of the reference"
+    return invalid
+
+
+def _suspect_filters(
+    histories: Sequence[History], errors: Mapping[str, ReferenceErrors], tables: Tables
+) -> dict[str, str]:
+    """Return, by filter, why it is far off."""
+    suspect = {}
+    for history in histories:
+        found = surprised(history.filter, tables.consistency)
+        found = found or far_off(history, histories[0], errors, tables)
+        if found:
+            suspect[history.filter] = found
+    return suspect
+
+
+def _contradictions(notes: Sequence[Note]) -> str:
+    """Return in what columns of the dive contradict each other; empty if they do not."""
+    texts = [
         note.text for note in notes if note.code in CONTRADICTIONS and note.severity == "warning"
-    )
-    baseline, *candidates = (history.filter for history in histories)
-    unusable = contradicted or misfit(baseline, tables.consistency)
-    unsound = {}
-    for candidate in candidates:
-        pair = baseline, candidate
-        wrong = [invalid[name] for name in pair if name in invalid]
-        wrong += [suspect[name] for name in pair] if suspect.keys() >= set(pair) else []
-        if reason := " and ".join(wrong) or unusable or misread(candidate, tables.consistency):
-            unsound[candidate] = reason
-    return unsound
+    ]
+    return "; ".join(texts)
 
 
 def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
@@ -160,43 +190,95 @@ def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
     Partial solutions are not checked.
     """
     found = {}
-    for history in (history for history in histories if not history.is_partial):
-        name = history.filter
-        states = ("sd", "position", "velocity_n", "mat_nb", "accel_bias_b", "gyro_bias_b")
-        columns = [getattr(history, state).reshape(len(history.time_ns), -1) for state in states]
-        known = np.isfinite(np.hstack(columns)).all(axis=1)
-        used = [met for met in history.innovations if is_used(met.measurement)]
-        if not known.all():
-            first_s = (history.time_ns[np.argmin(known)] - history.time_ns[0]) / NS_PER_S
-            found[name] = f"the state of {name} is not finite from {first_s:.1f} s on"
-        elif used:
-            # Its main aiding is the pings of the beams, else the velocities, else its first aiding. A ping is rejected
-            # if all its valid beams are; by chance, at most as often as one beam.
-            beams = [met for met in used if is_beam(met.measurement)]
-            lead = next(
-                (met for met in (*beams, *used) if beams or met.measurement == "velocity"), used[0]
-            )
-            by_chance = float(chdtrc(lead.dof, lead.gate))
-            lost = rejected(lead)
-            measurement = f"{lead.measurement} innovations"
-            if beams:
-                times, ping = np.unique(
-                    np.concatenate([beam.time_ns for beam in beams]), return_inverse=True
-                )
-                lost = np.ones(len(times), np.bool_)
-                measurement = "pings"
-                lost[ping[~np.concatenate([rejected(beam) for beam in beams])]] = False
-            count = int(lost.sum())
-            total = len(lost)
-            reopened = len(history.reopened_ns)
-            if count > max(FEW, (MANY_REJECTED + by_chance) * total):
-                found[name] = f"{name} rejected {count} of {total} {measurement}"
-            elif reopened > max(1.0, (MANY_REOPENED + by_chance**lead.reopen_after) * total):
-                # The filter diverges again and again, and is reset each time.
-                found[name] = (
-                    f"{name} diverged and was set to the DVL again {reopened} times in {total} {measurement}"
-                )
+    for history in histories:
+        if history.is_partial:
+            continue
+        reason = _not_finite(history) or _gated_out(history)
+        if reason:
+            found[history.filter] = reason
     return found
+
+
+def _not_finite(history: History) -> str:
+    """Say from when on the state of a filter is not finite; empty if it is throughout."""
+    columns = (
+        history.sd,
+        history.position,
+        history.velocity_n,
+        history.mat_nb,
+        history.accel_bias_b,
+        history.gyro_bias_b,
+    )
+    known = np.ones(len(history.time_ns), np.bool_)
+    for column in columns:
+        known &= np.isfinite(column.reshape(len(known), -1)).all(axis=1)
+    if known.all():
+        return ""
+    first_s = (history.time_ns[np.argmin(known)] - history.time_ns[0]) / NS_PER_S
+    return f"the state of {history.filter} is not finite from {first_s:.1f} s on"
+
+
+def _gated_out(history: History) -> str:
+    """Say that the gate of a filter rejected much of its main aiding, or was opened again often; empty if neither."""
+    aiding = _main_aiding(history)
+    if aiding is None:
+        return ""
+    count = int(aiding.rejected.sum())
+    total = len(aiding.rejected)
+    if count > max(FEW, (MANY_REJECTED + aiding.by_chance) * total):
+        return f"{history.filter} rejected {count} of {total} {aiding.name}"
+    # The filter diverges again and again, and is reset each time.
+    reopened = len(history.reopened_ns)
+    by_chance = aiding.by_chance**aiding.reopen_after
+    if reopened > max(1.0, (MANY_REOPENED + by_chance) * total):
+        return (
+            f"{history.filter} diverged and was set to the DVL again {reopened} times "
+            f"in {total} {aiding.name}"
+        )
+    return ""
+
+
+class _MainAiding(NamedTuple):
+    """What keeps a filter from drifting: the pings of the beams, else the velocities, else its first aiding."""
+
+    name: str
+    rejected: Mask  # (m,), by the gate
+    by_chance: float  # probability that the gate rejects one of a consistent filter
+    reopen_after: int  # rejections in a row after which the filter is set to the DVL
+
+
+def _main_aiding(history: History) -> _MainAiding | None:
+    """Return the main aiding of a filter; None if it has none."""
+    used = [met for met in history.innovations if is_used(met.measurement)]
+    beams = [met for met in used if is_beam(met.measurement)]
+    if beams:
+        # A ping is rejected if all its valid beams are; by chance, at most as often as one beam.
+        return _MainAiding(
+            "pings", _rejected_pings(beams), _chance(beams[0]), beams[0].reopen_after
+        )
+    if not used:
+        return None
+    lead = used[0]
+    for met in used:
+        if met.measurement == "velocity":
+            lead = met
+            break
+    name = f"{lead.measurement} innovations"
+    return _MainAiding(name, rejected(lead), _chance(lead), lead.reopen_after)
+
+
+def _chance(met: Innovations) -> float:
+    """Return how probable it is that the gate rejects an innovation of a consistent filter."""
+    return float(chdtrc(met.dof, met.gate))
+
+
+def _rejected_pings(beams: Sequence[Innovations]) -> Mask:
+    """Find the pings of which the gate rejected all beams, shape (pings,)."""
+    times, ping = np.unique(np.concatenate([beam.time_ns for beam in beams]), return_inverse=True)
+    is_rejected = np.concatenate([rejected(beam) for beam in beams])
+    pings = np.ones(len(times), np.bool_)
+    pings[ping[~is_rejected]] = False
+    return pings
 
 
 def misfit(name: str, rows: Sequence[ConsistencyRow]) -> str:
@@ -207,18 +289,21 @@ def misfit(name: str, rows: Sequence[ConsistencyRow]) -> str:
     """
     for row in rows:
         is_dvl = row.measurement == "velocity" or is_beam(row.measurement)
-        size = finite(row.mean_nis) / row.dof if row.dof else math.nan
-        if (
-            row.filter != name
-            or not is_dvl
-            or not size > 0.0
-            or row.verdict == Consistency.INSUFFICIENT
-        ):
+        if row.filter != name or not is_dvl or not row.dof:
             continue
-        factor, word = (1.0 / size, "large") if size < 1.0 else (size, "small")
-        if not SMALLEST_NIS_PER_DOF <= size <= LARGEST_NIS_PER_DOF:
-            found = f"the noise of {name} is {factor:.0f} times too {word}"
-            return f"{found} (NIS / dof of its {row.measurement} is {size:.2g}, expected 1); fit it first: --control"
+        size = finite(row.mean_nis) / row.dof
+        if not size > 0.0 or row.verdict == Consistency.INSUFFICIENT:
+            continue
+        if size < SMALLEST_NIS_PER_DOF:
+            off = f"{1.0 / size:.0f} times too large"
+        elif size > LARGEST_NIS_PER_DOF:
+            off = f"{size:.0f} times too small"
+        else:
+            continue
+        return (
+            f"the noise of {name} is {off} (NIS / dof of its {row.measurement} is {size:.2g}, "
+            "expected 1); fit it first: --control"
+        )
     return ""
 
 
@@ -233,15 +318,16 @@ def misread(name: str, rows: Sequence[ConsistencyRow]) -> str:
 
 def surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
     """Name a sensor whose innovations are far larger than its filter expects; empty if there is none."""
-    far = (
-        row
-        for row in rows
-        if finite(row.mean_nis) > LARGEST_NIS_PER_DOF * row.dof and is_used(row.measurement)
-    )
-    row = next((row for row in far if row.filter == name), None)
-    if row is None:
-        return ""
-    return f"the {row.measurement} innovations of {name} are far too large (NIS {row.mean_nis:.3g}, expected {row.dof})"
+    for row in rows:
+        if row.filter != name or not is_used(row.measurement):
+            continue
+        nis = finite(row.mean_nis)
+        if nis > LARGEST_NIS_PER_DOF * row.dof:
+            return (
+                f"the {row.measurement} innovations of {name} are far too large "
+                f"(NIS {nis:.3g}, expected {row.dof})"
+            )
+    return ""
 
 
 def far_off(
@@ -255,27 +341,32 @@ def far_off(
     if history.filter not in errors or ReferenceStatus.COMPARED not in statuses:
         return ""
     found = errors[history.filter]
-    pings = [
-        met.time_ns
-        for met in baseline.innovations
-        if met.measurement == "velocity" or is_beam(met.measurement)
-    ]
-    ping_ns = np.unique(np.concatenate(pings)) if pings else np.empty(0, np.int64)
+    if not found.distance_m > 0.0:
+        return ""
     known = np.isfinite(found.position_error_ned_m[:, :2]).all(axis=1)
     time_ns = np.append(baseline.time_ns[0], found.time_ns[known])
     steps_m = np.diff(found.position_error_ned_m[known, :2], axis=0, prepend=[[0.0, 0.0]])
+    ping_ns = _ping_ns(baseline)
     if len(ping_ns) > 1:
         seen_ns = np.unique(np.concatenate([time_ns[:1], ping_ns, time_ns[-1:]]))
-        silent = in_pauses(
-            time_ns[:-1], time_ns[1:], seen_ns, OUTAGE * float(np.median(np.diff(ping_ns)))
-        )
+        longest_ns = OUTAGE * float(np.median(np.diff(ping_ns)))
+        silent = in_pauses(time_ns[:-1], time_ns[1:], seen_ns, longest_ns)
         if 2 * np.diff(time_ns)[silent].sum() <= time_ns[-1] - time_ns[0]:
             steps_m[silent] = 0.0
     square_m2 = np.sum(np.cumsum(steps_m, axis=0) ** 2) / max(len(steps_m), 1)
-    error_pct = 100.0 * np.sqrt(square_m2) / found.distance_m if found.distance_m > 0.0 else 0.0
+    error_pct = 100.0 * np.sqrt(square_m2) / found.distance_m
     if error_pct > FARTHEST_PCT:
         return f"the position error of {history.filter} is {error_pct:.3g} % of the distance"
     return ""
+
+
+def _ping_ns(history: History) -> TimeNs:
+    """Return the times of the DVL's pings that a filter met."""
+    pings = [np.empty(0, np.int64)]
+    for met in history.innovations:
+        if met.measurement == "velocity" or is_beam(met.measurement):
+            pings.append(met.time_ns)
+    return np.unique(np.concatenate(pings))
 
 
 # --- The verdict on one dive.
@@ -288,30 +379,35 @@ def evaluated_candidates(
     notes: Sequence[Note],  # of the dive
     *,
     primary: str = "",  # the quantity that the settings name
-    not_repeatable: Mapping[str, str] = MappingProxyType(
-        {}
-    ),  # by candidate, why its answer cannot be judged
+    not_repeatable: Mapping[str, str] = MappingProxyType({}),  # by candidate, why it is not
     start: str = "",  # what the heading at the start comes from, see `sentences.start_of`
 ) -> tuple[Tables, dict[str, CandidateVerdict]]:
     """Return the verdict on each candidate. Evidence of those that are not evaluated decides nothing."""
     baseline, *candidates = (history.filter for history in histories)
     unsound = not_evaluated(histories, errors, tables, notes)
     varying = {name: reason for name, reason in not_repeatable.items() if name not in unsound}
-    by_depth = {
-        history.filter
-        for history in histories
-        if any(note.code == f"depth{IS_REFERENCE}" for note in notes)
-        and any(met.measurement == "depth" for met in history.innovations)
-    }
+    by_depth = _aided_by_its_depth(histories, notes)
     evidence = []
     for name in candidates:
-        # Depth is no evidence where a filter is aided by the depth that the reference is made of.
-        left_out = "depth" if by_depth & {baseline, name} else ""
-        rows = [row for row in tables.evidence if row.filter == name and row.quantity != left_out]
-        decides = name not in unsound and name not in varying
-        evidence += rows if decides else [replace(row, role=Role.SHOWN) for row in rows]
+        rows = [row for row in tables.evidence if row.filter == name]
+        if baseline in by_depth or name in by_depth:
+            rows = [row for row in rows if row.quantity != "depth"]
+        if name in unsound or name in varying:
+            rows = [replace(row, role=Role.SHOWN) for row in rows]
+        evidence += rows
     tables = replace(tables, evidence=evidence)
     return tables, verdicts(tables, baseline, candidates, unsound, primary, varying, start)
+
+
+def _aided_by_its_depth(histories: Sequence[History], notes: Sequence[Note]) -> set[str]:
+    """Return the filters that are aided by the depth that the reference is made of: it is no evidence on them."""
+    if not any(note.code == f"depth{IS_REFERENCE}" for note in notes):
+        return set()
+    found = set()
+    for history in histories:
+        if any(met.measurement == "depth" for met in history.innovations):
+            found.add(history.filter)
+    return found
 
 
 def verdicts(
@@ -331,7 +427,9 @@ def verdicts(
         predicted_pct = mean_over_nine(tables.improvement, candidate)
         evidence = [row for row in tables.evidence if row.filter == candidate]
         reason = unsound.get(candidate, "") or varying.get(candidate, "")
-        dives = [] if reason else [evidence]
+        dives = [evidence]
+        if reason:
+            dives = []
         answer = pooled_candidate(
             candidate,
             baseline,
@@ -369,15 +467,13 @@ def verdicts(
 
 def not_evaluated_notes(verdicts: Mapping[str, CandidateVerdict]) -> tuple[Note, ...]:
     """Note the candidates without a verdict, so that a replay that may have no warnings fails."""
-    words = {
-        name: found.verdict for name, found in verdicts.items() if found.verdict in WITHOUT_VERDICT
-    }
-    text = "there is no verdict on {}, which is {}"
     hint = "settle the reason, which is in the sentence on the filter"
-    return tuple(
-        Note("not_evaluated", text.format(name, word), 1, Severity.WARNING, hint)
-        for name, word in words.items()
-    )
+    notes = []
+    for name, found in verdicts.items():
+        if found.verdict in WITHOUT_VERDICT:
+            text = f"there is no verdict on {name}, which is {found.verdict}"
+            notes.append(Note("not_evaluated", text, 1, Severity.WARNING, hint))
+    return tuple(notes)
 
 
 def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
@@ -412,15 +508,7 @@ def _trust(tables: Tables, name: str) -> str:
     credibility = credibility_of(tables.credibility, name)
     if credibility == Consistency.INSUFFICIENT or credibility not in WORST_FIRST:
         return consistency
-    # Name the groups of states that have the worst verdict, where others have a better one.
-    groups = [
-        row
-        for row in tables.credibility
-        if row.filter == name and row.quantity in ALL_CREDIBILITY_GROUPS
-    ]
-    groups = [row for row in groups if row.verdict in VERDICTS_BEST_FIRST]
-    worst = [row.quantity.replace("_", " ") for row in groups if row.verdict == credibility]
-    where = f" in {' and '.join(worst)}" if len(worst) < len(groups) else ""
+    where = _groups_with(tables, name, credibility)
     if consistency in (Consistency.NOT_AVAILABLE, Consistency.INSUFFICIENT):
         return f"{credibility}{where} against the reference"
     if consistency == credibility:
@@ -428,3 +516,17 @@ def _trust(tables: Tables, name: str) -> str:
             return f"{consistency} by the innovations, and{where} against the reference"
         return consistency
     return f"{consistency} by the innovations and {credibility}{where} against the reference"
+
+
+def _groups_with(tables: Tables, name: str, word: str) -> str:
+    """Name the groups of states of a filter that have the worst verdict; empty where all of them have it."""
+    groups = [
+        row
+        for row in tables.credibility
+        if row.filter == name and row.quantity in ALL_CREDIBILITY_GROUPS
+    ]
+    tested = [row for row in groups if row.verdict in VERDICTS_BEST_FIRST]
+    worst = [row.quantity.replace("_", " ") for row in tested if row.verdict == word]
+    if len(worst) == len(tested):
+        return ""
+    return f" in {' and '.join(worst)}"
