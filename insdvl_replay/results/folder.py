@@ -230,9 +230,10 @@ def require_replaceable_folder(target: Path, *, force: bool = False) -> None:
         raise TargetError(
             f"{target}: exists", "choose another folder with -o, or replace it with --force"
         )
-    if foreign := sorted(
+    foreign = sorted(
         path.name for path in target.iterdir() if path.name not in own or path.is_dir()
-    ):
+    )
+    if foreign:
         more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
         raise TargetError(
             f"{target}: is not replaced, because {foreign[0]}{more} is not a file of its result",
@@ -315,8 +316,9 @@ def require_lake(lake: Path, outputs: Collection[Path]) -> None:
     """Create the folder of a lake. Raise a ConfigError if it cannot be written, or holds or will hold anything else."""
     require_parquet("--lake", "leave --lake out")
     hint = "name a folder of its own with --lake"
-    if any(lake.resolve() in (output.resolve(), *output.resolve().parents) for output in outputs):
-        raise ConfigError(f"{lake}: is the folder of the results, or above it", hint)
+    for output in outputs:
+        if output.resolve().is_relative_to(lake.resolve()):
+            raise ConfigError(f"{lake}: is the folder of the results, or above it", hint)
     try:
         if not lake.exists():
             lake.mkdir(parents=True, exist_ok=True)
@@ -326,8 +328,9 @@ def require_lake(lake: Path, outputs: Collection[Path]) -> None:
             pass
     except OSError as error:
         raise ConfigError(f"{lake}: cannot be written: {error.strerror}", hint) from error
-    if foreign := [name for name in names if not _LAKE_FILE.fullmatch(name)]:
-        raise ConfigError(f"{lake}: holds {foreign[0]}, which is not a file of a lake", hint)
+    for name in names:
+        if not _LAKE_FILE.fullmatch(name):
+            raise ConfigError(f"{lake}: holds {name}, which is not a file of a lake", hint)
 
 
 def add_to_lake(lake: Path, report: Report) -> None:
@@ -337,20 +340,20 @@ def add_to_lake(lake: Path, report: Report) -> None:
 
     settings_sha256 = report.files[SETTINGS_FILE]
     version = report.tool.version
-    rows = [
-        LakeRow(
-            **asdict(row),
-            filter_verdict=report.filters[row.filter].verdict,
+    rows = []
+    for evidence in report.tables.evidence:
+        row = LakeRow(
+            **asdict(evidence),
+            filter_verdict=report.filters[evidence.filter].verdict,
             log_sha256=report.log.sha256,
             settings_sha256=settings_sha256,
             version=version,
             started_at=report.tool.started_at or "",
         )
-        for row in report.tables.evidence
-    ]
+        rows.append(asdict(row))
     types = {"text": pa.string(), "count": pa.int64(), "number": pa.float64()}
     schema = pa.schema([(column, types[kind]) for column, kind in LAKE.kinds.items()])
-    table = pa.Table.from_pylist([asdict(row) for row in rows], schema=schema)
+    table = pa.Table.from_pylist(rows, schema=schema)
     with result_file(
         lake / f"{report.log.sha256[:16]}_{settings_sha256[:16]}_{version}.parquet", force=True
     ) as file:

@@ -1,6 +1,7 @@
 """Histories and the reference as data frames: of a replay, and read back from the replay.mcap of its result."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -32,6 +33,7 @@ _MOTION: Final[Fields] = {
     "pitch_deg": ["pitch_deg"],
     "heading_deg": ["heading_deg"],
 }
+_PLACE: Final = ["latitude_deg", "longitude_deg", "height_m"]
 _BIASES: Final[Fields] = {
     "accel_bias_mg": [f"ba_{axis}_mg" for axis in AXES],
     "gyro_bias_degph": [f"bg_{axis}_degph" for axis in AXES],
@@ -39,9 +41,14 @@ _BIASES: Final[Fields] = {
 _SIGMA: Final[Fields] = {
     f"{state.id}_{UNIT_NAMES[state.unit]}": [f"{state.id}_sd"] for state in STATES
 }
-_COLUMNS: Final = [
-    column for columns in (_MOTION | _BIASES | _SIGMA).values() for column in columns
-]
+_COLUMNS: Final = [*chain.from_iterable((_MOTION | _BIASES | _SIGMA).values())]
+# The fields that are read of each type of message in a replay.mcap; of an innovation its time alone.
+_FIELDS_OF_TYPE: Final[dict[str, Fields]] = {
+    "NavSolution": _MOTION,
+    "FilterState": _MOTION | _BIASES,
+    "FilterSigma": _SIGMA,
+    "Innovation": {},
+}
 
 
 def history_frame(history: History) -> "pd.DataFrame":
@@ -70,7 +77,7 @@ def reference_frame(
 
 def _with_metres(frame: "pd.DataFrame", origin: Floats) -> "pd.DataFrame":
     """Add the columns of the position that a trajectory has."""
-    position = frame[["latitude_deg", "longitude_deg", "height_m"]].to_numpy() * [DEG, DEG, 1.0]
+    position = frame[_PLACE].to_numpy() * [DEG, DEG, 1.0]
     frame[list(GROUPS["position"])] = north_east_down_m(
         position, np.broadcast_to(origin, position.shape)
     )
@@ -84,7 +91,7 @@ def _motion_frame(
     import pandas as pd
 
     values = (position[:, :2] / DEG, position[:, 2:], velocity_n, rpy_from_mat(mat_nb) / DEG)
-    names = [column for columns in _MOTION.values() for column in columns]
+    names = [*chain.from_iterable(_MOTION.values())]
     return pd.DataFrame(np.hstack(values), columns=names, index=time_ns)
 
 
@@ -101,38 +108,42 @@ def _timed(frame: "pd.DataFrame", start_ns: int) -> "pd.DataFrame":
 
 def read_histories(folder: Path, names: Sequence[str]) -> dict[str, "pd.DataFrame"]:
     """Read the histories of filters. A recorded solution has the rows in which it gives anything."""
-    found = _read(folder, [f"/insdvl/{name}/" for name in names])
-    frames = {}
-    for name in names:
-        if (state := found.get(f"/insdvl/{name}/state")) is None:
-            raise ResultError(
-                f"{folder / REPLAY_LOG}: has no history of {name}", "replay the log again"
-            )
-        frame = _topic_frame(state, _MOTION | _BIASES)
-        if (sigma := found.get(f"/insdvl/{name}/sigma")) is not None:
-            frame = frame.join(_topic_frame(sigma, _SIGMA))
-        frame = frame.reindex(columns=_COLUMNS)
-        met = [
-            found[topic].time_ns()
-            for kind in DVL_AIDING
-            if (topic := f"/insdvl/{name}/innovation/{kind}") in found
-        ]
-        frame.insert(
-            0, "updated", np.isin(frame.index, np.concatenate([np.empty(0, np.int64), *met]))
+    tables = _read(folder, [f"/insdvl/{name}/" for name in names])
+    return {name: _history_of(name, tables, folder) for name in names}
+
+
+def _history_of(name: str, tables: Mapping[str, Table], folder: Path) -> "pd.DataFrame":
+    """Join what the topics of a filter have of its states, its standard deviations and its updates."""
+    state = tables.get(f"/insdvl/{name}/state")
+    if state is None:
+        raise ResultError(
+            f"{folder / REPLAY_LOG}: has no history of {name}", "replay the log again"
         )
-        frames[name] = _timed(frame, int(frame.index[0]))
-    return frames
+    frame = _topic_frame(state, _MOTION | _BIASES)
+    sigma = tables.get(f"/insdvl/{name}/sigma")
+    if sigma is not None:
+        frame = frame.join(_topic_frame(sigma, _SIGMA))
+    frame = frame.reindex(columns=_COLUMNS)
+    updates_ns = [np.empty(0, np.int64)]
+    for measurement in DVL_AIDING:
+        innovations = tables.get(f"/insdvl/{name}/innovation/{measurement}")
+        if innovations is not None:
+            updates_ns.append(innovations.time_ns())
+    frame.insert(0, "updated", np.isin(frame.index, np.concatenate(updates_ns)))
+    return _timed(frame, int(frame.index[0]))
 
 
 def read_reference(folder: Path, baseline: str) -> "pd.DataFrame":
     """Read the reference inside a replay, with metres from where the baseline starts; no rows without one."""
-    topics = ["/insdvl/reference/state", f"/insdvl/{baseline}/state"]
-    state, start = map(_read(folder, topics).get, topics)
-    if state is None or start is None:
+    of_reference = "/insdvl/reference/state"
+    of_baseline = f"/insdvl/{baseline}/state"
+    tables = _read(folder, [of_reference, of_baseline])
+    if of_reference not in tables or of_baseline not in tables:
         return reference_frame(None, 0, 0, np.zeros(3))
-    first = _topic_frame(start, _MOTION).iloc[:1]
-    origin = first[["latitude_deg", "longitude_deg", "height_m"]].to_numpy()[0] * [DEG, DEG, 1.0]
-    return _timed(_with_metres(_topic_frame(state, _MOTION), origin), int(first.index[0]))
+    start = _topic_frame(tables[of_baseline], _MOTION).iloc[:1]
+    origin = start[_PLACE].to_numpy()[0] * [DEG, DEG, 1.0]
+    reference = _topic_frame(tables[of_reference], _MOTION)
+    return _timed(_with_metres(reference, origin), int(start.index[0]))
 
 
 def _read(folder: Path, prefixes: Sequence[str]) -> dict[str, Table]:
@@ -145,30 +156,23 @@ def _read(folder: Path, prefixes: Sequence[str]) -> dict[str, Table]:
     sources = []
     for channel in log.channels:
         kind = channel.type_name.rpartition("/")[2]
-        fields = {
-            "NavSolution": _MOTION,
-            "FilterState": _MOTION | _BIASES,
-            "FilterSigma": _SIGMA,
-            "Innovation": {},
-        }
-        if kind in fields and channel.topic.startswith(tuple(prefixes)):
-            named = {field: field for field in fields[kind]}
+        if kind in _FIELDS_OF_TYPE and channel.topic.startswith(tuple(prefixes)):
+            named = {field: field for field in _FIELDS_OF_TYPE[kind]}
             sources.append(
                 Source("replay", channel.topic, channel.type_name, (channel,), named, "header", 0.0)
             )
-    return {
-        source.topic: table
-        for source, table in zip(sources, read_tables(log, sources), strict=True)
-    }
+    topics = [source.topic for source in sources]
+    return dict(zip(topics, read_tables(log, sources), strict=True))
 
 
 def _topic_frame(table: Table, fields: Fields) -> "pd.DataFrame":
     """Return the fields that a topic has, by time."""
     import pandas as pd
 
-    parts = [
-        pd.DataFrame(table.values(field, len(columns)), columns=columns, index=table.time_ns())
-        for field, columns in fields.items()
-        if field in table
-    ]
+    time_ns = table.time_ns()
+    parts = []
+    for field, columns in fields.items():
+        if field in table:
+            values = table.values(field, len(columns))
+            parts.append(pd.DataFrame(values, columns=columns, index=time_ns))
     return pd.concat(parts, axis=1)

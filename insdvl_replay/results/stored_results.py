@@ -26,12 +26,12 @@ def read_results(root: Path) -> tuple[list[StoredResult], list[Note]]:
     result of a dive is a ConfigError, a report that cannot be read a ResultError.
     """
     reports, notes = read_reports(root, StoredReport)
-    results = [
-        StoredResult(
-            file.parent, file.parent.relative_to(root).as_posix() if root.is_dir() else ".", report
-        )
-        for file, report in reports
-    ]
+    results = []
+    for file, report in reports:
+        name = "."
+        if root.is_dir():
+            name = file.parent.relative_to(root).as_posix()
+        results.append(StoredResult(file.parent, name, report))
     return results, notes
 
 
@@ -55,14 +55,20 @@ def read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind]
     of earlier runs, with other logs or settings.
     """
     files, notes = _of_last_runs(sorted(_report_files(root)))
-    read = [(file, _read_report(file, kind)) for file in files]
-    reports = [(file, report) for file, report in read if report is not None]
+    reports = []
+    studies = 0
+    for file in files:
+        report = _read_report(file, kind)
+        if report is None:
+            studies += 1
+        else:
+            reports.append((file, report))
     if not reports:
-        found = "holds only results of studies" if read else "holds no result"
+        found = "holds only results of studies" if studies else "holds no result"
         raise ConfigError(
             f"{root}: {found}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote"
         )
-    if studies := len(read) - len(reports):
+    if studies:
         notes.append(
             Note("studies_left_out", f"{root}: ignored {studies} results of studies", studies)
         )
@@ -71,14 +77,13 @@ def read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind]
 
 def earlier_results(folder: Path, dives: Collection[str]) -> list[Note]:
     """Note the results in the folder of a run that are of other dives than its own."""
-    files = [Path(entry.path, COMPLETE) for entry in os.scandir(folder) if entry.name not in dives]
-    left = sorted(
-        file.parent.name
-        for file in files
-        if not file.parent.name.startswith(".") and file.is_file()
-    )
+    left = []
+    for entry in os.scandir(folder):
+        is_of_run = entry.name in dives or entry.name.startswith(".")
+        if not is_of_run and Path(entry.path, COMPLETE).is_file():
+            left.append(entry.name)
     if left:
-        return [_earlier(folder, left)]
+        return [_earlier(folder, sorted(left))]
     return []
 
 
@@ -95,15 +100,19 @@ def _of_last_runs(files: Sequence[Path]) -> tuple[list[Path], list[Note]]:
     """Leave out the reports beside a summary that does not name their dives, with a note for each such folder."""
     kept: list[Path] = []
     notes: list[Note] = []
-    for folder in dict.fromkeys(file.parent.parent for file in files):
-        inside = [file for file in files if file.parent.parent == folder]
+    by_folder: dict[Path, list[Path]] = {}
+    for file in files:
+        by_folder.setdefault(file.parent.parent, []).append(file)
+    for folder, inside in by_folder.items():
         dives = _dives_of_run(folder / SUMMARY)
         of_run = [file for file in inside if file.parent.name in dives]
-        kept += of_run or inside
-        if of_run and len(of_run) < len(inside):
-            notes.append(
-                _earlier(folder, [file.parent.name for file in inside if file not in of_run])
-            )
+        if not of_run:
+            kept += inside
+            continue
+        kept += of_run
+        others = [file.parent.name for file in inside if file.parent.name not in dives]
+        if others:
+            notes.append(_earlier(folder, others))
     return sorted(kept), notes
 
 
@@ -154,28 +163,39 @@ def _read_report(file: Path, kind: type[_Kind]) -> _Kind | None:
     except OSError as error:
         _refuse(error)
     except msgspec.ValidationError as error:
-        written_by = (
-            f" (written by version {label.tool['version']})" if label.tool.get("version") else ""
-        )
-        reason = f"{str(error)[:1].lower()}{str(error)[1:]}"
-        raise ResultError(
-            f"{file}: is not a report that version {__version__} can read{written_by}: {reason}",
-            "replay the log again with this version, or compare with the version that wrote it",
-        ) from error
+        _refuse_version(file, label, error)
     except NOT_JSON as error:
         hint = "name a result folder or its report.json; a broken one is replaced by replaying its log with --force"
         raise ResultError(f"{file}: is not JSON: {error}", hint) from error
-    tables = report.tables if isinstance(report, StoredReport) else {}
+    if isinstance(report, StoredReport):
+        _require_named_rows(file, report)
+    return report
+
+
+def _refuse_version(file: Path, label: Label, error: msgspec.ValidationError) -> NoReturn:
+    """Raise a ResultError for a report that this version does not know."""
+    written_by = ""
+    if label.tool.get("version"):
+        written_by = f" (written by version {label.tool['version']})"
+    text = str(error)
+    reason = f"{text[:1].lower()}{text[1:]}"
+    raise ResultError(
+        f"{file}: is not a report that version {__version__} can read{written_by}: {reason}",
+        "replay the log again with this version, or compare with the version that wrote it",
+    ) from error
+
+
+def _require_named_rows(file: Path, report: StoredReport) -> None:
+    """Raise a ResultError if a row of a table has no name, or the name of another."""
     for layout in TABLES:
         names = set[tuple[object, ...]]()
-        for number, row in enumerate(tables.get(layout.name, []), 1):
+        for number, row in enumerate(report.tables.get(layout.name, []), 1):
             place = f"{file}: table {layout.name}, row {number}"
             for column in ("filter", layout.key):
                 if column not in row:
                     raise ResultError(f"{place}: has no column {column}", "replay the log again")
-            name = row["filter"], row[layout.key], row.get("unit")
+            name = (row["filter"], row[layout.key], row.get("unit"))
             if name in names:
                 same = f"has the same names as an earlier row: {name[0]}, {name[1]}"
                 raise ResultError(f"{place}: {same}", "replay the log again")
             names.add(name)
-    return report
