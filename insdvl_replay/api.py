@@ -712,7 +712,7 @@ class DiveResult(Result):
         import msgspec
 
         from insdvl_replay.document.paper import paper_canvas, require_width
-        from insdvl_replay.results.trajectory import paper_figure
+        from insdvl_replay.show.plots.all_plots import paper_figure
 
         require_width(width_mm, f"width_mm={width_mm}")
         reference = self.reference if kind == "track" else None

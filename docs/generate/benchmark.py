@@ -35,7 +35,7 @@ from insdvl_replay.core.quantities import label
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import PooledRow, finite, share_text
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.document.plot import style_sheet
+from insdvl_replay.document.looks import style_sheet
 from insdvl_replay.evaluation.answers import BAD, GOOD, CandidateAnswer, Undecided
 from insdvl_replay.evaluation.sentences import (
     headline,

@@ -15,7 +15,7 @@ from insdvl_replay.document.parts import Figure, Result
 from insdvl_replay.document.plot import sheet_svg
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
-from insdvl_replay.show.figures import replay_figures
+from insdvl_replay.show.plots.all_plots import replay_figures
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.studies.montecarlo import PICTURES as ENSEMBLE_PICTURES
 from insdvl_replay.studies.montecarlo import ensemble_figure

@@ -14,6 +14,7 @@ from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.messages import log_info, log_to_stderr, write_stdout
 from insdvl_replay.core.errors import ConfigError, hint_for, require_known, visible
 from insdvl_replay.core.states import SENSORS
+from insdvl_replay.show.plots import PaperPlot
 
 if TYPE_CHECKING:
     from insdvl_replay.sim.sensor_errors import SensorErrors
@@ -378,14 +379,13 @@ def compile_(verbose: opt.Verbose = 0) -> None:
     write_stdout(visible(f"{'already compiled' if was_warm else took}: {folder}") + "\n")
 
 
-Kind = Literal["error", "track", "sigma", "nis", "outage", "convergence"]
 PictureFormat = Literal["pdf", "svg", "png", "pgf"]
 
 
 def figure(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A result folder.")],
     kind: Annotated[
-        Kind,
+        PaperPlot,
         typer.Argument(metavar="KIND", help="error, track, sigma, nis, outage or convergence."),
     ],
     output: Annotated[
@@ -423,7 +423,8 @@ def figure(
     from insdvl_replay.document.paper import drawn
     from insdvl_replay.results.folder import REPLAY_LOG, TRAJECTORY_FILE, result_file
     from insdvl_replay.results.stored_results import read_one_result
-    from insdvl_replay.results.trajectory import chosen_states, paper_figure, read_trajectory
+    from insdvl_replay.results.trajectory import read_trajectory
+    from insdvl_replay.show.plots.all_plots import chosen_states, paper_figure
 
     if states and kind != "sigma":
         raise ConfigError(

@@ -10,6 +10,7 @@ from itertools import zip_longest
 from typing import Final
 
 from insdvl_replay.core.errors import visible_lines
+from insdvl_replay.document.looks import style_sheet
 from insdvl_replay.document.parts import (
     REJECTED,
     Callout,
@@ -25,7 +26,7 @@ from insdvl_replay.document.parts import (
     Sentences,
     Title,
 )
-from insdvl_replay.document.plot import Legend, panel_svg, style_sheet
+from insdvl_replay.document.plot import Legend, panel_svg
 from insdvl_replay.document.tables import cell_lines, parts_for
 
 _SHORT: Final = 20  # Longer cells are folded; the others are on one line.

@@ -1,6 +1,7 @@
 """A figure drawn by matplotlib, for papers and slides, in the light colours of the pages."""
 
 import math
+from collections.abc import Iterable, Sequence
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, Final
 
@@ -8,30 +9,29 @@ import numpy as np
 
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.extras import install_hint
-from insdvl_replay.document.parts import Figure, Panel
+from insdvl_replay.document.looks import strokes
+from insdvl_replay.document.parts import LIMIT, REFERENCE, Curve, Figure, Panel
+from insdvl_replay.document.plot import ends_of_track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure as Canvas
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     from insdvl_replay.core.dive_columns import Floats
 
-# The styles of the pages' style sheet.
-LOOKS: Final[dict[str, dict[str, Any]]] = {
-    "filter0": {"color": "#c0232c", "linestyle": (0, (7, 3))},
-    "filter1": {"color": "#1c5fc4", "linestyle": "-"},
-    "filter2": {"color": "#1f7f45", "linestyle": (0, (4, 6))},
-    "filter3": {"color": "#7a45b8", "linestyle": (0, (2, 2))},
-    "filter4": {"color": "#a06400", "linestyle": (0, (14, 3))},
-    "filter5": {"color": "#0a7c86", "linestyle": (0, (4, 2, 1, 2, 1, 2))},
-    "reference": {"color": "#1b2330", "linewidth": 0.8},
-    "limit": {"color": "#1b2330", "linestyle": (0, (4, 3)), "linewidth": 0.8},
-    "zero": {"color": "#566172", "linewidth": 0.6},
-    "sigma": {"linestyle": "-", "linewidth": 0.4},
-    "start": {"color": "#1b2330", "marker": "o", "markerfacecolor": "white", "linestyle": "none"},
-    "end": {"color": "#1b2330", "marker": "s", "linestyle": "none"},
+# What styles have on paper beside the colours and dashes of the style sheet.
+_ON_PAPER: Final[dict[str, dict[str, Any]]] = {
+    "reference": {"linewidth": 0.8},
+    "limit": {"linewidth": 0.8},
+    "zero": {"linewidth": 0.6},
+    "sigma": {"linestyle": "-", "linewidth": 0.4},  # thin: fine dots close up in print
+    "start": {"marker": "o", "markerfacecolor": "white", "linestyle": "none"},
+    "end": {"marker": "s", "linestyle": "none"},
 }
+_BAND: Final = "band "  # Begins the style of an area in the legend.
 _STYLE: Final[Any] = {
     "font.size": 8.0,
     "axes.titlesize": 6.5,
@@ -53,7 +53,10 @@ _STYLE: Final[Any] = {
 NARROWEST_MM = 60.0
 WIDEST_MM = 1000.0
 _MM_PER_INCH: Final = 25.4
+_WIDE_MM: Final = 120.0  # From this width on panels are side by side.
 _SHAPE: Final = 0.62  # Height over width of a panel.
+_SHAPE_OF_TRACK: Final = 0.85
+_TITLE_MM: Final = 10.0
 _LOW_MM: Final = 34.0  # Height of a panel among several, if it is wide.
 _SLIDE_MM: Final = 90.0  # Width of a panel on a slide.
 _PANELS_IN_A_ROW: Final = 3
@@ -113,11 +116,53 @@ def drawn(figure: Figure, format_: str, width_mm: float, *, headed: bool = False
 def paper_canvas(figure: Figure, width_mm: float, *, headed: bool = False) -> "Canvas":
     """Return a figure of matplotlib; panels over the same time share its axis."""
     require_matplotlib()
-    from matplotlib import figure as drawing
     from matplotlib import style
+
+    with style.context(["default", _STYLE]):
+        canvas = _draw_panels(figure.panels, width_mm, headed=headed)
+        if headed:
+            canvas.suptitle(figure.title, wrap=True)
+        _add_legend(canvas, figure)
+        _fit_titles(canvas)
+    return canvas
+
+
+def _draw_panels(panels: Sequence[Panel], width_mm: float, *, headed: bool) -> "Canvas":
+    """Draw the panels in rows, or, without a title above them, column by column: so the axes of a vector are one."""
+    rows, columns = _grid(len(panels), width_mm, headed=headed)
+    is_shared = not headed and _share_an_axis(panels)
+    panel_mm = width_mm / columns
+    row_mm = panel_mm * _SHAPE
+    if panels[0].equal and not headed:
+        row_mm = panel_mm * _SHAPE_OF_TRACK
+    if is_shared:
+        row_mm = min(row_mm, max(_LOW_MM, 0.3 * panel_mm))
+    height_mm = rows * row_mm
+    if headed:
+        height_mm += _TITLE_MM
+    canvas = _new_canvas(width_mm, height_mm)
+    grid = canvas.subplots(rows, columns, squeeze=False, sharex=is_shared)
+    places = list(grid.flatten("C" if headed else "F"))
+    for place, panel in zip(places, panels, strict=False):
+        _draw(place, panel, titled=headed or len(panels) > 1)
+    for place in places[len(panels) :]:
+        place.remove()
+    if is_shared:
+        for column in grid.T:
+            _label_lowest([place for place in column if place in canvas.axes])
+    return canvas
+
+
+def _share_an_axis(panels: Sequence[Panel]) -> bool:
+    """Return whether panels have the same horizontal axis."""
+    axes = {(panel.x_label, panel.x_scale) for panel in panels}
+    return len(panels) > 1 and len(axes) == 1
+
+
+def _new_canvas(width_mm: float, height_mm: float) -> "Canvas":
+    """Return an empty figure of a size."""
+    from matplotlib import figure as drawing
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
     class Shown(drawing.Figure):
         """A figure that a notebook shows by itself."""
@@ -127,97 +172,94 @@ def paper_canvas(figure: Figure, width_mm: float, *, headed: bool = False) -> "C
             self.savefig(stream, format="png", dpi=150)
             return stream.getvalue()
 
-    panels = figure.panels
-    rows, columns = _grid(len(panels), width_mm, headed=headed)
-    is_shared = (
-        not headed
-        and len(panels) > 1
-        and len({(panel.x_label, panel.x_scale) for panel in panels}) == 1
-    )
-    panel_mm = width_mm / columns
-    row_mm = panel_mm * (0.85 if panels[0].equal and not headed else _SHAPE)
-    row_mm = min(row_mm, max(_LOW_MM, 0.3 * panel_mm)) if is_shared else row_mm
-    with style.context(["default", _STYLE]):
-        canvas = Shown(
-            figsize=(width_mm / _MM_PER_INCH, (rows * row_mm + 10.0 * headed) / _MM_PER_INCH),
-            layout="constrained",
-        )
-        # The label of the last tick is half beyond its axis.
-        canvas.set_layout_engine("constrained", w_pad=_PAD_IN)
-        FigureCanvasAgg(canvas)
-        grid = canvas.subplots(rows, columns, squeeze=False, sharex=is_shared)
-        places = list(
-            grid.flatten("C" if headed else "F")
-        )  # column by column, so that the axes of a vector are one
-        for place, panel in zip(places, panels, strict=False):
-            _draw(place, panel, titled=headed or len(panels) > 1)
-        for place in places[len(panels) :]:
-            place.remove()
-        for column in grid.T if is_shared else ():
-            kept = [place for place in column if place in canvas.axes]
-            for place in kept[:-1]:
-                place.set_xlabel("")
-            kept[-1].tick_params(labelbottom=True)
-        handles = [
-            Patch(label=label, alpha=0.15, **_look(word.removeprefix("band "))) if word.startswith("band ")
-            else Line2D([], [], label=label, **_look(word))
-            for word, label in figure.legend
-        ]  # fmt: skip
-        if headed:
-            canvas.suptitle(figure.title, wrap=True)
-        for count in range(min(len(handles), 6), 0, -1):
-            legend = canvas.legend(
-                handles=handles, loc="outside lower center", ncols=count, frameon=False
-            )
-            space = legend.get_window_extent()
-            if space.width <= canvas.bbox.width or count == 1:
-                canvas.set_figheight(canvas.get_figheight() + space.height / canvas.dpi)
-                break
-            legend.remove()
-        _fit_titles(canvas)
+    size_in = (width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH)
+    canvas = Shown(figsize=size_in, layout="constrained")
+    # The label of the last tick is half beyond its axis.
+    canvas.set_layout_engine("constrained", w_pad=_PAD_IN)
+    FigureCanvasAgg(canvas)
     return canvas
+
+
+def _label_lowest(column: Sequence["Axes"]) -> None:
+    """Label the shared axis below the lowest of the panels of a column."""
+    *others, lowest = column
+    for axes in others:
+        axes.set_xlabel("")
+    lowest.tick_params(labelbottom=True)
+
+
+def _add_legend(canvas: "Canvas", figure: Figure) -> None:
+    """Write the legend below the panels, in as many columns as there is room for, and make the figure higher by it."""
+    entries = list(figure.legend)
+    if any(ends_of_track(panel) for panel in figure.panels):
+        entries += [(f"{REFERENCE} {name}", name) for name in ("start", "end")]
+    handles = [_key(style, meaning) for style, meaning in entries]
+    for count in range(min(len(handles), 6), 0, -1):
+        legend = canvas.legend(
+            handles=handles, loc="outside lower center", ncols=count, frameon=False
+        )
+        space = legend.get_window_extent()
+        if space.width <= canvas.bbox.width or count == 1:
+            canvas.set_figheight(canvas.get_figheight() + space.height / canvas.dpi)
+            break
+        legend.remove()
+
+
+def _key(style: str, meaning: str) -> "Patch | Line2D":
+    """Return the legend key of a style."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    if style.startswith(_BAND):
+        return Patch(label=meaning, alpha=0.15, **_look(style.removeprefix(_BAND)))
+    return Line2D([], [], label=meaning, **_look(style))
 
 
 def _fit_titles(canvas: "Canvas") -> None:
     """Write all titles smaller if one reaches the panel to its right, or the edge."""
     canvas.draw_without_rendering()
+    begins = [axes.get_position().x0 for axes in canvas.axes]
     shares = [1.0]
     for axes in canvas.axes:
         place = axes.get_position()
-        title = axes.get_title(loc="left")
-        others = [
-            other.get_position().x0 for other in canvas.axes if other.get_position().x0 > place.x1
-        ]
-        text = axes.set_title(title, loc="left")
-        room = (min(others, default=1.0) - place.x0) * canvas.bbox.width - 2.0
+        text = axes.set_title(axes.get_title(loc="left"), loc="left")
+        edge = min((begin for begin in begins if begin > place.x1), default=1.0)
+        room = (edge - place.x0) * canvas.bbox.width - 2.0
         shares.append(room / max(text.get_window_extent().width, room))
+    size = min(shares) * _STYLE["axes.titlesize"]
     for axes in canvas.axes:
-        axes.set_title(
-            axes.get_title(loc="left"), loc="left", fontsize=min(shares) * _STYLE["axes.titlesize"]
-        )
+        axes.set_title(axes.get_title(loc="left"), loc="left", fontsize=size)
 
 
 def _grid(count: int, width_mm: float, *, headed: bool) -> tuple[int, int]:
     """Return the numbers of rows and columns of panels."""
     columns = min(count, _PANELS_IN_A_ROW)
-    if not headed and width_mm < 120.0:
-        columns = 2 if count > 4 and width_mm > 80.0 else 1
-    elif not headed:
-        columns = {4: 2, 6: 2, 12: 4 if width_mm >= 150.0 else 3}.get(count, columns)
+    if not headed:
+        columns = _columns_on_paper(count, width_mm)
     return math.ceil(count / columns), columns
 
 
+def _columns_on_paper(count: int, width_mm: float) -> int:
+    """Return the number of columns of panels in a figure without a title."""
+    if width_mm < _WIDE_MM:
+        if count > 4 and width_mm > 80.0:
+            return 2
+        return 1
+    if count in (4, 6):
+        return 2
+    if count == 12 and width_mm >= 150.0:
+        return 4
+    return min(count, _PANELS_IN_A_ROW)
+
+
 def _draw(axes: "Axes", panel: Panel, *, titled: bool) -> None:
+    """Draw a panel; one that is alone has its title at the vertical axis."""
     for curve in panel.curves:
-        look = _look(curve.style)
-        if curve.band is not None:
-            axes.fill_between(curve.x, *curve.band, color=look["color"], alpha=0.15, linewidth=0.0)
-        if curve.points:
-            axes.plot(curve.x, curve.y, **{"marker": "o", **look, "linestyle": "none"})
-        else:
-            axes.plot(curve.x, curve.y, **look)
+        _draw_curve(axes, curve)
+    for name, (x, y) in ends_of_track(panel).items():
+        axes.plot([x], [y], **_look(f"{REFERENCE} {name}"))
     for level in panel.levels:
-        axes.axhline(level, **_look("limit"))
+        axes.axhline(level, **_look(LIMIT))
     axes.set_xlabel(panel.x_label)
     if panel.y_limits is not None:
         axes.set_ylim(panel.y_limits)
@@ -231,44 +273,66 @@ def _draw(axes: "Axes", panel: Panel, *, titled: bool) -> None:
         axes.set_aspect("equal", adjustable="datalim")
     if panel.x_whole:
         axes.locator_params(axis="x", integer=True)
-    for axis, name, scale in ((axes.xaxis, "x", panel.x_scale), (axes.yaxis, "y", panel.y_scale)):
-        values = np.unique(
-            np.concatenate([getattr(curve, name) for curve in panel.curves] or [np.empty(0)])
-        )
-        is_log = scale == "log" and bool(
-            (values > 0.0).any()
-        )  # matplotlib fails without a positive value
-        axes.set(**{f"{name}scale": "log" if is_log else "linear"})
-        _plain_ticks(axis, values, is_log=is_log, named=name == "x")
+    across = _different_values(curve.x for curve in panel.curves)
+    is_log = panel.x_scale == "log" and _has_positive(across)
+    axes.set(xscale="log" if is_log else "linear")
+    _plain_ticks(axes.xaxis, across, is_log=is_log, named=True)
+    down = _different_values(curve.y for curve in panel.curves)
+    is_log = panel.y_scale == "log" and _has_positive(down)
+    axes.set(yscale="log" if is_log else "linear")
+    _plain_ticks(axes.yaxis, down, is_log=is_log, named=False)
+
+
+def _draw_curve(axes: "Axes", curve: Curve) -> None:
+    look = _look(curve.style)
+    if curve.band is not None:
+        axes.fill_between(curve.x, *curve.band, color=look["color"], alpha=0.15, linewidth=0.0)
+    if curve.points:
+        look = {"marker": "o", **look, "linestyle": "none"}
+    axes.plot(curve.x, curve.y, **look)
+
+
+def _different_values(values: "Iterable[Floats]") -> "Floats":
+    return np.unique(np.concatenate([np.empty(0), *values]))
+
+
+def _has_positive(values: "Floats") -> bool:
+    """Return whether values can be on a logarithmic axis, on which matplotlib fails without a positive one."""
+    return bool((values > 0.0).any())
 
 
 def _plain_ticks(axis: "Axis", values: "Floats", *, is_log: bool, named: bool) -> None:
     """Write ticks without powers of ten; named: on a logarithmic axis they are the values, if these are few."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
-    def plain(value: float, _place: int) -> str:
-        is_plain = value == 0.0 or 1e-6 < abs(value) < 1e7  # longer numbers cannot be read
-        text = (
-            np.format_float_positional(float(f"{value:.9g}"), trim="-")
-            if is_plain
-            else f"{value:g}"
-        )
-        return text.replace("-", "\N{MINUS SIGN}")
-
     if is_log:
         low, high = axis.get_view_interval()
-        digits = (1.0, 2.0, 5.0) if high < _SHORT * low else (1.0,)
-        is_few = named and len(values) <= _MOST_TICKS
-        axis.set_major_locator(
-            FixedLocator(list(values)) if is_few else LogLocator(subs=digits, numticks=_MOST_TICKS)
-        )
+        if named and len(values) <= _MOST_TICKS:
+            axis.set_major_locator(FixedLocator(list(values)))
+        elif high < _SHORT * low:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=_MOST_TICKS))
+        else:
+            axis.set_major_locator(LogLocator(subs=(1.0,), numticks=_MOST_TICKS))
         axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(plain))
+    axis.set_major_formatter(FuncFormatter(_plain))
+
+
+def _plain(value: float, _place: int) -> str:
+    """Write the label of a tick without a power of ten, where that stays short."""
+    text = f"{value:g}"
+    if value == 0.0 or 1e-6 < abs(value) < 1e7:
+        text = np.format_float_positional(float(f"{value:.9g}"), trim="-")
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def _look(style: str) -> dict[str, Any]:
-    """Join the looks of the words of a style."""
+    """Join the looks of the words of a style: those of the style sheet, and what they have on paper alone."""
     look: dict[str, Any] = {}
     for word in style.split():
-        look |= LOOKS[word]
+        stroke = strokes().get(word)
+        if stroke is not None and stroke.colour is not None:
+            look["color"] = stroke.colour
+        if stroke is not None and stroke.dashes is not None:
+            look["linestyle"] = (0, stroke.dashes) if stroke.dashes else "-"
+        look |= _ON_PAPER.get(word, {})
     return look

@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib.resources import files
 from itertools import pairwise
 from typing import Final
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats, Integers
 from insdvl_replay.core.errors import visible
+from insdvl_replay.document.looks import style_sheet
 from insdvl_replay.document.parts import (
     REFERENCE,
     Curve,
@@ -49,11 +49,6 @@ _LOG_DIGITS = 3
 _LOG_COUNTS = 5000
 # Seconds in the unit of an axis: values at the cursor are in seconds, as in files.
 _SECONDS: Final = {"time [min]": 60.0, "time [h]": 3600.0}
-
-
-def style_sheet() -> str:
-    """Return the style sheet of pages and pictures."""
-    return files("insdvl_replay.document").joinpath("page.css").read_text("utf-8")
 
 
 # --- An axis: its limits, its ticks and their labels.
@@ -379,19 +374,38 @@ def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str])
     yield from lines
 
 
-def _marks(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
-    """Mark start and end of a track: of the reference, else of the curve on top."""
+def ends_of_track(panel: Panel) -> dict[str, tuple[float, float]]:
+    """Return x and y of the start and the end of a track: of the reference, else of the curve on top."""
     if not panel.equal or not panel.curves:
-        return
-    curve = next((curve for curve in panel.curves if curve.style == REFERENCE), panel.curves[-1])
+        return {}
+    curve = panel.curves[-1]
+    for other in panel.curves:
+        if other.style == REFERENCE:
+            curve = other
+            break
     known = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
-    if len(known):
-        x = x_axis.place(curve.x[known[[0, -1]]]).tolist()
-        y = y_axis.place(curve.y[known[[0, -1]]]).tolist()
-        yield f'<circle class="start" cx="{x[0]:.1f}" cy="{y[0]:.1f}" r="4"/>'
-        yield f'<rect class="end" x="{x[1] - 3:.1f}" y="{y[1] - 3:.1f}" width="6" height="6"/>'
-        for name, across, down in (("start", x[0], y[0] - 6.0), ("end", x[1], y[1] + 13.0)):
-            yield f'<text class="name" x="{across + 3:.1f}" y="{down:.1f}">{name}</text>'
+    if not len(known):
+        return {}
+    first = known[0]
+    last = known[-1]
+    return {
+        "start": (float(curve.x[first]), float(curve.y[first])),
+        "end": (float(curve.x[last]), float(curve.y[last])),
+    }
+
+
+def _marks(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
+    """Mark start and end of a track."""
+    ends = ends_of_track(panel)
+    if not ends:
+        return
+    x, y = np.array([ends["start"], ends["end"]]).T
+    begin_x, end_x = x_axis.place(x).tolist()
+    begin_y, end_y = y_axis.place(y).tolist()
+    yield f'<circle class="start" cx="{begin_x:.1f}" cy="{begin_y:.1f}" r="4"/>'
+    yield f'<rect class="end" x="{end_x - 3:.1f}" y="{end_y - 3:.1f}" width="6" height="6"/>'
+    for name, across, down in (("start", begin_x, begin_y - 6.0), ("end", end_x, end_y + 13.0)):
+        yield f'<text class="name" x="{across + 3:.1f}" y="{down:.1f}">{name}</text>'
 
 
 def _names(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:

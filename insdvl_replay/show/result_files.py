@@ -36,7 +36,8 @@ from insdvl_replay.results.folder import (
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
 from insdvl_replay.show.answers import has_reference
 from insdvl_replay.show.dive import NO_REFERENCE, dive_page
-from insdvl_replay.show.figures import coverage_strips, first_panels, replay_figures
+from insdvl_replay.show.plots.all_plots import first_panels, replay_figures
+from insdvl_replay.show.plots.coverage import coverage_strips
 
 
 def report_of(replay: Replay) -> Report:

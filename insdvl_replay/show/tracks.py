@@ -4,13 +4,13 @@ import json
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.errors import visible
-from insdvl_replay.document.paper import LOOKS
+from insdvl_replay.document.looks import strokes
 from insdvl_replay.document.parts import REFERENCE, filter_style
 from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
 from insdvl_replay.preparation.replay import Replay
@@ -37,7 +37,8 @@ def save_tracks(replay: Replay, folder: Path, formats: Sequence[str]) -> None:
             inside = replay.dive.reference.within(replay.start_ns, replay.end_ns)
             if text := tum_trajectory(inside.time_ns, inside.position, inside.mat_nb, origin):
                 (folder / REFERENCE_TRAJECTORY).write_bytes(text)
-    if maps := [format_ for format_ in formats if format_ in MAPS]:
+    maps = [format_ for format_ in formats if format_ in MAPS]
+    if maps:
         frames = {history.filter: history_frame(history) for history in replay.histories}
         reference = reference_frame(replay.dive.reference, replay.start_ns, replay.end_ns, origin)
         for format_ in maps:
@@ -65,7 +66,8 @@ def tum_trajectory(
     lines = []
     for time, row in zip(time_ns[known].tolist(), columns.tolist(), strict=True):
         second, nanosecond = divmod(time, NS_PER_S)
-        lines.append(f"{second}.{nanosecond:09d} {' '.join(f'{number:.9g}' for number in row)}\n")
+        numbers = " ".join(f"{number:.9g}" for number in row)
+        lines.append(f"{second}.{nanosecond:09d} {numbers}\n")
     return "".join(lines).encode()
 
 
@@ -76,13 +78,13 @@ def map_of_tracks(
     format_: str, dive: str, frames: Mapping[str, "pd.DataFrame"], reference: "pd.DataFrame"
 ) -> bytes:
     """Write tracks as lines, by name, from frames of histories and of the reference."""
-    named = [
-        *((name, "filter", frame) for name, frame in frames.items()),
-        (REFERENCE, REFERENCE, reference),
-    ]
-    lines = [
-        (name, kind, line) for name, kind, frame in named if len(line := _positions(frame)) > 1
-    ]
+    named = [(name, "filter", frame) for name, frame in frames.items()]
+    named.append((REFERENCE, REFERENCE, reference))
+    lines = []
+    for name, kind, frame in named:
+        positions = _positions(frame)
+        if len(positions) > 1:
+            lines.append(_Line(name, kind, positions))
     if format_ == "geojson":
         return _geojson(dive, lines)
     return _kml(dive, lines)
@@ -92,17 +94,22 @@ def _positions(frame: "pd.DataFrame") -> list[list[float]]:
     """Return the known positions of a line, without heights if one is missing."""
     known = frame[["longitude_deg", "latitude_deg", "height_m"]].to_numpy()
     known = known[np.isfinite(known[:, :2]).all(axis=1)]
-    places = [*np.round(known[:, :2], _DIGITS).T, np.round(known[:, 2], _HEIGHT_DIGITS)]
-    line: list[list[float]] = np.column_stack(
-        places if np.isfinite(known[:, 2]).all() else places[:2]
-    ).tolist()
+    columns = [np.round(known[:, :2], _DIGITS)]
+    if np.isfinite(known[:, 2]).all():
+        columns.append(np.round(known[:, 2:], _HEIGHT_DIGITS))
+    line: list[list[float]] = np.hstack(columns).tolist()
     return line
 
 
-_Lines = Sequence[tuple[str, str, list[list[float]]]]
+class _Line(NamedTuple):
+    """A track as a line."""
+
+    name: str
+    kind: str  # filter or reference
+    positions: list[list[float]]
 
 
-def _geojson(dive: str, lines: _Lines) -> bytes:
+def _geojson(dive: str, lines: Sequence[_Line]) -> bytes:
     """Write a FeatureCollection of RFC 7946."""
     features: list[dict[str, Any]] = [
         {
@@ -118,20 +125,14 @@ def _geojson(dive: str, lines: _Lines) -> bytes:
     )
 
 
-def _kml(dive: str, lines: _Lines) -> bytes:
+def _kml(dive: str, lines: Sequence[_Line]) -> bytes:
     """Write a document of KML 2.2; programs draw its lines at the surface, so that water does not hide them."""
     places = []
     for number, (name, kind, line) in enumerate(lines):
-        red, green, blue = (
-            LOOKS[filter_style(number) if kind != REFERENCE else REFERENCE]["color"][i : i + 2]
-            for i in (1, 3, 5)
-        )
-        coordinates = " ".join(
-            ",".join(f"{value:.{_DIGITS}f}".rstrip("0").rstrip(".") for value in place)
-            for place in line
-        )
+        style = REFERENCE if kind == REFERENCE else filter_style(number)
+        coordinates = " ".join(_kml_place(place) for place in line)
         places.append(
-            f"<Placemark><name>{escape(visible(name))}</name><Style><LineStyle><color>ff{blue}{green}{red}</color>"
+            f"<Placemark><name>{escape(visible(name))}</name><Style><LineStyle><color>{_kml_colour(style)}</color>"
             "<width>2</width></LineStyle></Style><LineString><tessellate>1</tessellate>"
             f"<coordinates>{coordinates}</coordinates></LineString></Placemark>\n"
         )
@@ -139,3 +140,15 @@ def _kml(dive: str, lines: _Lines) -> bytes:
     return (
         f"{head}<name>{escape(visible(dive))}</name>\n{''.join(places)}</Document></kml>\n".encode()
     )
+
+
+def _kml_place(place: Sequence[float]) -> str:
+    """Write the numbers of a place, without zeros at their ends."""
+    numbers = [f"{value:.{_DIGITS}f}" for value in place]
+    return ",".join(number.rstrip("0").rstrip(".") for number in numbers)
+
+
+def _kml_colour(style: str) -> str:
+    """Write the colour of a style as opacity, blue, green and red."""
+    colour = strokes()[style].colour or "#000000"
+    return f"ff{colour[5:7]}{colour[3:5]}{colour[1:3]}"

@@ -36,7 +36,7 @@ from insdvl_replay.logs.write import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.preparation.run import prepared_timeline, run_one
-from insdvl_replay.show.figures import nis_figure
+from insdvl_replay.show.plots.errors import nis_figure
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, SensorErrors
 

@@ -10,7 +10,7 @@ from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.document.time_axis import Clock
 from insdvl_replay.evaluation.convergence import ConvergenceCurves
 from insdvl_replay.evaluation.outage_test import OutageCurve
-from insdvl_replay.show.figures import convergence_figure, outage_figure
+from insdvl_replay.show.plots.evidence import convergence_figure, outage_figure
 
 S = 1_000_000_000
 TIME_S = np.array([0.2, 0.9, 1.0, 10.0, 100.0])

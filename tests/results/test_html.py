@@ -28,16 +28,13 @@ from insdvl_replay.document.parts import (
 )
 from insdvl_replay.document.tables import parts_for
 from insdvl_replay.document.text import for_terminal
+from insdvl_replay.document.time_axis import Clock
 from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.show.dive import NO_REFERENCE, changed_settings, dive_document
-from insdvl_replay.show.figures import (
-    Clock,
-    covered_shares,
-    error_panel,
-    replay_figures,
-    shades_of,
-    track_panel,
-)
+from insdvl_replay.show.plots.all_plots import error_panel, replay_figures
+from insdvl_replay.show.plots.coverage import covered_shares
+from insdvl_replay.show.plots.motion import track_panel
+from insdvl_replay.show.plots.shades import shades_of
 from insdvl_replay.show.result_files import save_replay
 from insdvl_replay.sim.dive import simulate_dive
 

@@ -9,7 +9,7 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
@@ -24,14 +24,16 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError, UserError
 from insdvl_replay.core.states import STATES
 from insdvl_replay.document.latex import as_latex
-from insdvl_replay.document.paper import LOOKS, require_width
+from insdvl_replay.document.looks import strokes
+from insdvl_replay.document.paper import require_width
 from insdvl_replay.document.parts import DisplayTable
 from insdvl_replay.document.render import render
 from insdvl_replay.document.tables import number as shown_number
 from insdvl_replay.results import stored_results
-from insdvl_replay.results.trajectory import KINDS
 from insdvl_replay.show.dive import dive_document, replay_result
 from insdvl_replay.show.dives import named_result
+from insdvl_replay.show.plots import PaperPlot
+from insdvl_replay.show.plots.all_plots import FOR_PAPER
 
 PROJECT = Path(__file__).resolve().parents[2]
 SAMPLE = PROJECT / "sample_logs" / "figure_eight.mcap"
@@ -56,7 +58,11 @@ def folder(replayed: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- Figures.
 
 
-@pytest.mark.parametrize("kind", KINDS)
+def test_every_plot_for_a_paper_can_be_named_and_every_name_is_drawn() -> None:
+    assert get_args(PaperPlot) == tuple(FOR_PAPER)
+
+
+@pytest.mark.parametrize("kind", FOR_PAPER)
 def test_every_kind_is_drawn_with_names_and_units(kind: str, folder: Path, tmp_path: Path) -> None:
     target = tmp_path / "drawn.svg"
     assert (
@@ -81,7 +87,7 @@ def test_every_kind_is_drawn_with_names_and_units(kind: str, folder: Path, tmp_p
 
 
 @pytest.mark.parametrize("width_mm", [60.0, 88.0, 180.0])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", FOR_PAPER)
 def test_no_text_of_a_figure_is_cut_or_covers_another(
     kind: str, width_mm: float, folder: Path
 ) -> None:
@@ -126,7 +132,7 @@ def test_panels_share_the_time_and_the_track_has_the_reference(folder: Path) -> 
         line.get_color(): line for line in track.axes[0].get_lines() if line.get_marker() == "None"
     }
     np.testing.assert_allclose(
-        drawn[LOOKS["reference"]["color"]].get_xdata(), result.reference["position_e_m"]
+        drawn[strokes()["reference"].colour].get_xdata(), result.reference["position_e_m"]
     )
     assert result.figure("nis").axes[0].collections, "a band"
     with pytest.raises(UserError, match="'eror'"):

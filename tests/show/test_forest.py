@@ -6,7 +6,7 @@ import re
 import pytest
 
 from insdvl_replay.core.words import EvidenceVerdict, Settling, Verdict
-from insdvl_replay.document.plot import style_sheet
+from insdvl_replay.document.looks import style_sheet
 from insdvl_replay.show.first_screen import (
     LEFT,
     RIGHT,
