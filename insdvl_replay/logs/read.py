@@ -66,9 +66,10 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     name = dive_name(log.path)
     config = config.of_dive(name)
     findings = find_roles(place, log.channels, config)
-    for error in filter(None, (finding.error for finding in findings)):
-        raise error
-    sources = [source for finding in findings for source in finding.sources]
+    for finding in findings:
+        if finding.error is not None:
+            raise finding.error
+    sources = sources_of(findings)
     with log.watched(), ThreadPoolExecutor(1) as checker:
         digests = checker.submit(log.digests)
         tables = read_tables(log, sources)
@@ -77,21 +78,17 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     notes = [*log.notes, *source_notes(sources), *loss_notes(tables), *stamp_notes(tables)]
     role_of = {source.topic: source.role for source in reversed(sources)}
     channels = tuple(
-        Channel(
-            topic=topic,
-            type_name=same[0].type_name,
-            encoding=same[0].encoding,
-            role=role_of.get(topic, ""),
-            messages=sum(channel.messages for channel in same),
-        )
+        _stored_channel(topic, same, role_of.get(topic, ""))
         for topic, same in sorted(by_topic(log.channels).items())
     )
     paths = tuple(part.path for part in log.parts)
     del log  # its open chunks are large, and decoding needs the room
     columns = RoleColumns(place, config)
     notes += columns.clock_notes([table.clock() for table in tables])
-    for finding in filter(lambda finding: finding.sources, findings):
-        notes += columns.decode(finding.role, [tables.pop(0) for _ in finding.sources])
+    for finding in findings:
+        if finding.sources:
+            of_role = [tables.pop(0) for _ in finding.sources]
+            notes += columns.decode(finding.role, of_role)
     for filter_name, settings in config.solutions.items():
         if settings.file is not None:
             role = solution_role(filter_name)
@@ -115,6 +112,17 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     )
 
 
+def _stored_channel(topic: str, channels: Sequence[LogChannel], role: str) -> Channel:
+    """Return what results say of a topic."""
+    return Channel(
+        topic=topic,
+        type_name=channels[0].type_name,
+        encoding=channels[0].encoding,
+        role=role,
+        messages=sum(channel.messages for channel in channels),
+    )
+
+
 def held_back_messages(
     paths: Sequence[Path], config: Config, outages: Sequence[tuple[int, int]]
 ) -> dict[str, TimeNs | None]:
@@ -124,16 +132,14 @@ def held_back_messages(
     its times of validity, without their starts.
     """
     log = open_recording(paths, allow_damaged=True)
-    found = dict[str, TimeNs | None]()
-    of_dvl = list[Source]()
-    findings = find_roles(str(log.path), log.channels, config.of_dive(dive_name(log.path)))
-    for source in (source for finding in findings for source in finding.sources):
+    found: dict[str, TimeNs | None] = {}
+    of_dvl: list[Source] = []
+    own_config = config.of_dive(dive_name(log.path))
+    for source in sources_of(find_roles(str(log.path), log.channels, own_config)):
         topic = config.topics.get(source.role.removeprefix(LOG_TOPIC))
         role = (topic and topic.sensor) or source.role
-        if (
-            role.startswith(("reference", "truth", "filters."))
-            or role in config.evaluation.held_out
-        ):
+        is_judge = role.startswith(("reference", "truth", "filters."))
+        if is_judge or role in config.evaluation.held_out:
             found[source.topic] = None
         elif role == "dvl" and outages:
             of_dvl.append(source)
@@ -161,10 +167,11 @@ def read_solution(path: Path) -> tuple[SolutionColumns, list[Note]]:
     wanted = [topics.source(required, topic) for topic in named or fixes]
     if len(wanted) != 1 or len(fixes) > 1:
         text = f"has {len(named)} topics beside {len(fixes)} fixes"
-        raise LogError(
-            text, "write one topic, such as nav_msgs/Odometry, and at most one of NavSatFix", path
-        )
-    sources = [*wanted, *(topics.source(fix, topic) for topic in fixes if named)]
+        hint = "write one topic, such as nav_msgs/Odometry, and at most one of NavSatFix"
+        raise LogError(text, hint, path)
+    sources = wanted
+    if named:
+        sources += [topics.source(fix, topic) for topic in fixes]
     with log.watched():
         return decode_solution(read_tables(log, sources), Solution())
 
@@ -198,30 +205,27 @@ def loss_notes(tables: Iterable[Table]) -> list[Note]:
     missing = []
     left_out = []
     for table in tables:
-        source = table.source
+        topic = table.source.topic
         unreadable = len(table.unreadable_ns)
-        announced = sum(channel.messages for channel in source.channels)
+        announced = sum(channel.messages for channel in table.source.channels)
         found = len(table) + table.others + table.duplicates + unreadable
         if announced != found:
-            text = f"{source.topic}: the log announces {announced} messages, but {found} were found"
-            missing.append(
-                Note("messages_missing", text, abs(announced - found), Severity.WARNING, COPY_AGAIN)
-            )
+            text = f"{topic}: the log announces {announced} messages, but {found} were found"
+            difference = abs(announced - found)
+            missing.append(Note("messages_missing", text, difference, Severity.WARNING, COPY_AGAIN))
         if unreadable and table.fault is not None:
+            clause = counted_clause(unreadable, "messages are unreadable")
             behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9
             text = (
-                f"{source.topic}: {counted_clause(unreadable, 'messages are unreadable')} and left out, from "
-                f"{behind_s.min():.3f} s "
-                f"to {behind_s.max():.3f} s after the first readable one: {table.fault.message}"
+                f"{topic}: {clause} and left out, from {behind_s.min():.3f} s to {behind_s.max():.3f} s after the "
+                f"first readable one: {table.fault.message}"
             )
             left_out.append(
                 Note("messages_unreadable", text, unreadable, Severity.WARNING, COPY_AGAIN)
             )
         if table.duplicates:
-            clause = counted_clause(
-                table.duplicates, "messages are in two channels or files; each is used once"
-            )
-            text = f"{source.topic}: {clause}"
+            what = "messages are in two channels or files; each is used once"
+            text = f"{topic}: {counted_clause(table.duplicates, what)}"
             left_out.append(Note("messages_repeated", text, table.duplicates))
     return [*missing, *left_out]
 
@@ -229,7 +233,8 @@ def loss_notes(tables: Iterable[Table]) -> list[Note]:
 def stamp_notes(tables: Iterable[Table]) -> Iterator[Note]:
     """Note the unit of stamps that are plain numbers."""
     for table in tables:
-        if (numbers := table.stamp_numbers) is not None:
+        numbers = table.stamp_numbers
+        if numbers is not None:
             unit = stamp_unit(numbers, table.columns["log_time"][:, 0])[1]
             text = f"{table.source.topic}: stamp '{table.source.stamp}' was read as {unit}"
             yield Note(f"{table.source.code}_stamp_unit", text)
@@ -300,42 +305,53 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
 
     imu = needed(requirement("imu", config.imu))
     dvl = needed(requirement("dvl", config.dvl))
-    besides = {source.topic for source in dvl.sources} | {
-        own.topic for own in config.solutions.values() if own.topic
-    }
+    besides = {source.topic for source in dvl.sources}
+    besides.update(own.topic for own in config.solutions.values() if own.topic)
     required = requirement("reference", config.reference)
     reference = Finding("reference", (), "ignored by the settings")
     if not config.reference.ignore:
         reference = _explained(
             topics, required, lambda: _references(topics, config, besides), besides
         )
-    sensors = [needed(requirement(name, getattr(config, name))) for name in config.sensors]
+    others = [needed(requirement(name, getattr(config, name))) for name in config.sensors]
     for name, section in config.topics.items():
-        sensors.append(needed(requirement(f"{LOG_TOPIC}{name}", section, "topic")))
+        others.append(needed(requirement(f"{LOG_TOPIC}{name}", section, "topic")))
     for name, settings in config.solutions.items():
-        if settings.topic is None:
-            continue
-        wanted = [requirement(solution_role(name), settings, "solution")]
-        wanted += (
-            [requirement(solution_role(name), settings, "fix", "fix")]
-            if settings.fix is not None
-            else []
-        )
-
-        def look(wanted: Sequence[TopicRequirement] = wanted) -> tuple[Source, ...]:
-            sources = tuple(map(topics.need, wanted))
-            for source, other in product(sources, reference.sources):
-                shared = _shared_fields(source, other)
-                if other.topic == source.topic and shared:
-                    text = f"{source.role} and the reference read the same field, {shared[0]} of '{source.topic}'"
-                    hint = "to judge it by another reference: reference.topic and reference.fix"
-                    raise LogError(f"{text}: its error would be 0", hint)
-            return sources
-
-        sensors.append(_explained(topics, wanted[0], look))
+        if settings.topic is not None:
+            others.append(_solution(topics, name, settings, reference))
     bias = TopicRequirement("truth", NEEDS["truth"])
     truth = _explained(topics, bias, lambda: tuple(filter(None, [topics.find(bias)])))
-    return (imu, dvl, reference, *sensors, *([truth] if truth.sources or truth.error else []))
+    if truth.sources or truth.error:
+        others.append(truth)
+    return imu, dvl, reference, *others
+
+
+def sources_of(findings: Iterable[Finding]) -> list[Source]:
+    """Return the topics that a replay reads, role by role."""
+    sources: list[Source] = []
+    for finding in findings:
+        sources += finding.sources
+    return sources
+
+
+def _solution(topics: Topics, name: str, settings: Solution, reference: Finding) -> Finding:
+    """Find the topics of an onboard solution, whose fields must not be those of the reference."""
+    role = solution_role(name)
+    wanted = [requirement(role, settings, "solution")]
+    if settings.fix is not None:
+        wanted.append(requirement(role, settings, "fix", "fix"))
+
+    def look() -> tuple[Source, ...]:
+        sources = tuple(map(topics.need, wanted))
+        for source, other in product(sources, reference.sources):
+            shared = _shared_fields(source, other)
+            if other.topic == source.topic and shared:
+                text = f"{source.role} and the reference read the same field, {shared[0]} of '{source.topic}'"
+                hint = "to judge it by another reference: reference.topic and reference.fix"
+                raise LogError(f"{text}: its error would be 0", hint)
+        return sources
+
+    return _explained(topics, wanted[0], look)
 
 
 def _shared_fields(source: Source, other: Source) -> list[str]:
@@ -353,9 +369,9 @@ def idle_sensors(
     """Name the topics of unused sensors, by sensor: they could aid a filter and play no other role."""
     topics = Topics(place, channels)
     asked = {finding.role for finding in findings}
-    taken = {
-        source.topic for finding in findings for source in (*finding.sources, *finding.candidates)
-    }
+    taken: set[str] = set()
+    for finding in findings:
+        taken.update(source.topic for source in (*finding.sources, *finding.candidates))
     unused = [requirement(name, getattr(config, name)) for name in SENSORS if name not in asked]
     found = {required.role: topics.candidates(required, taken) for required in unused}
     return {name: candidates for name, candidates in found.items() if candidates}
@@ -368,44 +384,47 @@ def _explained(
     besides: Collection[str] = (),
 ) -> Finding:
     """Return the sources of a role, or the reason why there are none and the readable topics that are possible."""
-    possible = topics.candidates(required, besides) if required.topic is None else []
-
-    def readable() -> Iterator[Source]:
-        for topic in possible if len(possible) > 1 else []:
-            with suppress(LogError):
-                yield topics.source(required, topic)
-
+    possible: list[str] = []
+    if required.topic is None:
+        possible = topics.candidates(required, besides)
     try:
         with error_context(topics.place):
             sources = look()
     except LogError as error:
-        candidates = tuple(readable())
+        candidates = tuple(_readable(topics, required, possible))
         reason = "see the blockers"
         if candidates:
             reason = f"possible topics: {', '.join(source.topic for source in candidates)}"
         elif required.topic is None and not possible:
             reason = topics.reason_for_none
         return Finding(required.role, (), reason, error, candidates)
+    reason = f"set by {required.key}"
     if not sources:
-        return Finding(required.role, (), topics.reason_for_none)
-    named = required.topic is not None
-    return Finding(
-        required.role,
-        sources,
-        f"set by {required.key}" if named else "the only topic of a known type",
-    )
+        reason = topics.reason_for_none
+    elif required.topic is None:
+        reason = "the only topic of a known type"
+    return Finding(required.role, sources, reason)
+
+
+def _readable(
+    topics: Topics, required: TopicRequirement, possible: Sequence[str]
+) -> Iterator[Source]:
+    """Give those of several topics that could play a role."""
+    if len(possible) < 2:
+        return
+    for topic in possible:
+        with suppress(LogError):
+            yield topics.source(required, topic)
 
 
 def _references(topics: Topics, config: Config, besides: Collection[str]) -> tuple[Source, ...]:
     required = requirement("reference", config.reference)
-    solution = topics.find(required, besides) or (
-        topics.need(required) if any(required.paths.values()) else None
-    )
-    if (
-        solution
-        and solution.fields.keys() & {"latitude", "origin"}
-        and config.reference.fix is None
-    ):
-        return (solution,)
+    solution = topics.find(required, besides)
+    if solution is None and any(required.paths.values()):
+        solution = topics.need(required)
+    if solution is not None:
+        has_place = bool(solution.fields.keys() & {"latitude", "origin"})
+        if has_place and config.reference.fix is None:
+            return (solution,)
     fix = topics.find(requirement("reference", config.reference, "fix", "fix"), besides)
     return tuple(source for source in (solution, fix) if source is not None)

@@ -12,7 +12,8 @@ import sys
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from itertools import product
+from typing import Any, Final
 
 import numpy as np
 
@@ -53,12 +54,10 @@ Rows = Integers
 RECORDER_STAMPS: Final = ("log_time", "publish_time")  # stamps that are in no message
 # Quantities that change slowly, and are large.
 SAMPLED: Final = ("pose_cov", "twist_cov", "position_cov", "position_cov_type")
-MOST_SAMPLED: Final = (
-    20_000  # so many of their rows are kept, in all 7 MB of an odometry; of more messages, some
-)
-_RATE: Final = re.compile(
-    r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?) ?Hz"
-)  # as a stamp: of the rows of a table
+# So many of their rows are kept, in all 7 MB of an odometry; of more messages, some.
+MOST_SAMPLED: Final = 20_000
+# As a stamp: of the rows of a table.
+_RATE: Final = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?) ?Hz")
 # As a stamp: a field, and the unit of its numbers.
 _WITH_UNIT: Final = re.compile(rf"(.+?) ?\[({'|'.join(TIME_UNITS_NS)})\]")
 _UNDER_WAY: Final = 1000  # messages at most that are under way from a sensor to the recorder
@@ -83,28 +82,21 @@ class Table:
 
     where: tuple[str, str]  # file and topic, for messages to the user
     source: Source
-    columns: (
-        Columns  # by field path, (k, n); those of `SAMPLED` quantities have the sampled rows alone
-    )
-    unreadable_ns: tuple[
-        int, ...
-    ] = ()  # log times of messages that are left out because they do not fit their schema
+    # By field path, (k, n); those of `SAMPLED` quantities have the sampled rows alone.
+    columns: Columns
+    # Log times of messages that are left out because they do not fit their schema.
+    unreadable_ns: tuple[int, ...] = ()
     fault: LogError | None = None  # what is wrong with the first of these
     duplicates: int = 0  # messages that are left out because another channel or file holds them too
-    known: Kinds = field(
-        default_factory=dict
-    )  # every path that the messages have, with the type of what is there
-    files: Rows | None = (
-        None  # (k,), number of the file of each message, where they are from several
-    )
-    has_whole_times: bool = (
-        False  # stamps were seconds and nanoseconds; their column is nanoseconds
-    )
+    # Every path that the messages have, with the type of what is there.
+    known: Kinds = field(default_factory=dict)
+    files: Rows | None = None  # (k,), the file of each message, where they are from several
+    has_whole_times: bool = False  # stamps were seconds and nanoseconds, and are nanoseconds
     others: int = 0  # messages without a row, less the rows that some messages have beyond one
-    sampled: Rows = field(
-        default_factory=lambda: np.empty(0, np.int64)
-    )  # rows of the `SAMPLED` quantities
-    was_set: bool = False  # whether the recorder's clock was set, so that stamps of messages under way have the old one
+    # Rows of the `SAMPLED` quantities.
+    sampled: Rows = field(default_factory=lambda: np.empty(0, np.int64))
+    # Whether the recorder's clock was set, so that stamps of messages under way have the old one.
+    was_set: bool = False
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -143,84 +135,66 @@ class Table:
     @property
     def stamp_numbers(self) -> Array | None:
         """Stamps that are plain numbers, shape (k,); None where they are times."""
-        values = self.columns[stamp_path(self.source.stamp)]
-        is_time = (
-            self.source.stamp in RECORDER_STAMPS or self.has_whole_times or values.shape[1] != 1
-        )
-        is_time |= self.is_time_column(stamp_path(self.source.stamp))
-        is_time |= any(
-            form.fullmatch(self.source.stamp) is not None for form in (_RATE, _WITH_UNIT)
-        )
-        if is_time:
+        stamp = self.source.stamp
+        path = stamp_path(stamp)
+        values = self.columns[path]
+        if stamp in RECORDER_STAMPS or self.has_whole_times or values.shape[1] != 1:
+            return None
+        if _RATE.fullmatch(stamp) or _WITH_UNIT.fullmatch(stamp) or self.is_time_column(path):
             return None
         return values[:, 0]
 
     def is_time_column(self, path: str) -> bool:
         """Return whether a stamp without unit is the column of a table by which its rows have their log times."""
-        channel = self.source.channels[0] if self.source.channels else None
-        if (
-            channel is None
-            or not channel.time_column
-            or path != self.source.stamp
-            or path in RECORDER_STAMPS
-        ):
+        if path != self.source.stamp or path in RECORDER_STAMPS or not self.source.channels:
             return False
-        return column_of(channel, path) == channel.time_column
+        channel = self.source.channels[0]
+        return bool(channel.time_column) and column_of(channel, path) == channel.time_column
 
     def time_ns(self) -> TimeNs:
         """Return the times of validity, shape (k,); a LogError where the stamp is no time, or always the same.
 
         What is measured over an interval, at whose end it is stamped, is valid in the middle of it.
         """
-        role = self.source.role
         stamp = self.source.stamp
-        path = stamp_path(self.source.stamp)
-        values = self.columns[path]
-        hint = f'{role}.stamp = "log_time"'
-        time_ns: TimeNs = values[:, 0]
-        if self.is_time_column(path):
-            time_ns = self.columns["log_time"][:, 0]
-        elif stamp not in RECORDER_STAMPS and not self.has_whole_times:
-            if values.shape[1] != 1:
-                text = f"field '{path}' has {values.shape[1]} numbers and is no time"
-                raise LogError(
-                    text,
-                    f"set {role}.stamp to a builtin_interfaces/Time or one number",
-                    *self.where,
-                )
-            if missing := int(np.count_nonzero(~np.isfinite(values))):
-                raise LogError(
-                    f"stamp '{path}' is not a number in {missing} messages", hint, *self.where
-                )
-            log_time_ns = self.columns["log_time"][:, 0]
-            if rate := _RATE.fullmatch(stamp):
-                counted = int(log_time_ns.min()) + np.rint(
-                    values[:, 0] * (NS_PER_S / float(rate[1]))
-                ).astype(np.int64)
-            elif with_unit := _WITH_UNIT.fullmatch(stamp):
-                from insdvl_replay.logs.formats.table_times import (
-                    in_ns,
-                )  # with pandas, which other logs do not need
-
-                counted = in_ns(values[:, 0], with_unit[2])
-            else:
-                counted = values[:, 0] * stamp_unit(values[:, 0], log_time_ns)[0]
-            time_ns = counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
+        time_ns = self._stamps_ns()
         if self.was_set:
             time_ns = with_one_clock(time_ns, self.columns["log_time"][:, 0])
         if time_ns.size > 1 and time_ns.min() == time_ns.max():
             text = f"stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages"
-            raise LogError(text, hint, *self.where)
+            raise LogError(text, f'{self.source.role}.stamp = "log_time"', *self.where)
         if "interval_us" in self:
             interval_us = self.column("interval_us")
             possible = (interval_us >= 0.0) & (interval_us < 2.0**32)
-            time_ns = time_ns - np.rint(np.where(possible, interval_us, 0.0) * 500.0).astype(
-                np.int64
-            )
+            half_ns = np.where(possible, interval_us, 0.0) * 500.0
+            time_ns = time_ns - np.rint(half_ns).astype(np.int64)
         latency_ns = nanoseconds(self.source.latency_s)
         if latency_ns:
             return time_ns - latency_ns
         return time_ns
+
+    def _stamps_ns(self) -> TimeNs:
+        """Return the times of the stamps as they are written, shape (k,)."""
+        stamp = self.source.stamp
+        path = stamp_path(stamp)
+        values = self.columns[path]
+        log_time_ns: TimeNs = self.columns["log_time"][:, 0]
+        if self.is_time_column(path):
+            return log_time_ns
+        if stamp in RECORDER_STAMPS or self.has_whole_times:
+            return np.asarray(values[:, 0])
+        if values.shape[1] != 1:
+            text = f"field '{path}' has {values.shape[1]} numbers and is no time"
+            hint = f"set {self.source.role}.stamp to a builtin_interfaces/Time or one number"
+            raise LogError(text, hint, *self.where)
+        missing = int(np.count_nonzero(~np.isfinite(values)))
+        if missing:
+            text = f"stamp '{path}' is not a number in {missing} messages"
+            raise LogError(text, f'{self.source.role}.stamp = "log_time"', *self.where)
+        counted_ns = _counted_ns(stamp, values[:, 0], log_time_ns)
+        if counted_ns.dtype != np.int64:
+            counted_ns = np.rint(counted_ns).astype(np.int64)
+        return counted_ns
 
     def clock(self) -> Clock:
         """Compare the stamps with the times of recording; what is measured over an interval has the middle of it."""
@@ -234,6 +208,22 @@ class Table:
         """Return the error with which a log is refused of which messages cannot be read."""
         faults = [self.fault] * len(self.unreadable_ns) if self.fault else []
         return damaged_file_error(faults, [self.columns["log_time"][:, 0]], "message")
+
+
+def _counted_ns(stamp: str, numbers: Array, log_time_ns: TimeNs) -> Array:
+    """Return the times of stamps that are plain numbers, (k,): of rows, in a unit, or in that which they show."""
+    rate = _RATE.fullmatch(stamp)
+    if rate:
+        steps_ns = np.rint(numbers * (NS_PER_S / float(rate[1])))
+        return np.asarray(int(log_time_ns.min()) + steps_ns.astype(np.int64))
+    with_unit = _WITH_UNIT.fullmatch(stamp)
+    if with_unit:
+        # With pandas, which other logs do not need.
+        from insdvl_replay.logs.formats.table_times import in_ns
+
+        return in_ns(numbers, with_unit[2])
+    unit_ns, _ = stamp_unit(numbers, log_time_ns)
+    return np.asarray(numbers * unit_ns)
 
 
 def with_one_clock(time_ns: TimeNs, log_time_ns: TimeNs) -> TimeNs:
@@ -250,7 +240,10 @@ def with_one_clock(time_ns: TimeNs, log_time_ns: TimeNs) -> TimeNs:
 def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
     """Read the columns of several topics, in the order of the sources."""
     builders = [_Builder(log, source) for source in sources]
-    for block in log.blocks({channel.id for source in sources for channel in source.channels}):
+    channel_ids: set[int] = set()
+    for source in sources:
+        channel_ids.update(channel.id for channel in source.channels)
+    for block in log.blocks(channel_ids):
         for builder in builders:
             builder.add(block)
     return [builder.table() for builder in builders]
@@ -280,38 +273,45 @@ class Column:
 
     def add(self, values: Array) -> None:
         """Add rows, (k, n); whole numbers stay whole until others come, and shorter rows are filled up with NaN."""
-        done = self._count
-        end = self._count + len(values)
-        self._first = self._first if done else values[:1].copy()
+        if not self._count:
+            self._first = values[:1].copy()
         before = self.values()
-        self._count = end
+        self._count += len(values)
         is_even = before.shape[1] == values.shape[1]
-        if self._rows is None and is_even and before.dtype == values.dtype:
-            alike = np.broadcast_to(self._first, values.shape)
-            # The last row mostly tells that not all are the same.
-            if all(
-                np.array_equal(values[rows], alike[rows], equal_nan=True)
-                for rows in (slice(-1, None), slice(None))
-            ):
-                return
+        is_alike = is_even and before.dtype == values.dtype
+        if self._rows is None and is_alike and _all_are(values, self._first):
+            return
         width = max(before.shape[1], values.shape[1])
         dtype = np.result_type(before, values) if is_even else np.dtype(np.float64)
-        if (
-            self._rows is None
-            or end > len(self._rows)
-            or (width, dtype) != (before.shape[1], before.dtype)
-        ):
-            # Component by component, as messages are read and as numpy goes through rows of three the fastest.
-            room = max(end, self._announced if self._rows is None else 2 * done)
-            self._rows = np.empty((room, width), dtype, order="F")
-            _fill(self._rows[:done], before)
-        _fill(self._rows[done:end], values)
+        self._rows = self._with_room(before, width, dtype)
+        _fill(self._rows[len(before) : self._count], values)
+
+    def _with_room(self, before: Array, width: int, dtype: np.dtype[Any]) -> Array:
+        """Return the rows so far, copied where there is no room for more, or for numbers of another kind."""
+        room = self._announced
+        if self._rows is not None:
+            is_alike = (width, dtype) == (before.shape[1], before.dtype)
+            if is_alike and self._count <= len(self._rows):
+                return self._rows
+            room = 2 * len(before)
+        # Component by component, as messages are read and as numpy goes through rows of three the fastest.
+        rows = np.empty((max(self._count, room), width), dtype, order="F")
+        _fill(rows[: len(before)], before)
+        return rows
 
     def values(self) -> Array:
         """Return the rows so far."""
         if self._rows is None:
             return np.broadcast_to(self._first, (self._count, self._first.shape[1]))
         return self._rows[: self._count]
+
+
+def _all_are(values: Array, first: Array) -> bool:
+    """Return whether all rows are as one; the last mostly tells that they are not."""
+    alike = np.broadcast_to(first, values.shape)
+    if not np.array_equal(values[-1:], alike[-1:], equal_nan=True):
+        return False
+    return np.array_equal(values, alike, equal_nan=True)
 
 
 def _fill(rows: Array, values: Array) -> None:
@@ -339,11 +339,12 @@ class _Builder:
         paths = [stamp_path(source.stamp), "log_time"]
         for quantity, joined in source.fields.items():
             paths += split_paths(joined)
-            self.sampled |= set(split_paths(joined)) if quantity in SAMPLED else set()
-        room = min(announced, enough)
-        self.columns = {
-            path: Column(room // (self.every if path in self.sampled else 1) + 1) for path in paths
-        }
+            if quantity in SAMPLED:
+                self.sampled.update(split_paths(joined))
+        self.columns: dict[str, Column] = {}
+        for path in paths:
+            step = self.every if path in self.sampled else 1
+            self.columns[path] = Column(min(announced, enough) // step + 1)
         self.readers = {channel.id: self._reader(channel) for channel in source.channels}
 
     def _reader(self, channel: LogChannel) -> FieldReader:
@@ -368,12 +369,10 @@ class _Builder:
             for path, column in self.columns.items():
                 values = getattr(part, path)[:, None] if path in RECORDER_STAMPS else fields[path]
                 if path == stamp_path(self.source.stamp) and values.shape[1] == 2:
-                    # Seconds and nanoseconds; where they are missing, time 0 is wrong in any log.
                     self.has_whole_times = True
-                    values = values[:, :1] * NS_PER_S + values[:, 1:]
-                    if values.dtype != np.int64:
-                        values = np.where(np.abs(values) < 2.0**63, values, 0.0).astype(np.int64)
-                values = values[chosen] if path in self.sampled else values
+                    values = _whole_times_ns(values)
+                if path in self.sampled:
+                    values = values[chosen]
                 if len(values):
                     column.add(values)
             self.runs.append((part.channel_id, len(part)))
@@ -398,7 +397,7 @@ class _Builder:
             yield block, columns
 
     def table(self) -> Table:
-        """Return what has been read."""
+        """Return what has been read; a LogError where some of it cannot be used."""
         if not self.count:
             raise self.fault or self._has_nothing()
         columns = {path: column.values() for path, column in self.columns.items()}
@@ -435,14 +434,24 @@ class _Builder:
         """State that there are no messages, or which elements there are where none is what was asked for."""
         element = self.source.element
         if element is None:
-            return LogError(
-                "has no messages", "the counts in the log's summary are wrong", *self.where
-            )
-        seen = {texts for reader in self.readers.values() for texts in getattr(reader, "seen", ())}
+            hint = "the counts in the log's summary are wrong"
+            return LogError("has no messages", hint, *self.where)
+        seen: set[tuple[str, ...]] = set()
+        for reader in self.readers.values():
+            seen.update(getattr(reader, "seen", ()))
         pairs = [f"{self.source.role}.frames = {toml_value(texts)}" for texts in sorted(seen)]
         asked = f"has no transform from {' to '.join(element.texts)}" if element.texts else ""
         hint = f"it has {listed(pairs)}" if pairs else "its messages are empty"
         return LogError(asked or "has transforms of many frames", hint, *self.where)
+
+
+def _whole_times_ns(values: Array) -> Array:
+    """Return times that are seconds and nanoseconds, (k, 2), as nanoseconds, (k, 1)."""
+    time_ns = values[:, :1] * NS_PER_S + values[:, 1:]
+    if time_ns.dtype != np.int64:
+        # Where they are missing, time 0 is wrong in any log.
+        time_ns = np.where(np.abs(time_ns) < 2.0**63, time_ns, 0.0).astype(np.int64)
+    return np.asarray(time_ns)
 
 
 def rows_among(some: Rows, rows: Rows, count: int) -> tuple[Rows, Rows]:
@@ -554,64 +563,70 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
     is off, which it mends: one of the two clocks, with it taken off or without, has to be the IMU's.
     """
 
-    def both_ways(clock: Clock) -> tuple[float, float]:
-        return clock.log_minus_stamp_s, clock.log_minus_stamp_s + clock.latency_s
-
-    def latencies(*clocks: Clock) -> str:
-        return "".join(
-            f"; {clock.role}.latency_s subtracts {clock.latency_s:g} s from the stamps"
-            for clock in clocks
-            if clock.latency_s
-        )
-
     imu, *others = clocks
-    offsets = []
-    unsteady = []
-    for clock in clocks:
-        code = code_of(clock.role)
-        if min(map(abs, both_ways(clock))) > SAME_CLOCK_S + clock.spread_s:
-            text = (
-                f"{clock.topic}: log time minus stamp '{clock.stamp}' is {clock.log_minus_stamp_s:.3f} s "
-                f"(median; {clock.spread_s:.3f} s between the 5th and the 95th percentile){latencies(clock)}"
-            )
-            offsets.append(Note(f"{code}_clock_offset", text, clock.messages))
-        if clock.spread_s > LARGEST_JITTER_S:
-            text = (
-                f"{clock.topic}: the clock of the stamps drifts or jumps against the recorder's: log time minus stamp "
-                f"varies by {clock.spread_s:.3f} s (5th to 95th percentile)"
-            )
-            hint = f'{clock.role}.stamp = "log_time"'
-            unsteady.append(
-                Note(f"{code}_clock_unsteady", text, clock.messages, Severity.WARNING, hint)
-            )
-    apart = []
-    for other in others:
-        jitter_s = min(other.spread_s, LARGEST_JITTER_S) + min(imu.spread_s, LARGEST_JITTER_S)
-        apart_s = (
-            min(abs(its - ours) for its in both_ways(other) for ours in both_ways(imu)) - jitter_s
-        )
-        both = (
-            f"{imu.topic} and {other.topic}"
-            if imu.topic != other.topic
-            else f"imu and {other.role} of {imu.topic}"
-        )
-        text = (
-            f"{both} are stamped by different clocks: log time minus stamp is {imu.log_minus_stamp_s:.3f} s and "
-            f"{other.log_minus_stamp_s:.3f} s{latencies(imu, other)}"
-        )
-        to_set = (
-            f"--set {clock.role}.stamp=log_time"
-            for clock in (imu, other)
-            if clock.stamp != "log_time"
-        )
-        by_recorder = f"to use the recorder's clock for both: {' '.join(to_set)}"
-        if apart_s > max_disagreement_s:
-            hint = f"{by_recorder}; if the clocks are right, raise clocks.max_disagreement_s"
-            raise LogError(text, hint, place)
-        if apart_s > SAME_CLOCK_S:
-            text += "; allowed by clocks.max_disagreement_s"
-            apart.append(Note("clocks_apart", text, other.messages, Severity.WARNING, by_recorder))
-    return (*offsets, *unsteady, *apart)
+    notes = [*map(_offset_note, clocks), *map(_unsteady_note, clocks)]
+    notes += [_apart_note(place, imu, other, max_disagreement_s) for other in others]
+    return tuple(note for note in notes if note is not None)
+
+
+def _offset_note(clock: Clock) -> Note | None:
+    """Note that stamps are not of the recorder's clock."""
+    if min(map(abs, _both_ways(clock))) <= SAME_CLOCK_S + clock.spread_s:
+        return None
+    text = (
+        f"{clock.topic}: log time minus stamp '{clock.stamp}' is {clock.log_minus_stamp_s:.3f} s "
+        f"(median; {clock.spread_s:.3f} s between the 5th and the 95th percentile){_latency(clock)}"
+    )
+    return Note(f"{code_of(clock.role)}_clock_offset", text, clock.messages)
+
+
+def _unsteady_note(clock: Clock) -> Note | None:
+    """Note that the clock of the stamps drifts or jumps."""
+    if clock.spread_s <= LARGEST_JITTER_S:
+        return None
+    text = (
+        f"{clock.topic}: the clock of the stamps drifts or jumps against the recorder's: log time minus stamp "
+        f"varies by {clock.spread_s:.3f} s (5th to 95th percentile)"
+    )
+    code = f"{code_of(clock.role)}_clock_unsteady"
+    hint = f'{clock.role}.stamp = "log_time"'
+    return Note(code, text, clock.messages, Severity.WARNING, hint)
+
+
+def _apart_note(place: str, imu: Clock, other: Clock, max_disagreement_s: float) -> Note | None:
+    """Note that a clock is not that of the IMU; refuse it where it is too far off."""
+    pairs = product(_both_ways(other), _both_ways(imu))
+    jitter_s = min(other.spread_s, LARGEST_JITTER_S) + min(imu.spread_s, LARGEST_JITTER_S)
+    apart_s = min(abs(theirs_s - ours_s) for theirs_s, ours_s in pairs) - jitter_s
+    if not apart_s > min(max_disagreement_s, SAME_CLOCK_S):
+        return None
+    both = f"{imu.topic} and {other.topic}"
+    if imu.topic == other.topic:
+        both = f"imu and {other.role} of {imu.topic}"
+    text = (
+        f"{both} are stamped by different clocks: log time minus stamp is {imu.log_minus_stamp_s:.3f} s and "
+        f"{other.log_minus_stamp_s:.3f} s{_latency(imu)}{_latency(other)}"
+    )
+    stamped = [clock for clock in (imu, other) if clock.stamp != "log_time"]
+    to_set = " ".join(f"--set {clock.role}.stamp=log_time" for clock in stamped)
+    by_recorder = f"to use the recorder's clock for both: {to_set}"
+    if apart_s > max_disagreement_s:
+        hint = f"{by_recorder}; if the clocks are right, raise clocks.max_disagreement_s"
+        raise LogError(text, hint, place)
+    text += "; allowed by clocks.max_disagreement_s"
+    return Note("clocks_apart", text, other.messages, Severity.WARNING, by_recorder)
+
+
+def _both_ways(clock: Clock) -> tuple[float, float]:
+    """Return log time minus stamp with the latency in it, and without; s."""
+    return clock.log_minus_stamp_s, clock.log_minus_stamp_s + clock.latency_s
+
+
+def _latency(clock: Clock) -> str:
+    """State the latency that the settings subtract from the stamps, if there is one."""
+    if not clock.latency_s:
+        return ""
+    return f"; {clock.role}.latency_s subtracts {clock.latency_s:g} s from the stamps"
 
 
 def stamp_unit(values: Array, log_time_ns: TimeNs) -> tuple[int, str]:
@@ -627,7 +642,10 @@ def stamp_unit(values: Array, log_time_ns: TimeNs) -> tuple[int, str]:
         if abs(ran * unit[0] * 1e-9 - recorded_s) < _IN_STEP * recorded_s:
             return unit
     size = float(np.median(np.abs(values)))
-    return next((unit for unit in _UNITS if size * unit[0] * 1e-9 >= _UNIX_TIME_S), _UNITS[-1])
+    for unit in _UNITS:
+        if size * unit[0] * 1e-9 >= _UNIX_TIME_S:
+            return unit
+    return _UNITS[-1]
 
 
 @dataclass(frozen=True)
@@ -650,10 +668,9 @@ def find_order(time_ns: TimeNs, log_time_ns: TimeNs) -> Order:
     """
     ahead_ns = time_ns - log_time_ns
     # The extremes mostly tell that there is no leap.
-    may_leap = bool(ahead_ns.size) and int(ahead_ns.max()) - int(ahead_ns.min()) > nanoseconds(
-        LEAP_S
-    )
-    leaps = may_leap and bool(_leaps(time_ns, log_time_ns).any())
+    leaps = False
+    if ahead_ns.size and int(ahead_ns.max()) - int(ahead_ns.min()) > nanoseconds(LEAP_S):
+        leaps = bool(_leaps(time_ns, log_time_ns).any())
     if np.all(time_ns[1:] >= time_ns[:-1]) and not leaps:
         none = np.empty(0, np.int64)
         return Order(np.arange(time_ns.size), none, none, 0.0, 0.0)
@@ -686,15 +703,15 @@ def _contradictions(stamp_ns: TimeNs, log_time_ns: TimeNs) -> tuple[Mask, float]
     rising_ns = stamp_ns[rising]
     other_ns = stamp_ns[others]
     places = np.cumsum(rising, dtype=np.int64)[others]
-    before_ns, after_ns = (rising_ns[np.clip(places + at, 0, rising_ns.size - 1)] for at in (-1, 0))
+    last = rising_ns.size - 1
+    before_ns = rising_ns[np.clip(places - 1, 0, last)]
+    after_ns = rising_ns[np.clip(places, 0, last)]
     off_s = np.maximum(seconds(before_ns, other_ns), seconds(other_ns, after_ns))
-    far = (off_s > SAME_CLOCK_S) | (
-        np.abs(np.searchsorted(rising_ns, other_ns) - places) > FEW_PLACES
-    )
+    off_places = np.abs(np.searchsorted(rising_ns, other_ns) - places)
+    far = (off_s > SAME_CLOCK_S) | (off_places > FEW_PLACES)
     starts = np.flatnonzero(np.diff(others, prepend=-2) > 1)
-    bad[others] = np.repeat(
-        np.logical_or.reduceat(far, starts), np.diff(starts, append=others.size)
-    )
+    is_wrong = np.logical_or.reduceat(far, starts)
+    bad[others] = np.repeat(is_wrong, np.diff(starts, append=others.size))
     # Of parts between leaps, such as that before a clock was set, all but the longest are wrong.
     part = np.concatenate([[0], np.cumsum(_leaps(stamp_ns[~bad], log_time_ns[~bad]))])
     bad[~bad] = part != np.bincount(part).argmax()
@@ -707,9 +724,9 @@ def _contradictions(stamp_ns: TimeNs, log_time_ns: TimeNs) -> tuple[Mask, float]
 
 def _rising(values: TimeNs) -> Mask:
     """Mark a longest subsequence that never falls."""
-    rising: Mask = (values == np.maximum.accumulate(values)) & (
-        values == np.minimum.accumulate(values[::-1])[::-1]
-    )
+    highest_before = np.maximum.accumulate(values)
+    lowest_behind = np.minimum.accumulate(values[::-1])[::-1]
+    rising: Mask = (values == highest_before) & (values == lowest_behind)
     # What is above all before it and below all behind it is part of any; the others are few in a log that is sound.
     loose = np.flatnonzero(~rising)
     lowest_ends: list[int] = []
