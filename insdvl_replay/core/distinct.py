@@ -1,9 +1,10 @@
 """Which of several results are of dives of their own: copies count once, and parts of one recording are told.
 
 Dives are the same if their logs are, or if the IMU's readings are equal where their times overlap, whatever the logs
-are called and however they are encoded.
+are called and however they are encoded. Times of a copy may be later by a constant, as in another time zone.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final, Protocol, TypeVar
@@ -13,6 +14,7 @@ from insdvl_replay.core.errors import Note, listed
 from insdvl_replay.core.words import Severity
 
 LEAST_EQUAL: Final = 0.5  # share of the samples of a time that both have; rounding changes a few
+LEAST_MOVED: Final = 3  # different readings at one distance in time; two may be equal by chance
 CONTINUED_S: Final = 5.0  # between the end of one file and the beginning of the next
 
 
@@ -79,26 +81,60 @@ def distinct_dives(reports: Sequence[AnyReport]) -> tuple[list[AnyReport], list[
 def _keys(report: DiveReport) -> set[object]:
     """Return digests, of which two reports of one dive have at least one in common."""
     found = report.imu_fingerprint
-    samples = zip(found.at_s, found.digests, strict=True) if found is not None else ()
-    return {*samples, report.log.sha256} - {""}
+    if found is None:
+        return {report.log.sha256} - {""}
+    samples = zip(found.at_s, found.digests, strict=True)
+    return {*samples, *_readings_met_once(found), report.log.sha256} - {""}
 
 
 def is_same_dive(one: DiveReport, other: DiveReport) -> bool:
-    """Return whether two results are of the same log, or of IMUs with equal readings at overlapping times."""
+    """Return whether two results are of the same log, or of IMUs with equal readings at equal or moved times."""
     if one.log.sha256 and one.log.sha256 == other.log.sha256:
         return True
     ours = one.imu_fingerprint
     theirs = other.imu_fingerprint
     if ours is None or theirs is None:
         return False
+    both, equal = _compared(ours, theirs)
+    if both > 0 and equal >= LEAST_EQUAL * both:
+        return True
+    return _is_moved_copy(ours, theirs)
+
+
+def _compared(ours: ImuFingerprint, theirs: ImuFingerprint, moved_s: int = 0) -> tuple[int, int]:
+    """Count the times that both have, and those with equal readings; their times are later by ``moved_s``."""
     known = dict(zip(ours.at_s, ours.digests, strict=True))
-    both = [
-        (known[at_s], digest)
-        for at_s, digest in zip(theirs.at_s, theirs.digests, strict=True)
-        if at_s in known
-    ]
-    equal = sum(our_digest == their_digest for our_digest, their_digest in both)
-    return bool(both) and equal >= LEAST_EQUAL * len(both)
+    both = 0
+    equal = 0
+    for at_s, digest in zip(theirs.at_s, theirs.digests, strict=True):
+        if at_s - moved_s in known:
+            both += 1
+            equal += known[at_s - moved_s] == digest
+    return both, equal
+
+
+def _is_moved_copy(ours: ImuFingerprint, theirs: ImuFingerprint) -> bool:
+    """Return whether most readings of the shorter one are in the other, all at one distance in time.
+
+    The distances are those between times of fingerprints, whole tens of seconds, as of two time zones.
+    """
+    ours_at = _readings_met_once(ours)
+    theirs_at = _readings_met_once(theirs)
+    common = ours_at.keys() & theirs_at.keys()
+    distances = Counter(theirs_at[digest] - ours_at[digest] for digest in common)
+    if not distances:
+        return False
+    moved_s, count = distances.most_common(1)[0]
+    both, equal = _compared(ours, theirs, moved_s)
+    shorter = min(len(ours.at_s), len(theirs.at_s))
+    return count >= LEAST_MOVED and equal >= LEAST_EQUAL * both and both >= LEAST_EQUAL * shorter
+
+
+def _readings_met_once(fingerprint: ImuFingerprint) -> dict[str, int]:
+    """Return the time of each reading that comes once; at rest, a coarse IMU repeats others."""
+    times = Counter(fingerprint.digests)
+    samples = zip(fingerprint.at_s, fingerprint.digests, strict=True)
+    return {digest: at_s for at_s, digest in samples if times[digest] == 1}
 
 
 def _length_ns(report: DiveReport) -> int:
@@ -118,7 +154,10 @@ def _same_note(group: Sequence[DiveReport], kept: DiveReport) -> Note:
 
 
 def _continued_notes(reports: Sequence[DiveReport]) -> list[Note]:
-    """Note dives that begin where another one of the same vehicle ends."""
+    """Note dives that begin where another one of the same vehicle ends, or a little before.
+
+    Those that begin earlier have times in common, at which their readings tell whether they are the same.
+    """
     ends: dict[str, list[tuple[ImuFingerprint, str]]] = {}
     for report in reports:
         if report.imu_fingerprint is not None:
@@ -128,8 +167,10 @@ def _continued_notes(reports: Sequence[DiveReport]) -> list[Note]:
         ordered = sorted(parts, key=lambda part: part[0].first_ns)
         for (before, ended), (after, begun) in pairwise(ordered):
             pause_s = (after.first_ns - before.last_ns) * 1e-9
-            if 0.0 <= pause_s <= CONTINUED_S:
-                text = f"{begun} begins {pause_s:.1f} s after the end of {ended}: one dive that counts as two?"
+            is_compared = bool(set(before.at_s) & set(after.at_s))
+            if pause_s <= CONTINUED_S and not is_compared:
+                when = "after" if pause_s >= 0.0 else "before"
+                text = f"{begun} begins {abs(pause_s):.1f} s {when} the end of {ended}: one dive that counts as two?"
                 hint = "replay the files of one recording together: --one-dive"
                 notes.append(Note("dives_continue", text, 1, Severity.WARNING, hint))
     return notes

@@ -82,6 +82,24 @@ def test_a_copy_counts_once(imu: ImuColumns, change: Callable[[ImuColumns], ImuC
     assert kept == ["whole" if change is cut else kept[0], "other"]
 
 
+@pytest.mark.parametrize("by_s", [3600.0, -7200.0, 100_000.0])
+def test_a_copy_in_another_time_zone_counts_once(imu: ImuColumns, by_s: float) -> None:
+    reports = [made("whole", imu, "a"), made("moved", moved(cut(imu), by_s), "b")]
+    assert names(reports) == (["whole"], ["dives_same"])
+
+
+def test_a_coarse_imu_at_rest_repeats_its_readings_in_other_dives() -> None:
+    draw = np.random.default_rng(1)
+    step_ns = 50_000_000
+    dives = []
+    for number in range(8):
+        time_ns = 1_700_000_000_000_000_000 + number * 3_600_000_000_000 + step_ns * np.arange(2000)
+        force_b = np.array([0.0, 0.0, -9.8]) + 0.01 * draw.integers(-1, 2, (2000, 3))
+        rate_b = 0.001 * draw.integers(-1, 2, (2000, 3))
+        dives.append(made(str(number), ImuColumns(time_ns, force_b, rate_b)))
+    assert names(dives) == ([dive.log.name for dive in dives], [])
+
+
 def test_a_copy_under_another_name_counts_once_without_fingerprint_too() -> None:
     kept, codes = names(
         [
@@ -129,6 +147,21 @@ def test_files_of_one_recording_are_told(
         ["second", "first"],
         codes,
     )
+
+
+@pytest.mark.parametrize(
+    ("from_s", "names_told", "codes"),
+    [
+        (93.0, ["first", "second"], ["dives_continue"]),  # no whole ten seconds are in both
+        (83.0, ["second"], ["dives_same"]),
+    ],
+)
+def test_files_of_one_recording_that_overlap_are_told(
+    imu: ImuColumns, from_s: float, names_told: list[str], codes: list[str]
+) -> None:
+    first = made("first", between(imu, 0.0, 98.0))
+    second = made("second", between(imu, from_s, 198.0))
+    assert names([first, second]) == (names_told, codes)
 
 
 def test_the_fingerprint_of_a_long_dive_is_small_and_finds_its_parts() -> None:
