@@ -81,10 +81,13 @@ def distinct_dives(reports: Sequence[AnyReport]) -> tuple[list[AnyReport], list[
 def _keys(report: DiveReport) -> set[object]:
     """Return digests, of which two reports of one dive have at least one in common."""
     found = report.imu_fingerprint
-    if found is None:
-        return {report.log.sha256} - {""}
-    samples = zip(found.at_s, found.digests, strict=True)
-    return {*samples, *_readings_met_once(found), report.log.sha256} - {""}
+    keys = set[object]()
+    if report.log.sha256:
+        keys.add(report.log.sha256)
+    if found is not None:
+        keys.update(zip(found.at_s, found.digests, strict=True))
+        keys.update(_readings_met_once(found))
+    return keys
 
 
 def is_same_dive(one: DiveReport, other: DiveReport) -> bool:

@@ -760,7 +760,12 @@ class PooledRow(Struct, frozen=True):
     ]
     dives_won: Annotated[int, Col(head="won")]
     scatter: Annotated[
-        Number, Col("Standard deviation of the logarithm of the ratio over dives.", form="3")
+        Number,
+        Col(
+            "Standard deviation of the logarithm of the ratio over dives; empty where each of several vehicles is one "
+            "sample, whose dives differ less than vehicles do.",
+            form="3",
+        ),
     ]
     p: Annotated[
         Number,

@@ -90,6 +90,11 @@ def log_ratio_interval(
     )
 
 
+def is_by_vehicle(interval: Interval) -> bool:
+    """Return whether vehicles are the samples and have several dives, so that more dives do not make it narrower."""
+    return FEWEST_VEHICLES <= interval.vehicles < interval.dives
+
+
 def _mean_and_error(groups: Sequence[Floats]) -> tuple[float, float, float, float]:
     """Return the mean of logarithms, its standard error, the degrees of freedom, and the scatter of dives."""
     if not groups:

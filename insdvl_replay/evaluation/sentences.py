@@ -310,6 +310,8 @@ def plan_line(answer: Answer) -> str:
             return ""
         return _plan_for_first_verdict(primary)
     level = finite(primary.level_pct) / 100.0
+    if math.isnan(finite(primary.scatter)) and math.isfinite(finite(primary.low)):
+        return "Each vehicle is one sample: more vehicles make the interval narrower, more dives do not."
     found = change_found(finite(primary.scatter), primary.dives, level)
     if not math.isfinite(found):
         return ""

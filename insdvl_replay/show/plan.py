@@ -1,10 +1,12 @@
 """How many dives it takes: what the dives of a result can find in each quantity, and how many find smaller changes."""
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Annotated, ClassVar, Final
 
 from msgspec import Struct
 
+from insdvl_replay.core.errors import counted
 from insdvl_replay.core.quantities import FEWEST_DIVES
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import Col, Number, PooledRow, finite
@@ -55,8 +57,13 @@ def plan_rows(answers: Sequence[CandidateAnswer]) -> Iterator[PlanRow]:
     """Yield a row for each candidate and each quantity whose scatter is known or can be guessed."""
     for answer in answers:
         for row in answer.known:
-            if row.role in (Role.PRIMARY, Role.SECONDARY):
+            if row.role in (Role.PRIMARY, Role.SECONDARY) and not _is_by_vehicle(row):
                 yield _plan_row(row)
+
+
+def _is_by_vehicle(row: PooledRow) -> bool:
+    """Return whether vehicles are the samples, so that no number of dives can be given."""
+    return row.dives >= FEWEST_DIVES and math.isnan(finite(row.scatter))
 
 
 def _plan_row(row: PooledRow) -> PlanRow:
@@ -77,12 +84,19 @@ def _plan_row(row: PooledRow) -> PlanRow:
     )
 
 
+def _nothing_to_plan(reports: Sequence[Report]) -> str:
+    known = (row for answer in answers_of(reports) for row in answer.known)
+    if any(_is_by_vehicle(row) for row in known):
+        return "Each vehicle is one sample: no number of dives replaces more vehicles."
+    return "There is no evidence to plan with."
+
+
 def plan_result(reports: Sequence[Report]) -> Result:
     """Return the plan of a result's dives."""
     rows = list(plan_rows(answers_of(reports)))
-    title = f"What {len(reports)} dives find"
+    title = f"What {counted(len(reports), 'dive')} {'finds' if len(reports) == 1 else 'find'}"
     parts: list[Part] = [Title(title)]
-    parts.append(shown(PlanRow, rows) if rows else "There is no evidence to plan with.")
+    parts.append(shown(PlanRow, rows) if rows else _nothing_to_plan(reports))
     return Result(
         kind="plan", title=title, tables={"plan": Block.of(PlanRow, rows)}, block="", document=parts
     )

@@ -11,11 +11,13 @@ from insdvl_replay.core.quantities import FEWEST_DIVES
 from insdvl_replay.core.words import Role
 from insdvl_replay.evaluation.answers import CandidateAnswer, pooled_candidate
 from insdvl_replay.evaluation.interval import BAND, LEVEL, MOST_DIVES, POWER
-from insdvl_replay.evaluation.sentences import SCATTER_OF_ACTS
+from insdvl_replay.evaluation.sentences import SCATTER_OF_ACTS, plan_line
 from insdvl_replay.show.plan import SOUGHT_PCT, PlanRow, plan_result, plan_rows
 
 
-def answer(ratios: dict[str, list[float]], acts: float = 0.5) -> CandidateAnswer:
+def answer(
+    ratios: dict[str, list[float]], acts: float = 0.5, vehicles: list[str] | None = None
+) -> CandidateAnswer:
     """Return the answer of dives with these ratios, by quantity."""
     dives = len(next(iter(ratios.values())))
     rows = [
@@ -25,7 +27,7 @@ def answer(ratios: dict[str, list[float]], acts: float = 0.5) -> CandidateAnswer
         ]
         for place in range(dives)
     ]
-    return pooled_candidate("aided", "baseline", rows, dives)
+    return pooled_candidate("aided", "baseline", rows, dives, vehicles=vehicles)
 
 
 def row_of(quantity: str, found: CandidateAnswer) -> PlanRow:
@@ -80,6 +82,28 @@ def test_more_dives_than_a_thousand_are_no_plan() -> None:
     assert row.dives_7pct is None
 
 
+def test_dives_of_several_vehicles_have_no_plan_by_dives() -> None:
+    """The dives of each vehicle differ little, and the vehicles much: the interval is as wide as the vehicles say."""
+    ratios = {"position": [0.80, 0.81, 0.99, 1.00, 1.20, 1.21]}
+    found = answer(ratios, vehicles=["a", "a", "b", "b", "c", "c"])
+    assert list(plan_rows([found])) == []
+    assert plan_line(found).startswith("Each vehicle is one sample")
+    assert "in four of five cases" in plan_line(answer(ratios))
+    one_dive_each = answer(ratios, vehicles=["a", "b", "c", "d", "e", "f"])
+    assert plan_line(one_dive_each) == plan_line(answer(ratios))
+
+
+def test_plan_of_several_vehicles_says_why_it_is_empty() -> None:
+    reports = [
+        msgspec.structs.replace(report(f"{vehicle}{number}"), vehicle=vehicle)
+        for vehicle in ("a", "b", "c")
+        for number in (1, 2)
+    ]
+    result = plan_result(reports)
+    assert result.tables["plan"].rows == []
+    assert "Each vehicle is one sample" in str(result.document)
+
+
 def test_rows_that_are_only_shown_have_no_plan() -> None:
     found = answer({"position": [0.9] * 3, "drift_30s": [0.9] * 3, "convergence_level": [0.9] * 3})
     assert [row.quantity for row in plan_rows([found])] == ["position"]
@@ -111,3 +135,4 @@ def test_plan_without_evidence_says_so() -> None:
     bare = msgspec.structs.replace(tables(), evidence=[])
     result = plan_result([report("one", bare)])
     assert "There is no evidence to plan with." in result.document
+    assert result.title == "What 1 dive finds"
