@@ -10,14 +10,9 @@ from insdvl_replay.batch.found import FoundDive
 from insdvl_replay.batch.jobs import Outcome, ReplayOptions, plan_jobs
 from insdvl_replay.batch.replaying import Replaying
 from insdvl_replay.batch.search import outcomes
-from insdvl_replay.changes.findings import CheckResult, Finding
-from insdvl_replay.changes.gate_file import (
-    Checked,
-    Gates,
-    require_expected,
-    require_known_filters,
-    write_expected,
-)
+from insdvl_replay.changes.expected import require_expected, write_expected
+from insdvl_replay.changes.findings import Checked, CheckResult, Finding
+from insdvl_replay.changes.gate_file import Gates, require_known_filters
 from insdvl_replay.changes.gates import checked_results, compare_with_expected, evaluate_gates
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError

@@ -1,16 +1,16 @@
 """A comparison on a screen, as a page and in files: the answers first, then what else changed."""
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from itertools import chain
 from typing import Final
-
-from msgspec.structs import astuple
 
 from insdvl_replay.changes.answer import Answer
 from insdvl_replay.changes.cells import Change, change_text
 from insdvl_replay.changes.comparison import (
     Aggregate,
     Comparison,
+    DiveComparison,
     cell_place,
     described,
 )
@@ -60,28 +60,22 @@ _CHANGED_WORDS: Final = {
     "verdict": "{} against the baseline is now {}, was {}",
     "prediction": "the predicted improvement of {} is now {}, was {}",
 }
+_ADDED_FILTER: Final = re.compile(r"filters\.(.+)\.aiding")
 # Rows of the evidence that are better nearer to 1; their ratio is of the distance from 1.
 _OFF_ONE: Final = ("nis", "nees")
 
 
 def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Result:
     """Return a comparison as tables and JSON, with its screen."""
-    dives = [
-        (
-            *astuple(dive)[:4],
-            *(dive.counts[word] if dive.counts else None for word in ChangeVerdict),
-        )
-        for dive in comparison.dives
-    ]
+    answer_rows = chain.from_iterable(answer.rows for answer in comparison.answers)
+    head = ("log", "old", "new", "matched_by", *ChangeVerdict)
     return Result(
         kind="comparison",
         title=_title(comparison),
         tables={
-            "answer": Block.of(
-                PooledRow, (row for answer in comparison.answers for row in answer.rows)
-            ),
+            "answer": Block.of(PooledRow, answer_rows),
             "difference": Block.of(Difference, comparison.differences),
-            "dive": Block(("log", "old", "new", "matched_by", *ChangeVerdict), dives),
+            "dive": Block(head, [_dive_cells(dive) for dive in comparison.dives]),
             "aggregate": Block.of(Aggregate, comparison.aggregates),
             "change": Block.of(Change, comparison.changes),
         },
@@ -92,6 +86,14 @@ def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Resul
     )
 
 
+def _dive_cells(dive: DiveComparison) -> tuple[str | int | None, ...]:
+    """Return a dive, its folders, and its counts by verdict, which a dive without a counterpart has not."""
+    counts: list[int | None] = [None] * len(ChangeVerdict)
+    if dive.counts is not None:
+        counts = [dive.counts[word] for word in ChangeVerdict]
+    return (dive.log, dive.old, dive.new, dive.matched_by, *counts)
+
+
 def comparison_document(
     comparison: Comparison,
     *,
@@ -100,59 +102,86 @@ def comparison_document(
     command: str = "",  # the one that shows all values, if it is not the one that was typed
 ) -> list[Part]:
     """Return the screen: answers, changed verdicts, differences outside the tables, evidence or values, and counts."""
-    several = len(comparison.matched) > 1
     most = len(comparison.differences) if values else _MOST_DIFFERENCES
+    parts: list[Part] = [Title(_title(comparison)), *_answer_screen(comparison.answers)]
+    for lines in (_changed_verdicts(comparison), _other_differences(comparison, most)):
+        if lines:
+            parts.append(Sentences(tuple(lines)))
+    if values:
+        parts.append(_values_table(comparison))
+    else:
+        parts += _evidence_tables(comparison, every_row=every_row)
+    alone = tuple(_dives_alone(comparison.dives))
+    if alone:
+        parts.append(Sentences(alone))
+    parts.append(Sentences(tuple(_closing_lines(comparison, values=values, command=command))))
+    return parts
+
+
+def _has_several(comparison: Comparison) -> bool:
+    """Return whether both sides have more than one dive."""
+    return len(comparison.matched) > 1
+
+
+def _values_table(comparison: Comparison) -> DisplayTable:
+    """Return all values of one dive, or their sums over several."""
+    if _has_several(comparison):
+        return _values_over_dives(comparison.aggregates)
+    return _values(comparison.changes)
+
+
+def _evidence_tables(comparison: Comparison, *, every_row: bool) -> Iterator[DisplayTable]:
+    """Yield the evidence; of one dive without any the values that moved, if they are few."""
+    if _has_several(comparison):
+        yield from _answer_table(comparison.answers, every_row=every_row)
+        return
     unmoved = (ChangeVerdict.SAME, ChangeVerdict.NEW, ChangeVerdict.GONE)
     moved = [change for change in comparison.changes if change.verdict not in unmoved]
-    if values:
-        tables = [
-            _values_over_dives(comparison.aggregates) if several else _values(comparison.changes)
-        ]
-    elif several:
-        tables = [*_answer_table(comparison.answers, every_row=every_row)]
-    else:
-        tables = [*_evidence_of_dive(moved, comparison.baseline)]
-        tables = [_values(moved)] if not tables and 0 < len(moved) <= MOST_OTHERS else tables
-    apart = [
-        f"{ChangeVerdict.GONE if dive.new is None else ChangeVerdict.NEW}: {dive.log}"
-        for dive in comparison.dives
-        if dive.counts is None
-    ]
-    blocks = _changed_verdicts(comparison), _other_differences(comparison, most)
-    return [
-        Title(_title(comparison)),
-        *_answer_screen(comparison.answers),
-        *(Sentences(tuple(block)) for block in blocks if block),
-        *tables,
-        *([Sentences(tuple(apart))] if apart else []),
-        Sentences(tuple(_closing_lines(comparison, values=values, command=command))),
-    ]
+    evidence = list(_evidence_of_dive(moved, comparison.baseline))
+    yield from evidence
+    if not evidence and 0 < len(moved) <= MOST_OTHERS:
+        yield _values(moved)
+
+
+def _dives_alone(dives: Iterable[DiveComparison]) -> Iterator[str]:
+    """Name the dives that only one side has."""
+    for dive in dives:
+        if dive.new is None:
+            yield f"{ChangeVerdict.GONE}: {dive.log}"
+        elif dive.old is None:
+            yield f"{ChangeVerdict.NEW}: {dive.log}"
 
 
 def _closing_lines(comparison: Comparison, *, values: bool, command: str) -> Iterator[str]:
     """Count the values by verdict, and say where the others are."""
-    counts = comparison.counts
-    words = ", ".join(
-        f"{counts[word]} {word}"
-        for word in ChangeVerdict
-        if counts[word] and word != ChangeVerdict.SAME
-    )
-    limit = (
-        "the last printed digit"
-        if comparison.tolerance_pct is None
-        else f"{comparison.tolerance_pct:g} %"
-    )
-    same = (
-        f"{counts[ChangeVerdict.SAME]} of {sum(counts.values())} values are the same up to {limit}"
-    )
-    yield f"{words or 'no value changed'}; {same}"
-    for name, change in (("worst", comparison.worst), ("best", comparison.best)):
-        if values and change is not None:
-            yield f"{name}: {described(change)}"
+    yield f"{_moved_counts(comparison)}; {_same_count(comparison)}"
     if not values:
-        yield f"All values: {command}--all. One table: {command and '... '}--table NAME"
-    elif len(comparison.matched) > 1:
+        table = "... --table NAME" if command else "--table NAME"
+        yield f"All values: {command}--all. One table: {table}"
+        return
+    for name, change in (("worst", comparison.worst), ("best", comparison.best)):
+        if change is not None:
+            yield f"{name}: {described(change)}"
+    if _has_several(comparison):
         yield "values of one dive: --dive NAME. Values of all dives: --format csv or --format json"
+
+
+def _moved_counts(comparison: Comparison) -> str:
+    """Count the values that are not the same, by verdict."""
+    words = list[str]()
+    for word, count in comparison.counts.items():
+        if count and word != ChangeVerdict.SAME:
+            words.append(f"{count} {word}")
+    return ", ".join(words) or "no value changed"
+
+
+def _same_count(comparison: Comparison) -> str:
+    """Count the values that are the same, and say up to what."""
+    limit = "the last printed digit"
+    if comparison.tolerance_pct is not None:
+        limit = f"{comparison.tolerance_pct:g} %"
+    same = comparison.counts[ChangeVerdict.SAME]
+    return f"{same} of {sum(comparison.counts.values())} values are the same up to {limit}"
 
 
 # --- The answers.
@@ -160,17 +189,15 @@ def _closing_lines(comparison: Comparison, *, values: bool, command: str) -> Ite
 
 def answer_lines(answers: Sequence[Answer]) -> list[Callout]:
     """Return a line for each filter: its verdict and the evidence that made it, or could have."""
-    name_width, verdict_width = (
-        max(map(len, texts))
-        for texts in zip(*((answer.filter, word_of(answer)) for answer in answers), strict=True)
-    )
-    return [
-        Callout(
-            f"{answer.filter.ljust(name_width)}  {word_of(answer).ljust(verdict_width)}  {_said(answer)}",
-            TONES.get(answer.verdict, ""),
-        )
-        for answer in answers
-    ]
+    name_width = max(len(answer.filter) for answer in answers)
+    word_width = max(len(word_of(answer)) for answer in answers)
+    lines = list[Callout]()
+    for answer in answers:
+        name = answer.filter.ljust(name_width)
+        word = word_of(answer).ljust(word_width)
+        tone = TONES.get(answer.verdict, "")
+        lines.append(Callout(f"{name}  {word}  {_said(answer)}", tone))
+    return lines
 
 
 def _said(answer: Answer) -> str:
@@ -178,70 +205,72 @@ def _said(answer: Answer) -> str:
     dives = counted(answer.dives, "dive")
     if answer.verdict in WITHOUT_VERDICT:
         return f"evaluated in only {answer.evaluated} of {dives}: {answer.reason}"
-    said = answer.sameness if answer.is_same else grounds(answer)
-    is_one_dive = answer.undecided == Undecided.ONE_DIVE
-    found = [said, plan_line(answer).rstrip(".") if answer.undecided and not is_one_dive else ""]
-    lost = (
-        f"no longer evaluated in {answer.lost} of {dives}: {answer.reason}" if answer.lost else ""
-    )
-    return "; ".join(filter(None, (*found, lost)))
+    found = [answer.sameness if answer.is_same else grounds(answer)]
+    if answer.undecided not in (Undecided.NONE, Undecided.ONE_DIVE):
+        found.append(plan_line(answer).rstrip("."))
+    if answer.lost:
+        found.append(f"no longer evaluated in {answer.lost} of {dives}: {answer.reason}")
+    return "; ".join(text for text in found if text)
+
+
+_ANSWER_COLUMNS: Final[tuple[ShownColumn, ...]] = (
+    ("filter", "l", "filter"),
+    ("evidence", "l", "quantity:label"),
+    ("", "l", "unit"),
+    ("old", "r", "baseline:value"),
+    ("new", "r", "value:value"),
+    ("ratio", "r", lambda row: ratio_text(row.ratio)),
+    ("interval", "r", interval_text),
+    ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
+    ("", "l", verdict_in_table),
+)
 
 
 def _answer_table(answers: Sequence[Answer], *, every_row: bool) -> Iterator[DisplayTable]:
     """Return the evidence behind the answers: all rows, or those that decide and those that warn."""
-    columns: tuple[ShownColumn, ...] = (
-        ("filter", "l", "filter"),
-        ("evidence", "l", "quantity:label"),
-        ("", "l", "unit"),
-        ("old", "r", "baseline:value"),
-        ("new", "r", "value:value"),
-        ("ratio", "r", lambda row: ratio_text(row.ratio)),
-        ("interval", "r", interval_text),
-        ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
-        ("", "l", verdict_in_table),
-    )
-    rows = [row for answer in answers for row in answer.known]
-    chosen = [
-        row
-        for answer in answers
-        if not answer.is_same
-        for row in (answer.decisive, *answer.warnings)
-    ]
+    rows = list[PooledRow]()
+    chosen = list[PooledRow | None]()
+    for answer in answers:
+        rows += answer.known
+        if not answer.is_same:
+            chosen += [answer.decisive, *answer.warnings]
     kept = [row for row in rows if every_row or row in chosen]
-    left = len(rows) - len(kept)
     footnote = (
         "old, new: medians over the dives. ratio: new over old, geometric mean over the dives."
     )
-    footnote += f" {left} more rows: -v" if left else ""
+    left = len(rows) - len(kept)
+    if left:
+        footnote += f" {left} more rows: -v"
     if kept:
-        yield table_of("Evidence, new against old", kept, columns, footnote, spare=(2, 7, 3, 4))
+        title = "Evidence, new against old"
+        yield table_of(title, kept, _ANSWER_COLUMNS, footnote, spare=(2, 7, 3, 4))
 
 
 def _answer_screen(answers: Sequence[Answer]) -> list[Part]:
     """Return the answers: a line for each filter, on pages a section with forest plots."""
-    sections = []
-    for answer in answers:
-        plots = [
-            evidence_forest("This dive" if answer.dives == 1 else "All dives", answer, _MOST_DRAWN)
-        ]
-        if answer.dives > 1:
-            rows = [
-                ForestRow(
-                    dive.log,
-                    dive.ratio,
-                    tone=Verdict.UNDECIDED,
-                    text=change_of_value(dive.old, dive.new, dive.unit),
-                )
-                for dive in answer.by_dive
-                if finite(dive.ratio) > 0.0
-            ]
-            plots.append(by_dive_forest(answer.primary, rows))
-        sections.append(section(answer, [f"{_said(answer)}."], plots))
-    caption = (
-        "All dives: each is one sample." if any(answer.dives > 1 for answer in answers) else ""
-    )
+    sections = [_answer_section(answer) for answer in answers]
+    caption = ""
+    if any(answer.dives > 1 for answer in answers):
+        caption = "All dives: each is one sample."
     page = first_screen(sections, caption, compared=("new result", "old one"))
     return [Only(PRINTED, tuple(answer_lines(answers))), Only(PAGE, (page,))]
+
+
+def _answer_section(answer: Answer) -> str:
+    """Return the section of a filter on a page, with its forest plots."""
+    said = [f"{_said(answer)}."]
+    if answer.dives == 1:
+        return section(answer, said, [evidence_forest("This dive", answer, _MOST_DRAWN)])
+    rows = list[ForestRow]()
+    for dive in answer.by_dive:
+        if finite(dive.ratio) > 0.0:
+            text = change_of_value(dive.old, dive.new, dive.unit)
+            rows.append(ForestRow(dive.log, dive.ratio, tone=Verdict.UNDECIDED, text=text))
+    plots = [
+        evidence_forest("All dives", answer, _MOST_DRAWN),
+        by_dive_forest(answer.primary, rows),
+    ]
+    return section(answer, said, plots)
 
 
 # --- Settings, verdicts and other differences.
@@ -250,11 +279,13 @@ def _answer_screen(answers: Sequence[Answer]) -> list[Part]:
 def _title(comparison: Comparison) -> str:
     """Name the setting that differs, count further ones, then name the dives and both sides."""
     matched = comparison.matched
-    settings = _changed_settings(comparison)
-    what = matched[0].log if len(matched) == 1 else f"{len(matched)} dives"
-    more = f" and {counted(len(settings) - 1, 'more setting')}" if len(settings) > 1 else ""
-    changed = f"{settings[0]}{more}" if settings else "same settings"
-    return f"{changed}: {what}, new: {comparison.new}, old: {comparison.old}"
+    dives = f"{len(matched)} dives"
+    if len(matched) == 1:
+        dives = matched[0].log
+    first, *others = _changed_settings(comparison) or ["same settings"]
+    if others:
+        first += f" and {counted(len(others), 'more setting')}"
+    return f"{first}: {dives}, new: {comparison.new}, old: {comparison.old}"
 
 
 def _changed_settings(comparison: Comparison) -> list[str]:
@@ -263,80 +294,96 @@ def _changed_settings(comparison: Comparison) -> list[str]:
     The keys of a filter that only one side has say nothing more than its name.
     """
     found = [item for item in comparison.differences if item.block == "config"]
-    added = re.compile(r"filters\.(.+)\.aiding")
-    one_sided = {
-        match[1]: "old" if item.new is None else "new"
-        for item in found
-        if (match := added.fullmatch(item.key)) and None in (item.old, item.new)
-    }
+    one_sided = dict[str, str]()  # by filter, the side that has it
+    for item in found:
+        match = _ADDED_FILTER.fullmatch(item.key)
+        if match is not None and item.new is None:
+            one_sided[match[1]] = "old"
+        elif match is not None and item.old is None:
+            one_sided[match[1]] = "new"
     own_keys = tuple(f"filters.{name}." for name in one_sided)
-    texts = [
-        _difference_text(item, item.key, comparison)
-        for item in found
-        if not item.key.startswith(own_keys)
-    ]
-    return [
-        *texts,
-        *(f"filter {name} only in the {side} results" for name, side in one_sided.items()),
-    ]
+    texts = list[str]()
+    for item in found:
+        if not item.key.startswith(own_keys):
+            texts.append(_difference_text(item, item.key, comparison))
+    for name, side in one_sided.items():
+        texts.append(f"filter {name} only in the {side} results")
+    return texts
 
 
 def _difference_text(item: Difference, name: str, comparison: Comparison) -> str:
     """Write a difference, with the number of its dives if it is not in all."""
+    old = NONE if item.old is None else item.old
+    new = NONE if item.new is None else item.new
+    text = change_text(name, old, new)
     matched = len(comparison.matched)
-    some = f" (in {len(item.logs)} of {matched})" if len(item.logs) < matched else ""
-    return (
-        change_text(name, *(NONE if side is None else side for side in (item.old, item.new))) + some
-    )
+    if len(item.logs) < matched:
+        text += f" (in {len(item.logs)} of {matched})"
+    return text
 
 
 def _other_differences(comparison: Comparison, most: int) -> list[str]:
     """Return the differences outside the tables, one line each: logs, settings that the title lacks, and the rest."""
-    found = comparison.differences
-    other = [
-        item
-        for item in found
-        if (item.block, item.key) == ("log", "sha256") and item.old and item.new
-    ]
-    names = sorted({name for item in other for name in item.logs}, key=natural_key)
-    whose = "the log differs" if len(names) == 1 else f"the logs of {listed(names)} differ"
-    lines = [f"{whose} (SHA-256). Changed values may come from the log"] if names else []
     texts = _changed_settings(comparison)[1:]
-    for item in found:
-        if item not in other and item.block != "config":
+    other_logs = set[str]()
+    for item in comparison.differences:
+        if (item.block, item.key) == ("log", "sha256") and item.old and item.new:
+            other_logs.update(item.logs)
+        elif item.block != "config":
             texts.append(_difference_text(item, f"{item.block} {item.key}", comparison))
+    lines = texts[:most]
+    if other_logs:
+        lines.insert(0, _other_logs_text(other_logs))
     left = len(texts) - most
-    return [*lines, *texts[:most], *([f"{left} more differ: --all"] if left > 0 else [])]
+    if left > 0:
+        lines.append(f"{left} more differ: --all")
+    return lines
+
+
+def _other_logs_text(names: Collection[str]) -> str:
+    """Say whose logs differ."""
+    whose = "the log differs"
+    if len(names) > 1:
+        whose = f"the logs of {listed(sorted(names, key=natural_key))} differ"
+    return f"{whose} (SHA-256). Changed values may come from the log"
 
 
 def _changed_verdicts(comparison: Comparison) -> list[str]:
     """Return the changed verdicts, then the changed predictions, each once with its dives."""
-    dives: dict[tuple[str, str, str, str], list[str]] = {}
-    for change in comparison.changes:
-        is_word = change.table == CANDIDATES.name and change.column in _CHANGED_WORDS
-        if is_word and change.old and change.new and change.old != change.new:
-            key = change.column, change.filter, str(change.new), str(change.old)
-            dives.setdefault(key, []).append(change.log)
-    matched = len(comparison.matched)
-    lines = []
-    for (column, *names), logs in sorted(
-        dives.items(), key=lambda found: list(_CHANGED_WORDS).index(found[0][0])
-    ):
-        where = (
-            f" ({len(logs)} of {matched} dives: {listed(logs, _NAMED_DIVES)})"
-            if len(logs) < matched
-            else ""
-        )
-        lines.append(_CHANGED_WORDS[column].format(*names) + where)
+    lines = list[str]()
+    for column, sentence in _CHANGED_WORDS.items():
+        dives: dict[tuple[str, str, str], list[str]] = {}
+        for change in comparison.changes:
+            is_word = change.table == CANDIDATES.name and change.column == column
+            if is_word and change.old and change.new and change.old != change.new:
+                key = change.filter, str(change.new), str(change.old)
+                dives.setdefault(key, []).append(change.log)
+        for names, logs in dives.items():
+            lines.append(sentence.format(*names) + _share_of_dives(logs, comparison))
     return lines
+
+
+def _share_of_dives(logs: Sequence[str], comparison: Comparison) -> str:
+    """Name the dives behind a sentence; empty if they are all."""
+    matched = len(comparison.matched)
+    if len(logs) == matched:
+        return ""
+    return f" ({len(logs)} of {matched} dives: {listed(logs, _NAMED_DIVES)})"
 
 
 # --- Tables.
 
+
+def _growth_text(cell: Change) -> str:
+    if cell.change is None:
+        return MISSING
+    return cell.growth
+
+
 _OLD_AND_NEW: Final[tuple[ShownColumn, ...]] = (
     ("old", "r", "old:cell"),
     ("new", "r", "new:cell"),
-    ("change", "r", lambda cell: MISSING if cell.change is None else cell.growth),
+    ("change", "r", _growth_text),
     ("", "l", "verdict"),
 )
 
@@ -349,45 +396,48 @@ def _evidence_of_dive(changes: Iterable[Change], baseline: str) -> Iterator[Disp
             return baseline
         return cell.filter
 
-    def name(cell: Change) -> str:
-        if cell.row in _OFF_ONE:
-            return f"{cell.row.upper()} distance from 1"
-        return label(cell.row)
-
     # The rows of every candidate repeat the baseline's values; show them once.
     rows: dict[tuple[str, str], Change] = {}
     for cell in changes:
-        if cell.table == "evidence" and cell.column in (
-            (RATIO,) if cell.row in _OFF_ONE else ("value", "baseline")
-        ):
+        shown = (RATIO,) if cell.row in _OFF_ONE else ("value", "baseline")
+        if cell.table == "evidence" and cell.column in shown:
             rows.setdefault((owner(cell), cell.row), cell)
     if rows:
-        named: tuple[ShownColumn, ...] = (
+        columns: tuple[ShownColumn, ...] = (
             ("filter", "l", owner),
-            ("evidence", "l", name),
+            ("evidence", "l", _evidence_name),
             ("", "l", "unit"),
+            *_OLD_AND_NEW[:-1],
         )
-        columns = (*named, *_OLD_AND_NEW[:-1])
         yield table_of("Changed evidence", rows.values(), columns, spare=(2, 3, 4))
+
+
+def _evidence_name(cell: Change) -> str:
+    if cell.row in _OFF_ONE:
+        return f"{cell.row.upper()} distance from 1"
+    return label(cell.row)
 
 
 def _values(changes: Sequence[Change]) -> DisplayTable:
     footnote = "% is of the magnitude; for NIS, of the ratio to its degrees of freedom"
-    return table_of(
-        "Values, old and new", changes, (("value", "l", cell_place), *_OLD_AND_NEW), footnote
-    )
+    columns = (("value", "l", cell_place), *_OLD_AND_NEW)
+    return table_of("Values, old and new", changes, columns, footnote)
+
+
+def _worst_dive(cell: Aggregate) -> str:
+    if cell.worst_word == ChangeVerdict.SAME:
+        return MISSING
+    return cell.worst_log
 
 
 def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
     columns: tuple[ShownColumn, ...] = (
         ("value", "l", cell_place),
-        *((key, "r", key) for key in ("dives", "better", "worse")),
+        ("dives", "r", "dives"),
+        ("better", "r", "better"),
+        ("worse", "r", "worse"),
         ("median\n[%]", "r", "median_change_pct:signed_percent"),
         ("worst\n[%]", "r", "worst_change_pct:signed_percent"),
-        (
-            "in",
-            "l",
-            lambda cell: MISSING if cell.worst_word == ChangeVerdict.SAME else cell.worst_log,
-        ),
+        ("in", "l", _worst_dive),
     )
     return table_of("Values over the dives", cells, columns)

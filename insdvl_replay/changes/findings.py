@@ -1,15 +1,30 @@
-"""What a check finds: cells and trajectories that gates look at, and the outcome of each gate on each dive."""
+"""What is checked and what is found: dives, the cells and trajectories that gates look at, and the outcomes."""
 
-from typing import Final
+from pathlib import Path
+from typing import Final, NamedTuple
 
 from msgspec import Struct
 
 from insdvl_replay.changes.cells import is_number, prints_the_same
-from insdvl_replay.core.report import Cell
+from insdvl_replay.core.report import Cell, StoredReport
 from insdvl_replay.core.words import GateStatus
 
 EVERY_DIVE: Final = "*"  # instead of the name of a dive
 TRAJECTORY: Final = "trajectory"  # the table of gates that look at samples
+
+
+class Checked(NamedTuple):
+    """The result of a dive, or why there is none, and its folder."""
+
+    result: StoredReport | Exception
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """Name of the dive."""
+        if isinstance(self.result, StoredReport):
+            return self.result.log.name
+        return self.folder.name
 
 
 class Finding(Struct, frozen=True):

@@ -1,29 +1,20 @@
-"""The gate file: conditions on a dive's tables and its trajectory, and the expected values that it names.
-
-`check --update` stores expected values. They show known causes where a gate fails.
-"""
+"""The gate file: conditions on a dive's tables and its trajectory."""
 
 import fnmatch
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from functools import cache
-from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
-from zipfile import BadZipFile, ZipFile, ZipInfo
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import msgspec
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-from insdvl_replay.changes.cells import PROSE, RowPair, changed_settings, paired_rows
+from insdvl_replay.changes.cells import PROSE, RowPair, paired_rows
 from insdvl_replay.changes.findings import TRAJECTORY
-from insdvl_replay.core.config import Config, flattened
 from insdvl_replay.core.config_file import LARGEST, SECTIONS, converted, read_toml
 from insdvl_replay.core.errors import (
     ConfigError,
-    UserError,
     error_context,
     is_writable,
     listed,
@@ -32,30 +23,21 @@ from insdvl_replay.core.errors import (
 )
 from insdvl_replay.core.path_kinds import require_kind_of_toml
 from insdvl_replay.core.report import (
-    Row,
-    StoredLog,
     StoredReport,
-    as_json,
 )
 from insdvl_replay.core.states import COLUMNS, GROUPS
 from insdvl_replay.core.tables import CANDIDATES, TABLES, PooledRow, layout_of
 from insdvl_replay.core.words import GateLevel
-from insdvl_replay.results.folder import TRAJECTORY_FILE, read_file, result_file
-from insdvl_replay.results.stored_results import read_results
 
 if TYPE_CHECKING:
     # Trajectories need numpy, and a check of tables alone must not wait for it.
-    from insdvl_replay.results.trajectory import Trajectory
+    pass
 
 ANY: Final = "*"  # every filter or row
 LOG: Final = "{log}"  # in the path of expected values, the dive's name
 POOLED: Final = "pooled"  # the table of the evidence pooled over all dives, as in the ``evidence.csv`` of several dives
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
 ON_TRAJECTORY: Final = 'expected = "expected/{log}.npz", or within = [0.0, 2.0] with share_pct = 95'
-MOST_CAUSES: Final = 4  # settings that a failure names
-_FILTERS: Final = "filters"  # key of the names of all filters, among the settings
-_SETTINGS_FILE: Final = "settings.json"  # in the archive of a trajectory
-_HASH_DIGITS: Final = 12
 LAYOUTS: Final = {
     layout.name: layout for layout in (*TABLES, CANDIDATES, layout_of(POOLED, PooledRow))
 }
@@ -180,13 +162,7 @@ def load_gates(path: Path) -> Gates:
             f"add [[gate]] with {EXAMPLE}, or set a level to error",
             source.name,
         )
-    lines = [
-        number
-        for number, line in enumerate(source.text.split("\n"), 1)
-        if line.lstrip().startswith("[[gate]]")
-    ]
-    by_name = dict(zip(names, lines, strict=True)) if len(lines) == len(names) else {}
-    found = Gates(path, content, tuple(gates), by_name)
+    found = Gates(path, content, tuple(gates), _first_lines(names, source.text))
     for gate in gates:
         with error_context(found.where(gate)):
             if isinstance(gate, CellGate):
@@ -194,6 +170,17 @@ def load_gates(path: Path) -> Gates:
             else:
                 _check_trajectory_gate(gate)
     return found
+
+
+def _first_lines(names: Sequence[str], text: str) -> dict[str, int]:
+    """Return the first line of each gate, by name; empty where they cannot be told, as of gates in a row."""
+    lines = list[int]()
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.lstrip().startswith("[[gate]]"):
+            lines.append(number)
+    if len(lines) == len(names):
+        return dict(zip(names, lines, strict=True))
+    return {}
 
 
 def settings_of(gates: Gates) -> list[Path]:
@@ -210,18 +197,25 @@ def settings_of(gates: Gates) -> list[Path]:
 
 def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gates:
     """Keep the gates whose names match a pattern of ``only`` and none of ``skip``."""
-    names = [gate.name for gate in gates.gates]
-    matches = {pattern: fnmatch.filter(names, pattern) for pattern in (*only, *skip)}
-    for pattern, found in matches.items():
-        if not found:
-            raise ConfigError(
-                f"{gates.path}: no gate has the name '{pattern}'", f"gates: {listed(names)}"
-            )
-    wanted = {name for pattern in only for name in matches[pattern]} if only else set(names)
-    wanted -= {name for pattern in skip for name in matches[pattern]}
+    wanted = set[str]()
+    for pattern in only or ["*"]:
+        wanted.update(_names_like(pattern, gates))
+    for pattern in skip:
+        wanted.difference_update(_names_like(pattern, gates))
     if not wanted:
         raise ConfigError(f"{gates.path}: no gate is left", "leave out --skip, or widen --only")
     return replace(gates, gates=tuple(gate for gate in gates.gates if gate.name in wanted))
+
+
+def _names_like(pattern: str, gates: Gates) -> list[str]:
+    """Return the names of gates that match a pattern; a ConfigError where none does."""
+    names = [gate.name for gate in gates.gates]
+    found = fnmatch.filter(names, pattern)
+    if not found:
+        raise ConfigError(
+            f"{gates.path}: no gate has the name '{pattern}'", f"gates: {listed(names)}"
+        )
+    return found
 
 
 def require_known_filters(
@@ -319,180 +313,3 @@ def _check_expectation(gate: CellGate) -> None:
             f"{_column_of(gate)} has no better or worse direction, so it cannot be compared with an expected value",
             f"name one of {', '.join(better)}, or give equals, min or max",
         )
-
-
-# --- Expected values.
-
-
-class Checked(NamedTuple):
-    """The result of a dive, or why there is none, and its folder."""
-
-    result: StoredReport | Exception
-    folder: Path
-
-    @property
-    def name(self) -> str:
-        """Name of the dive."""
-        if isinstance(self.result, StoredReport):
-            return self.result.log.name
-        return self.folder.name
-
-
-def expected_path(gates: Gates, gate: Gate, dive: str) -> Path:
-    """Return where the expected values of a dive are stored."""
-    return gates.path.parent / (gate.expected or "").replace(LOG, dive)
-
-
-def stored_values(gate: Gate, path: Path) -> "StoredReport | Trajectory | None":
-    """Read expected values; None if there are none, or the file is something else."""
-    if isinstance(gate, TrajectoryGate):
-        from insdvl_replay.results.trajectory import read_trajectory
-
-        return read_trajectory(path)
-    try:
-        return read_results(path)[0][0].report
-    except UserError:
-        return None
-
-
-def expected_of(gates: Gates, gate: Gate, log: StoredLog) -> "StoredReport | Trajectory":
-    """Return the expected values of a log; the ConfigError names the command that writes them."""
-    path = expected_path(gates, gate, log.name)
-    command = f"`insdvl-replay check {gates.path} --update`"
-    with looked_for(path):
-        if not path.is_file():
-            raise ConfigError(f"{path}: there are no expected values yet", f"{command} writes them")
-    expected = stored_values(gate, path)
-    if expected is None:
-        kind = "trajectory" if isinstance(gate, TrajectoryGate) else "result"
-        raise ConfigError(f"{path}: is not a readable {kind}", f"{command} writes a new one")
-    if (
-        expected.log.sha256 if isinstance(expected, StoredReport) else expected.sha256
-    ) != log.sha256:
-        text = f"{path}: the expected values are of another log than {log.name}"
-        raise ConfigError(text, f"{command} writes new ones")
-    return expected
-
-
-def known_causes(gates: Gates, dive: str, report: StoredReport) -> tuple[str, ...]:
-    """Say what differs from the replay that gave the expected values: log, version of the tool, settings."""
-    stored = _replay_of_expected(gates, dive)
-    if stored is None:
-        return ()
-    causes = list[str]()
-    if stored.log.sha256 != report.log.sha256:
-        before = stored.log.sha256[:_HASH_DIGITS]
-        causes.append(f"the log differs: SHA-256 {before} -> {report.log.sha256[:_HASH_DIGITS]}")
-    old_version = stored.tool.get("version")
-    new_version = report.tool.get("version")
-    if old_version and new_version and old_version != new_version:
-        causes.append(f"the version of the tool differs: {old_version} -> {new_version}")
-    changes = changed_settings(_own_settings(stored), _own_settings(report), _defaults())
-    if stored.config and changes:
-        causes.append(f"settings differ: {listed(changes.values(), MOST_CAUSES)}")
-    return tuple(causes)
-
-
-def _replay_of_expected(gates: Gates, dive: str) -> StoredReport | None:
-    """Return log, version and settings of the replay that gave the expected values of a dive; None if unknown."""
-    for gate in gates.gates:
-        if gate.expected is not None and gate.applies_to(dive):
-            stored = _stored_settings(gate, expected_path(gates, gate, dive))
-            if stored is not None:
-                return stored
-    return None
-
-
-def _stored_settings(gate: Gate, path: Path) -> StoredReport | None:
-    """Read the settings that are stored with expected values; a file of a trajectory has them in a file of its own."""
-    if isinstance(gate, CellGate):
-        values = stored_values(gate, path)
-        if isinstance(values, StoredReport):
-            return values
-        return None
-    try:
-        with ZipFile(BytesIO(read_file(path))) as arrays:
-            return msgspec.json.decode(arrays.read(_SETTINGS_FILE), type=StoredReport)
-    except (OSError, KeyError, BadZipFile, msgspec.DecodeError):
-        return None
-
-
-def with_expected(
-    gates: Gates, dives: Sequence[Checked]
-) -> Iterator[tuple[Gate, Checked, StoredReport]]:
-    """Yield each gate that has expected values, with each dive that it applies to and its result."""
-    for gate in gates.gates:
-        if gate.expected is not None and gate.level != GateLevel.OFF:
-            for dive in dives:
-                if isinstance(dive.result, StoredReport) and gate.applies_to(dive.name):
-                    yield gate, dive, dive.result
-
-
-def require_expected(gates: Gates) -> None:
-    """Raise a ConfigError if no gate has expected values."""
-    if all(gate.expected is None for gate in gates.gates):
-        text = f"{gates.path}: no gate has expected values"
-        raise ConfigError(text, 'expected = "expected/{log}.json"')
-
-
-def write_expected(gates: Gates, dives: Sequence[Checked]) -> list[Path]:
-    """Store the gated values and trajectories; return the files."""
-    written: dict[Path, tuple[Checked, StoredReport, list[Gate]]] = {}
-    for gate, dive, report in with_expected(gates, dives):
-        path = expected_path(gates, gate, dive.name)
-        owner, _, sharing = written.setdefault(path, (dive, report, []))
-        if owner is not dive:
-            raise ConfigError(
-                f"{gates.where(gate)}: several dives share {path}", f"use {LOG} for the dive's name"
-            )
-        if sharing and type(sharing[0]) is not type(gate):
-            text = f"{gates.where(gate)}: a trajectory and tables share {path}"
-            raise ConfigError(text, "use a separate file for the trajectory")
-        sharing.append(gate)
-    for path, (dive, report, sharing) in written.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        on_cells = [gate for gate in sharing if isinstance(gate, CellGate)]
-        with result_file(path, force=True) as file:
-            if on_cells:
-                file.write_bytes(as_json(_gated_values(report, on_cells)))
-            else:
-                file.write_bytes(read_file(dive.folder / TRAJECTORY_FILE))
-                with ZipFile(file, "a") as arrays:
-                    arrays.writestr(ZipInfo(_SETTINGS_FILE), as_json(_gated_values(report, [])))
-    return list(written)
-
-
-def _gated_values(report: StoredReport, gates: Sequence[CellGate]) -> dict[str, Any]:
-    """Return the gated values with their names, what a comparison needs, and the settings, readable in a review."""
-    tables: dict[str, dict[tuple[str, ...], Row]] = {}
-    for gate in gates:
-        for pair in gate.rows_of(None, report):
-            kept = tables.setdefault(gate.table, {}).setdefault(
-                (pair.filter, pair.row, pair.unit), {}
-            )
-            needed = ("log", "filter", pair.layout.key, "unit", "dof", "evidence", gate.column)
-            kept.update({column: pair.new[column] for column in needed if column in pair.new})
-    candidates = tables.pop(CANDIDATES.name, {}).values()
-    return {
-        "tool": {name: report.tool[name] for name in ("name", "version") if name in report.tool},
-        "log": {"name": report.log.name, "sha256": report.log.sha256},
-        "tables": {name: list(rows.values()) for name, rows in tables.items()},
-        "baseline": report.baseline,
-        "filters": {str(row["filter"]): row for row in candidates},
-        "config": _own_settings(report),
-    }
-
-
-def _own_settings(report: StoredReport) -> dict[str, Any]:
-    """Return the settings that are not defaults, by dotted key, and the names of the filters."""
-    settings = dict(flattened(report.config))
-    names = settings.pop(_FILTERS, ", ".join([report.baseline, *report.filters]))
-    own = {key: value for key, value in settings.items() if value != _defaults().get(key)}
-    if report.config:
-        return {_FILTERS: names} | own
-    return {}
-
-
-@cache
-def _defaults() -> dict[str, Any]:
-    return dict(flattened(msgspec.to_builtins(Config())))

@@ -10,26 +10,22 @@ from msgspec.structs import asdict, replace
 
 from insdvl_replay.changes.cell_gates import gate_findings
 from insdvl_replay.changes.cells import is_number
-from insdvl_replay.changes.findings import (
-    EVERY_DIVE,
-    TRAJECTORY,
-    CheckResult,
-    Finding,
-    GateOutcome,
-)
-from insdvl_replay.changes.gate_file import (
-    POOLED,
-    CellGate,
-    Checked,
-    Gate,
-    Gates,
-    TrajectoryGate,
+from insdvl_replay.changes.expected import (
     expected_of,
     expected_path,
     known_causes,
     stored_values,
     with_expected,
 )
+from insdvl_replay.changes.findings import (
+    EVERY_DIVE,
+    TRAJECTORY,
+    Checked,
+    CheckResult,
+    Finding,
+    GateOutcome,
+)
+from insdvl_replay.changes.gate_file import POOLED, CellGate, Gate, Gates, TrajectoryGate
 from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ResultError, UserError

@@ -57,12 +57,7 @@ def match_dives(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> Mat
         return Matching([Match(Pair(old[0], new[0]), MatchedBy.CHOICE)], [], [])
     _require_one_counterpart(before, after)
     if not found:
-        old_names = listed(result.name for result in old)
-        new_names = listed(result.name for result in new)
-        raise ConfigError(
-            f"no dive of the old results ({old_names}) is in the new ones ({new_names})",
-            "name two folders that hold results of the same logs, or two single results",
-        )
+        raise _nothing_in_common(old, new)
     both = [found[result.folder] for result in new if result.folder in found]
     return Matching(both, before, after)
 
@@ -119,6 +114,16 @@ def _alone(
         if value and times[value] == 1:
             alone[value] = result
     return alone
+
+
+def _nothing_in_common(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> ConfigError:
+    """Return the error for two sets of results without a common dive."""
+    old_names = listed(result.name for result in old)
+    new_names = listed(result.name for result in new)
+    return ConfigError(
+        f"no dive of the old results ({old_names}) is in the new ones ({new_names})",
+        "name two folders that hold results of the same logs, or two single results",
+    )
 
 
 def _require_one_counterpart(before: Sequence[StoredResult], after: Sequence[StoredResult]) -> None:

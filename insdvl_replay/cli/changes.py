@@ -26,8 +26,7 @@ from insdvl_replay.core.errors import (
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.check import Part
-    from insdvl_replay.changes.findings import CheckResult
-    from insdvl_replay.changes.gate_file import Checked
+    from insdvl_replay.changes.findings import Checked, CheckResult
 
 GATE_FAILED = 1
 

@@ -12,7 +12,8 @@ import pytest
 from small_results import content, nudged
 
 from insdvl_replay.changes.cell_gates import gate_findings
-from insdvl_replay.changes.gate_file import CellGate, Checked, load_gates, require_known_filters
+from insdvl_replay.changes.findings import Checked
+from insdvl_replay.changes.gate_file import CellGate, load_gates, require_known_filters
 from insdvl_replay.changes.gates import pooled_dive
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.report import StoredReport
