@@ -59,7 +59,7 @@ FEW: Final = 2  # Up to this number of rejections prove nothing, even in a short
 # Innovations three times as large as predicted come from wrong axes, units or clocks.
 LARGEST_NIS_PER_DOF: Final = 10.0
 SMALLEST_NIS_PER_DOF: Final = (
-    0.1  # With noise that is ten times too large a filter is not the one that was tuned.
+    0.1  # With a noise variance that is ten times too large a filter is not the one that was tuned.
 )
 # Percent of the distance, with the DVL available. Dead reckoning by a DVL without an INS drifts less.
 FARTHEST_PCT: Final = 20.0
@@ -301,7 +301,7 @@ def misfit(name: str, rows: Sequence[ConsistencyRow]) -> str:
         else:
             continue
         return (
-            f"the noise of {name} is {off} (NIS / dof of its {row.measurement} is {size:.2g}, "
+            f"the noise variance of {name} is {off} (NIS / dof of its {row.measurement} is {size:.2g}, "
             "expected 1); fit it first: --control"
         )
     return ""
