@@ -7,7 +7,7 @@ interrupted run goes on where it stopped. With measurements of the user's own ev
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -115,34 +115,65 @@ def plan_jobs(
     one_dive: bool = False,
 ) -> list[ReplayJob]:
     """Name each dive's result folder, below the output; two dives that would share a name are a ConfigError."""
-    logs = [tuple(dive.path for dive in dives)] if one_dive else [(dive.path,) for dive in dives]
-    firsts = [first for first, *_ in logs]
-    givers = [dive.name_giver for dive in dives]
-    files = [dive.settings for dive in dives]
-    errors = [dive.error for dive in dives]
-    vehicles = [dive.vehicle for dive in dives]
+    meant = [_alone(dive) for dive in dives]
     if one_dive and len(dives) > 1:
-        from insdvl_replay.logs import name_giver  # heavy
+        meant = [_together(dives)]
+    own: dict[Path | None, ReplayOptions] = {}
+    for file, config in configs.items():
+        if file is not None:
+            own[file] = replace(options, config=config, require_fit=False, blocked_by="")
+    jobs = []
+    names = unique_names([one.name_giver for one in meant])
+    for one, name in zip(meant, names, strict=True):
+        target = output / name
+        job = ReplayJob(
+            one.logs,
+            one.first,
+            target,
+            own.get(one.settings, options),
+            replaces=os.path.lexists(target),
+            error=one.error,
+            vehicle=one.vehicle,
+        )
+        jobs.append(job)
+    return jobs
 
-        firsts = [name_giver(logs[0])]
-        givers = [name_giver(givers)]
-        files = [shared_settings(dives, "--one-dive")]
-        errors = [next((error for error in errors if error), None)]
-        vehicles = [next(filter(None, vehicles), "")]
-    own: dict[Path | None, ReplayOptions] = {
-        file: replace(options, config=config, require_fit=False, blocked_by="")
-        for file, config in configs.items()
-        if file is not None
-    }
-    return [
-        ReplayJob(
-            log, first, output / name, own.get(file, options),
-            replaces=os.path.lexists(output / name), error=error, vehicle=vehicle,
-        )
-        for log, first, name, file, error, vehicle in zip(
-            logs, firsts, unique_names(givers), files, errors, vehicles, strict=True
-        )
-    ]  # fmt: skip
+
+@dataclass(frozen=True)
+class _Meant:
+    """The logs of one dive, and what is known of it."""
+
+    logs: tuple[Path, ...]
+    first: Path  # the log after which the dive is named
+    name_giver: Path  # likewise, of a remote log by its URL
+    settings: Path | None
+    error: UserError | None
+    vehicle: str
+
+
+def _alone(dive: FoundDive) -> _Meant:
+    """Return a log that is a dive."""
+    return _Meant((dive.path,), dive.path, dive.name_giver, dive.settings, dive.error, dive.vehicle)
+
+
+def _together(dives: Sequence[FoundDive]) -> _Meant:
+    """Return logs that are one dive; it cannot be had if one of them cannot."""
+    from insdvl_replay.logs import name_giver  # heavy
+
+    logs = tuple(dive.path for dive in dives)
+    error = None
+    vehicle = ""
+    for dive in dives:  # the first that has one
+        error = error or dive.error
+        vehicle = vehicle or dive.vehicle
+    return _Meant(
+        logs,
+        name_giver(logs),
+        name_giver([dive.name_giver for dive in dives]),
+        shared_settings(dives, "--one-dive"),
+        error,
+        vehicle,
+    )
 
 
 def known_reports(
@@ -160,27 +191,38 @@ def known_reports(
     """
     known = {}
     jobs = [job for job in jobs if job.error is None]
-    # Where all is replaced anyway, no log needs to be digested.
-    found = [None] * len(jobs) if force and rerun else parallel_map(known_report, jobs)
+    found: Iterable[Report | Note | None] = parallel_map(known_report, jobs)
+    if force and rerun:  # all is replaced anyway, and no log needs to be digested
+        found = [None] * len(jobs)
     for job, report in zip(jobs, found, strict=True):
-        if isinstance(report, Report):
-            # No digest is kept of all that code reads; its version stands for it.
-            filters = job.options.config.filters.values()
-            if not rerun and not any(
-                filter_.code and filter_.version is None for filter_ in filters
-            ):
-                known[job.target] = report
-            continue
-        if isinstance(report, Note):
-            if not force:
-                raise ConfigError(report.text, "keep what was changed, or replace it with --force")
-            report_note(report)
-        may_replace = force or job.may_replace
-        if not may_replace and (reason := _made_otherwise(job)):
+        if not isinstance(report, Report):
+            _require_replaceable(job, report, force=force, report_note=report_note)
+        elif not rerun and not _runs_unknown_code(job):
+            known[job.target] = report
+    return known
+
+
+def _require_replaceable(
+    job: ReplayJob, damage: Note | None, *, force: bool, report_note: Callable[[Note], None]
+) -> None:
+    """Raise a ConfigError if the result of a job may not be written, where there is none that could be used."""
+    if damage is not None:
+        if not force:
+            raise ConfigError(damage.text, "keep what was changed, or replace it with --force")
+        report_note(damage)
+    may_replace = force or job.may_replace
+    if not may_replace:
+        reason = _made_otherwise(job)
+        if reason:
             hint = "replace it with --force, or keep it and choose another folder with -o"
             raise ConfigError(f"{job.target}: {reason}", hint)
-        require_replaceable_folder(job.target, force=may_replace)
-    return known
+    require_replaceable_folder(job.target, force=may_replace)
+
+
+def _runs_unknown_code(job: ReplayJob) -> bool:
+    """Return whether a filter runs code that has no version: no digest is kept of all that code reads."""
+    filters = job.options.config.filters.values()
+    return any(filter_.code and filter_.version is None for filter_ in filters)
 
 
 def known_report(job: ReplayJob) -> Report | Note | None:
@@ -188,97 +230,117 @@ def known_report(job: ReplayJob) -> Report | Note | None:
 
     What is large is read last: the log, then the files of the result.
     """
-    options = job.options
     try:
         report = decode_report(read_file(job.target / COMPLETE))
-        names = (report.baseline, *report.filters)
-        wanted = {*map(trajectory_file, names)} if "tum" in options.tracks else set()
-        wanted |= {file for format_, file in MAPS.items() if format_ in options.tracks}
-        wanted |= {REPLAY_LOG} if options.histories else set()
-        wanted |= (
-            {history_file(name, options.history_format) for name in names}
-            if options.history_format
-            else set()
-        )
-        config = _settings_before_the_fit(report.config, report.notes)
-        codes = {note.code for note in report.notes}
-        same = (
-            (report.tool.version, report.tool.sources) == (options.version, options.sources)
-            and report.versions == package_versions()
-            and report.log.name == job.target.name
-            and (CONTROL_NOTE in codes) == options.control
-            and (bool(report.tables.assay) or not options.assay)
-            and (DAMAGE_NOTE not in codes or options.allow_damaged)
-            and msgspec.json.encode(config) == msgspec.json.encode(job.config)
-            and wanted <= set(report.files)
-            and log_digest(job) == report.log.sha256
-        )
-        damaged = damaged_files(job.target) if same else []
-    except (
-        OSError,
-        *NOT_JSON,
-        UserError,
-    ):  # a log that is no longer whole is reported by its replay
-        return None
+        if not _is_as_asked(report, job) or log_digest(job) != report.log.sha256:
+            return None
+        damaged = damaged_files(job.target)
+    except (OSError, *NOT_JSON, UserError):
+        return None  # a log that is no longer whole is reported by its replay
     if damaged:
         text = f"{job.target}: not as its replay wrote it: {listed(damaged)}"
         return Note(DAMAGED_RESULT, text, len(damaged), Severity.WARNING)
-    if same:
-        return report
-    return None
+    return report
+
+
+def _is_as_asked(report: Report, job: ReplayJob) -> bool:
+    """Return whether a result has the version, name, settings and files that a job asks for."""
+    options = job.options
+    if (report.tool.version, report.tool.sources) != (options.version, options.sources):
+        return False
+    if report.versions != package_versions() or report.log.name != job.target.name:
+        return False
+    codes = {note.code for note in report.notes}
+    if (CONTROL_NOTE in codes) != options.control:
+        return False
+    if options.assay and not report.tables.assay:
+        return False
+    if DAMAGE_NOTE in codes and not options.allow_damaged:
+        return False
+    config = _settings_before_the_fit(report.config, report.notes)
+    if msgspec.json.encode(config) != msgspec.json.encode(job.config):
+        return False
+    return _files_asked_for(report, options) <= set(report.files)
+
+
+def _files_asked_for(report: Report, options: ReplayOptions) -> set[str]:
+    """Return the files that the options of a replay ask for."""
+    names = (report.baseline, *report.filters)
+    files = {file for format_, file in MAPS.items() if format_ in options.tracks}
+    if "tum" in options.tracks:
+        files.update(trajectory_file(name) for name in names)
+    if options.histories:
+        files.add(REPLAY_LOG)
+    if options.history_format:
+        files.update(history_file(name, options.history_format) for name in names)
+    return files
 
 
 def _settings_before_the_fit(config: dict[str, Any], notes: Sequence[Note]) -> dict[str, Any]:
     """Return the settings of a result without the tuned baseline, which is known by its note, since it was fitted."""
-    if not any(note.code == CONTROL_NOTE for note in notes):
+    if not _is_fitted(notes):
         return config
-    return config | {
-        "filters": {name: config["filters"][name] for name in [*config["filters"]][:-1]}
-    }
+    planned = [*config["filters"]][:-1]
+    return config | {"filters": {name: config["filters"][name] for name in planned}}
+
+
+def _is_fitted(notes: Sequence[Note]) -> bool:
+    """Return whether a replay had the tuned baseline."""
+    return any(note.code == CONTROL_NOTE for note in notes)
 
 
 def _made_otherwise(job: ReplayJob) -> str:
     """Return what differs from the result in a job's folder; empty if there is none that can be read."""
-    from insdvl_replay.changes.cells import changed_settings
-
     options = job.options
     try:
         stored = msgspec.json.decode(read_file(job.target / COMPLETE), type=StoredReport)
-        configs = (
-            _settings_before_the_fit(stored.config, stored.notes),
-            msgspec.to_builtins(job.config),
-        )
-        was_fitted = any(note.code == CONTROL_NOTE for note in stored.notes)
-        # The keys of a filter that only one side has say nothing more than its name.
-        one_sided = tuple(
-            f"filters.{name}." for name in {*configs[0]["filters"]} ^ {*configs[1]["filters"]}
-        )
-        old, new = (
-            {"filters": ", ".join(config["filters"]), "--control": is_fitted}
-            | {key: value for key, value in flattened(config) if not key.startswith(one_sided)}
-            for config, is_fitted in zip(configs, (was_fitted, options.control), strict=True)
-        )
+        changes = _changes_since(stored, job)
         is_other_log = log_digest(job) != stored.log.sha256
     except (OSError, TypeError, KeyError, *NOT_JSON, UserError):
         return ""
-    changes = changed_settings(old, new)
     asked = {"version": options.version, "sources": options.sources}
-    is_other_version = (
-        stored.versions != package_versions() or not asked.items() <= stored.tool.items()
-    )
+    is_same_tool = asked.items() <= stored.tool.items()
+    is_other_version = stored.versions != package_versions() or not is_same_tool
     # What a fit would set says something only where nothing else differs.
-    fitted = ("noise.fit", *(key for word in options.config.noise.fit for key in FREE[word]))
-    others = {key: text for key, text in changes.items() if not key.startswith(fitted)}
+    fitted = ["noise.fit"]
+    for word in options.config.noise.fit:
+        fitted += FREE[word]
+    others = {key: text for key, text in changes.items() if not key.startswith(tuple(fitted))}
     if others or is_other_log or is_other_version:
         changes = others
-    reasons = [
-        *(["of another log"] if is_other_log else []),
-        *(["by another version"] if is_other_version else []),
-        *([f"with other settings: {listed(changes.values(), _MOST_SETTINGS)}"] if changes else []),
-    ]
+    reasons = []
+    if is_other_log:
+        reasons.append("of another log")
+    if is_other_version:
+        reasons.append("by another version")
+    if changes:
+        reasons.append(f"with other settings: {listed(changes.values(), _MOST_SETTINGS)}")
     if reasons:
         return f"holds a result {', '.join(reasons)}"
     return ""
+
+
+def _changes_since(stored: StoredReport, job: ReplayJob) -> dict[str, str]:
+    """Return the settings that differ from those of a stored result, each as a sentence by its key."""
+    from insdvl_replay.changes.cells import changed_settings
+
+    before = _settings_before_the_fit(stored.config, stored.notes)
+    now = msgspec.to_builtins(job.config)
+    # The keys of a filter that only one side has say nothing more than its name.
+    one_sided = tuple(f"filters.{name}." for name in {*before["filters"]} ^ {*now["filters"]})
+    was_fitted = _is_fitted(stored.notes)
+    return changed_settings(
+        _compared_settings(before, one_sided, is_fitted=was_fitted),
+        _compared_settings(now, one_sided, is_fitted=job.options.control),
+    )
+
+
+def _compared_settings(
+    config: dict[str, Any], left_out: tuple[str, ...], *, is_fitted: bool
+) -> dict[str, Any]:
+    """Return settings by their dotted keys, the names of the filters, and whether the baseline was tuned."""
+    values = {key: value for key, value in flattened(config) if not key.startswith(left_out)}
+    return {"filters": ", ".join(config["filters"]), "--control": is_fitted} | values
 
 
 def log_digest(job: ReplayJob) -> str:

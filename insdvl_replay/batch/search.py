@@ -4,7 +4,7 @@ The dives of a vehicle have one search. Those that can be replayed as they are n
 found have one of their own.
 """
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,25 +49,31 @@ def outcomes(
     """Replay what has changed; settings are found for dives that need some, where that is allowed."""
     if lake is not None:
         require_lake(lake, {dive.target.parent for dive in dives})
-    needing = [dive for dive in dives if dive.options.require_fit and dive.error is None]
-    settled = [dive for dive in dives if dive not in needing]
+    hints = _SearchHints(how.say)
+    for replays in _parts(dives, how):
+        with closing(replays):
+            for outcome in replays:
+                hinted = hints.added(outcome)
+                if lake is not None and isinstance(hinted.result, Report):
+                    add_to_lake(lake, hinted.result)
+                yield hinted
+
+
+def _parts(dives: Sequence[ReplayJob], how: Replaying) -> list[Generator[Outcome, None, None]]:
+    """Return the replays of dives with the settings of their jobs, then of those that may need others."""
+    needing = []
+    settled = []
+    for dive in dives:
+        if dive.options.require_fit and dive.error is None:
+            needing.append(dive)
+        else:
+            settled.append(dive)
     parts = []
     if settled:
         parts.append(outcomes_as_planned(settled, how))
     if needing:
         parts.append(outcomes_without_settings(needing, how))
-    is_said = False
-    for replays in parts:
-        with closing(replays):
-            for outcome in replays:
-                if outcome.job.options.blocked_by:
-                    outcome, line = _with_search_hint(outcome)
-                    if line and not is_said:
-                        how.say(line)
-                        is_said = True
-                if lake is not None and isinstance(outcome.result, Report):
-                    add_to_lake(lake, outcome.result)
-                yield outcome
+    return parts
 
 
 def outcomes_as_planned(
@@ -317,17 +323,35 @@ def _nis_per_dof(report: Report) -> float:
     return values_of(report, report.baseline)["nis_per_dof"]
 
 
-def _with_search_hint(outcome: Outcome) -> tuple[Outcome, str]:
-    """Return an outcome whose error has a hint if other settings may help, and a line if its settings may not fit."""
-    found = outcome.result
-    hint = f"run without {outcome.job.options.blocked_by} first; then use its vehicle.toml with -c"
-    if isinstance(found, Report) and _may_misfit(found):
-        return outcome, f"hint: these settings may not fit {found.log.name}: {hint}"
-    if isinstance(found, UserError) and _settings_may_help(outcome) and _can_be_opened(outcome.job):
-        hints = [text for text in (found.hint, hint) if text]
-        with_hint = type(found)(found.what, "; or ".join(hints), *found.where)
-        return replace(outcome, result=with_hint), ""
-    return outcome, ""
+class _SearchHints:
+    """Hints to dives of a run that searches for no settings, because of one of its options."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._is_said = False
+
+    def added(self, outcome: Outcome) -> Outcome:
+        """Return an outcome whose error has the hint, if other settings may help; of several misfits one is said."""
+        option = outcome.job.options.blocked_by
+        if not option:
+            return outcome
+        hint = f"run without {option} first; then use its vehicle.toml with -c"
+        found = outcome.result
+        if isinstance(found, Report):
+            if _may_misfit(found) and not self._is_said:
+                self._say(f"hint: these settings may not fit {found.log.name}: {hint}")
+                self._is_said = True
+            return outcome
+        if _settings_may_help(outcome) and _can_be_opened(outcome.job):
+            return replace(outcome, result=_with_hint(found, hint))
+        return outcome
+
+
+def _with_hint(error: Exception, hint: str) -> Exception:
+    """Return an error with another hint beside its own."""
+    assert isinstance(error, UserError)
+    hints = [text for text in (error.hint, hint) if text]
+    return type(error)(error.what, "; or ".join(hints), *error.where)
 
 
 def _may_misfit(report: Report) -> bool:
