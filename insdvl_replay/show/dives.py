@@ -176,7 +176,9 @@ def named_result(
 def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
     for answer in _pooled(outcomes):
         if not answer.rows:
-            yield f"{answer.filter} against {answer.baseline}: {NO_EVIDENCE}"
+            is_judged = answer.verdict not in WITHOUT_VERDICT
+            why = NO_EVIDENCE if is_judged else f"{answer.verdict}: {answer.reason}"
+            yield f"{answer.filter} against {answer.baseline}: {why}"
             continue
         yield shown(
             PooledRow, map(as_shown, answer.rows), filter=answer.filter, baseline=answer.baseline

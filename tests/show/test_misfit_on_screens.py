@@ -11,6 +11,7 @@ from insdvl_replay.core.words import Verdict
 from insdvl_replay.document.parts import Sentences
 from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.show.answers import against_control, has_misfit, predicted_unchecked
+from insdvl_replay.show.dives import named_result
 from insdvl_replay.show.screens import dive_screen
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -36,6 +37,17 @@ def test_the_predicted_gain_is_said_and_not_checked() -> None:
     assert re.match(r"The noise variance of baseline is \d{3} times too large", found[1])
     assert found[2].startswith("predicted: ")
     assert found[2].endswith("Neither is checked against errors.")
+
+
+def test_the_table_over_dives_names_the_noise_and_no_missing_reference() -> None:
+    dives = [
+        replace(report(), log=replace(report().log, name=name, sha256=name), imu_fingerprint=None)
+        for name in ("a", "b")
+    ]
+    result = named_result(dives, ["pooled"], [])
+    text = str(result.document)
+    assert "aided against baseline: not evaluated: the noise variance of baseline is" in text
+    assert "Accuracy takes a reference" not in text
 
 
 def test_nothing_is_said_of_a_filter_that_diverged_beside_a_baseline_in_order() -> None:
