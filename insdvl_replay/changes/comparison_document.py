@@ -381,8 +381,8 @@ def _growth_text(cell: Change) -> str:
 
 
 _OLD_AND_NEW: Final[tuple[ShownColumn, ...]] = (
-    ("old", "r", "old:cell"),
-    ("new", "r", "new:cell"),
+    ("old", "r", "old"),
+    ("new", "r", "new"),
     ("change", "r", _growth_text),
     ("", "l", "verdict"),
 )

@@ -4,8 +4,8 @@ Caption and label of each table name what the document is about, so that one pap
 """
 
 import re
-from collections.abc import Collection, Sequence
-from typing import Final
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 from insdvl_replay.core.errors import visible
 from insdvl_replay.document.parts import CellText, DisplayTable, Document
@@ -37,46 +37,61 @@ _MOST_FLOATS: Final = 10  # LaTeX holds 18 floats at least, until a page is full
 
 def as_latex(document: Document, about: str = "") -> str:
     """Render a document: all sentences first, then a ``table`` for each table, which names what it is about."""
-    parts = list(flat("latex", document))
-    sentences = [f"% {visible(text)}" for part in parts if (text := sentence_of(part))]
-    blocks = list[str]()
+    sentences = []
+    blocks = []
     labels = set[str]()
-    for count, table in enumerate((part for part in parts if isinstance(part, DisplayTable)), 1):
-        blocks += [_table(table, about, labels), *([] if count % _MOST_FLOATS else [r"\clearpage"])]
-    return "\n\n".join(["\n".join([*([_PACKAGES] if blocks else []), *sentences]), *blocks]) + "\n"
+    tables = 0
+    for part in flat("latex", document):
+        if isinstance(part, DisplayTable):
+            tables += 1
+            blocks.append(_table(part, about, labels))
+            if tables % _MOST_FLOATS == 0:
+                blocks.append(r"\clearpage")
+        elif text := sentence_of(part):
+            sentences.append(f"% {visible(text)}")
+    if tables:
+        sentences.insert(0, _PACKAGES)
+    return "\n\n".join(["\n".join(sentences), *blocks]) + "\n"
 
 
 def _table(table: DisplayTable, about: str, labels: set[str]) -> str:
-    columns = [
-        _column(letter, *cells)
-        for letter, *cells in zip(table.alignment, table.header, *table.rows, strict=True)
+    columns = []
+    for place, (letter, head) in enumerate(zip(table.alignment, table.header, strict=True)):
+        texts = [_on_one_line(row[place]) for row in table.rows]
+        columns.append(_column(letter, " ".join(head.split()), texts))
+    formats = [column.format for column in columns]
+    lines = [
+        r"\begin{table}[htbp]",
+        r"\centering",
+        rf"\caption{{{_text(_caption(table.title, about))}}}",
+        rf"\label{{tab:{_label(about, table.title, labels)}}}",
+        r"\footnotesize\setlength{\tabcolsep}{3pt}",
+        _AT_MOST_A_LINE,
+        rf"\begin{{tabular}}{{{''.join(formats)}}}",
+        r"\toprule",
+        _row([column.head for column in columns]),
+        r"\midrule",
     ]
-    formats, *rows = zip(*columns, strict=True)
-    head, *body = (_row(row) for row in rows)
-    caption = (
-        f"{table.title} ({about})"
-        if table.title and about not in table.title
-        else table.title or about
-    )
-    return "\n".join(
-        [
-            r"\begin{table}[htbp]",
-            r"\centering",
-            rf"\caption{{{_text(caption)}}}",
-            rf"\label{{tab:{_label(about, table.title, labels)}}}",
-            r"\footnotesize\setlength{\tabcolsep}{3pt}",
-            _AT_MOST_A_LINE,
-            rf"\begin{{tabular}}{{{''.join(formats)}}}",
-            r"\toprule",
-            head,
-            r"\midrule",
-            *body,
-            r"\bottomrule",
-            r"\end{tabular}}",
-            *([rf"\par {_text(table.footnote)}"] if table.footnote else []),
-            r"\end{table}",
-        ]
-    )
+    for number in range(len(table.rows)):
+        lines.append(_row([column.cells[number] for column in columns]))
+    lines += [r"\bottomrule", r"\end{tabular}}"]
+    if table.footnote:
+        lines.append(rf"\par {_text(table.footnote)}")
+    lines.append(r"\end{table}")
+    return "\n".join(lines)
+
+
+def _on_one_line(cell: CellText) -> str:
+    return " ".join(" ".join(cell_lines(cell)).split())
+
+
+def _caption(title: str, about: str) -> str:
+    """Return the title of a table with what it is about, if it does not say it."""
+    if not title:
+        return about
+    if about in title:
+        return title
+    return f"{title} ({about})"
 
 
 def _label(about: str, title: str, labels: set[str]) -> str:
@@ -85,51 +100,79 @@ def _label(about: str, title: str, labels: set[str]) -> str:
         r"[^\w.-]", lambda found: found[0].encode(errors="replace").hex(), about, flags=re.ASCII
     )
     slug = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:_LONGEST_LABEL]
-    label = wanted = ":".join(filter(None, (name, slug)))
+    wanted = ":".join(filter(None, (name, slug)))
+    label = wanted
     while label in labels:
-        label = f"{wanted}-{sum(known.startswith(wanted) for known in labels) + 1}"
+        same = [known for known in labels if known.startswith(wanted)]
+        label = f"{wanted}-{len(same) + 1}"
     labels.add(label)
     return label
 
 
-def _column(letter: str, head: str, *column: CellText) -> list[str]:
-    """Return the format of a column, its head and its cells: for siunitx if there are numbers and no words."""
-    title, *texts = (
-        " ".join(" ".join(cell_lines(cell)).split()) for cell in (" ".join(head.split()), *column)
-    )
-    found = [_NUMBER.fullmatch(text) for text in texts if text != MISSING]
-    numbers = [number for number in found if number is not None]
-    if (
-        letter != "r"
-        or not numbers
-        or len(numbers) < len(found)
-        or len({number["unit"] for number in numbers}) > 1
-    ):
-        is_long = max(map(len, texts), default=0) > _LONGEST_CELL
-        return ["p{25mm}" if letter == "l" and is_long else letter, *map(_cell, (title, *texts))]
-    unit = " [%]" if numbers[0]["unit"] else ""
-    missing = f"{{{MISSING * 2}}}"
-    plain = (re.sub(r"e([+-])0+", r"e\1", text.removesuffix(" %")) for text in texts)
-    return [
-        _siunitx(numbers),
-        f"{{{_text(title + unit)}}}",
-        *(missing if text == MISSING else text for text in plain),
-    ]
+class _Column(NamedTuple):
+    """A column as LaTeX."""
+
+    format: str  # of ``tabular``
+    head: str
+    cells: list[str]
 
 
-def _siunitx(numbers: Collection[re.Match[str]]) -> str:
+def _column(letter: str, head: str, texts: Sequence[str]) -> _Column:
+    """Return a column for siunitx if there are numbers and no words, else with its words."""
+    if letter == "r":
+        numbers = _numbers(texts)
+        if numbers:
+            return _column_of_numbers(head, texts, numbers)
+    if letter == "l" and any(len(text) > _LONGEST_CELL for text in texts):
+        letter = "p{25mm}"
+    return _Column(letter, _cell(head), [_cell(text) for text in texts])
+
+
+def _numbers(texts: Sequence[str]) -> list[re.Match[str]]:
+    """Return the parts of the numbers of a column, without what is missing; none if it has words or two units."""
+    numbers = []
+    for text in texts:
+        if text != MISSING:
+            number = _NUMBER.fullmatch(text)
+            if number is None:
+                return []
+            numbers.append(number)
+    units = {number["unit"] for number in numbers}
+    if len(units) > 1:
+        return []
+    return numbers
+
+
+def _column_of_numbers(
+    head: str, texts: Sequence[str], numbers: Sequence[re.Match[str]]
+) -> _Column:
+    if numbers[0]["unit"]:
+        head += " [%]"
+    cells = []
+    for text in texts:
+        if text == MISSING:
+            cells.append(f"{{{MISSING * 2}}}")
+        else:
+            cells.append(re.sub(r"e([+-])0+", r"e\1", text.removesuffix(" %")))
+    return _Column(_siunitx(numbers), f"{{{_text(head)}}}", cells)
+
+
+def _siunitx(numbers: Sequence[re.Match[str]]) -> str:
     """Return the format of a column that leaves room for the longest parts of its numbers."""
-    whole, decimals, power = (
-        max(
-            len((number[part] or "").lstrip("+-0") if part == "power" else number[part] or "")
-            for number in numbers
-        )
-        for part in ("whole", "decimals", "power")
-    )
     signs = {number["sign"] for number in numbers}
-    sign = "+" if "+" in signs else "-" if "-" in signs else ""
-    options = f"{sign}{whole}{f'.{decimals}' if decimals else ''}{f'e-{power}' if power else ''}"
-    return f"S[table-format={options}{',retain-explicit-plus' if sign == '+' else ''}]"
+    whole = max(len(number["whole"]) for number in numbers)
+    decimals = max(len(number["decimals"] or "") for number in numbers)
+    power = max(len((number["power"] or "").lstrip("+-0")) for number in numbers)
+    room = f"{whole}"
+    if decimals:
+        room += f".{decimals}"
+    if power:
+        room += f"e-{power}"
+    if "+" in signs:
+        return f"S[table-format=+{room},retain-explicit-plus]"
+    if "-" in signs:
+        return f"S[table-format=-{room}]"
+    return f"S[table-format={room}]"
 
 
 def _row(cells: Sequence[str]) -> str:
@@ -142,11 +185,18 @@ def _cell(text: str) -> str:
     found = _NUMBER.fullmatch(text)
     if found is None:
         return _text(text)
-    power = rf" \times 10^{{{int(found['power'])}}}" if found["power"] else ""
-    digits = f"{found['whole']}{'.' if found['decimals'] else ''}{found['decimals'] or ''}"
-    number = f"${found['sign']}{digits}{power}$" if found["sign"] or power else digits
-    return number + (r"\,\%" if found["unit"] else "")
+    number = found["whole"]
+    if found["decimals"]:
+        number += f".{found['decimals']}"
+    if found["power"]:
+        number += rf" \times 10^{{{int(found['power'])}}}"
+    if found["sign"] or found["power"]:
+        number = f"${found['sign']}{number}$"
+    if found["unit"]:
+        number += r"\,\%"
+    return number
 
 
 def _text(text: str) -> str:
-    return "".join(_ESCAPES.get(letter, letter) for letter in visible(text)).replace("--", "-{}-")
+    letters = [_ESCAPES.get(letter, letter) for letter in visible(text)]
+    return "".join(letters).replace("--", "-{}-")

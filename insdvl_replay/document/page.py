@@ -1,5 +1,6 @@
 """A document as a page: one file, no network, readable without scripts, on paper, in the light and in the dark."""
 
+import re
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,6 +15,7 @@ from insdvl_replay.document.looks import style_sheet
 from insdvl_replay.document.parts import (
     REJECTED,
     Callout,
+    CellText,
     Code,
     DisplayTable,
     Document,
@@ -29,6 +31,7 @@ from insdvl_replay.document.parts import (
 from insdvl_replay.document.plot import Legend, panel_svg
 from insdvl_replay.document.tables import cell_lines, parts_for
 
+_NOT_IN_ANCHOR: Final = re.compile(r"[\W_]")  # of a heading, where it becomes a link target
 _SHORT: Final = 20  # Longer cells are folded; the others are on one line.
 SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
 
@@ -46,36 +49,25 @@ def page(document: Document, *scripts: str) -> bytes:
     Before the first heading are links to all of them. Tables that follow each other are side by side where there is
     room. ``scripts`` are files of this folder; plots bring ``cursor.js``. The page works without them.
     """
-    shown = list(parts_for("html", document))
-    [title] = [escape(part.text) for part in shown if isinstance(part, Title)]
-    parts = [part for part in shown if not isinstance(part, Title)]
-    figures = [place for place, part in enumerate(parts) if isinstance(part, Figure)]
-    if figures and not any(isinstance(part, Html) and part.explains_figures for part in parts):
-        parts.insert(figures[0], HOW_TO_READ)
-    headings = [part.text for part in parts if isinstance(part, Heading)]
-    first = next(
-        (place for place, part in enumerate(parts) if isinstance(part, Heading)), len(parts)
-    )
-    links = "".join(f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
-    nav = [f"<nav>{links}</nav>"] if links else []
-    body = [f"<h1>{title}</h1>", *_in_grids(parts[:first]), *nav, *_in_grids(parts[first:])]
-    plots = ["cursor.js"] if any('panel" viewBox' in part for part in body) else []
-    codes = [
-        files("insdvl_replay.document").joinpath(name).read_text("utf-8")
-        for name in (*scripts, *plots)
-    ]
+    parts = list(parts_for("html", document))
+    [title] = [part for part in parts if isinstance(part, Title)]
+    parts.remove(title)
+    _explain_figures(parts)
+    head = escape(title.text)
+    body = [f"<h1>{head}</h1>", *_body(parts)]
+    names = list(scripts)
+    if any('panel" viewBox' in part for part in body):
+        names.append("cursor.js")
+    codes = [files("insdvl_replay.document").joinpath(name).read_text("utf-8") for name in names]
     style = f"\n{style_sheet()}"
-    # Nothing from the network, and only the page's own style and scripts.
-    allowed = " ".join(map(_digest, codes)) or "'none'"
-    policy = f"default-src 'none'; style-src {_digest(style)}; script-src {allowed}"
     lines = [
         "<!doctype html>",
         '<html lang="en">',
         '<meta charset="utf-8">',
         SIGNATURE,
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+        f'<meta http-equiv="Content-Security-Policy" content="{_policy(style, codes)}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{title}</title>",
+        f"<title>{head}</title>",
         f"<style>{style}</style>",
         "<body><main>",
         *body,
@@ -87,18 +79,47 @@ def page(document: Document, *scripts: str) -> bytes:
     return "\n".join(lines).encode()
 
 
+def _explain_figures(parts: list[Part]) -> None:
+    """Say before the first figure how to read it, if nothing else does."""
+    for part in parts:
+        if isinstance(part, Html) and part.explains_figures:
+            return
+    for place, part in enumerate(parts):
+        if isinstance(part, Figure):
+            parts.insert(place, HOW_TO_READ)
+            return
+
+
+def _body(parts: Sequence[Part]) -> list[str]:
+    """Render parts, with links to all headings before the first."""
+    headings = [part for part in parts if isinstance(part, Heading)]
+    if not headings:
+        return _in_grids(parts)
+    links = [f'<a href="#{_anchor(part.text)}">{escape(part.text)}</a>' for part in headings]
+    first = parts.index(headings[0])
+    nav = f"<nav>{''.join(links)}</nav>"
+    return [*_in_grids(parts[:first]), nav, *_in_grids(parts[first:])]
+
+
+def _policy(style: str, codes: Sequence[str]) -> str:
+    """Allow nothing from the network, and only the page's own style and scripts."""
+    allowed = " ".join(map(_digest, codes)) or "'none'"
+    return f"default-src 'none'; style-src {_digest(style)}; script-src {allowed}"
+
+
 def _digest(text: str) -> str:
     return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'"
 
 
 def fragment(document: Document) -> str:
     """Render a document as a part of another page, such as a notebook, without a style of its own."""
-    shown = parts_for("html", document)
-    parts = [
-        f"<h3>{escape(part.text)}</h3>" if isinstance(part, Title) else _html(part)
-        for part in shown
-    ]
-    return f"<div>{''.join(parts)}</div>"
+    texts = []
+    for part in parts_for("html", document):
+        if isinstance(part, Title):
+            texts.append(f"<h3>{escape(part.text)}</h3>")
+        else:
+            texts.append(_html(part))
+    return f"<div>{''.join(texts)}</div>"
 
 
 def escape(text: str) -> str:
@@ -111,10 +132,8 @@ def escape(text: str) -> str:
 
 def facts(named: Mapping[str, str]) -> Html:
     """Return facts by their names."""
-    pairs = "".join(
-        f"<dt>{escape(name)}</dt><dd>{escape(fact)}</dd>" for name, fact in named.items()
-    )
-    return Html(f"<dl>{pairs}</dl>")
+    pairs = [f"<dt>{escape(name)}</dt><dd>{escape(fact)}</dd>" for name, fact in named.items()]
+    return Html(f"<dl>{''.join(pairs)}</dl>")
 
 
 def settings_details(settings: str) -> Html:
@@ -125,7 +144,8 @@ def settings_details(settings: str) -> Html:
 
 def pictures(panels: Sequence[Panel]) -> str:
     """Return panels one below the other, as HTML."""
-    return "".join(_zoomed(panel, f"first-{number}") for number, panel in enumerate(panels, 1))
+    texts = [_zoomed(panel, f"first-{number}") for number, panel in enumerate(panels, 1)]
+    return "".join(texts)
 
 
 # --- Parts as HTML.
@@ -134,17 +154,27 @@ def pictures(panels: Sequence[Panel]) -> str:
 def _in_grids(parts: Sequence[Part]) -> list[str]:
     """Render the parts one by one; tables that follow each other share a grid, and the last of equal footnotes."""
     lines: list[str] = []
-    in_grid = False
-    for part, after in zip_longest(parts, parts[1:]):
-        if (isinstance(part, DisplayTable) and part.links is None and not part.folded) != in_grid:
-            in_grid = not in_grid
-            lines.append('<div class="tables">' if in_grid else "</div>")
-        if in_grid and isinstance(part, DisplayTable) and isinstance(after, DisplayTable):
-            part = replace(part, footnote=part.footnote if part.footnote != after.footnote else "")
-        lines.append(_html(part))
-    if in_grid:
-        return [*lines, "</div>"]
-    return lines
+    grid: list[DisplayTable] = []
+    for part in parts:
+        if isinstance(part, DisplayTable) and part.links is None and not part.folded:
+            grid.append(part)
+        else:
+            lines += _grid(grid)
+            grid = []
+            lines.append(_html(part))
+    return lines + _grid(grid)
+
+
+def _grid(tables: Sequence[DisplayTable]) -> list[str]:
+    """Render tables in a grid, without a footnote that the next of them has as well."""
+    if not tables:
+        return []
+    lines = ['<div class="tables">']
+    for table, after in zip_longest(tables, tables[1:]):
+        if after is not None and after.footnote == table.footnote:
+            table = replace(table, footnote="")
+        lines.append(table_html(table))
+    return [*lines, "</div>"]
 
 
 def _html(part: Part) -> str:
@@ -173,50 +203,64 @@ def _html(part: Part) -> str:
 
 def table_html(table: DisplayTable) -> str:
     """Return a table as HTML."""
-    kinds = [
-        "" if letter == "r" else " class=l" for letter in table.alignment
-    ]  # most cells are numbers
-    header = "".join(
-        f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, table.header, strict=True)
-    )
+    kinds = [_CELLS[letter] for letter in table.alignment]
+    header = []
+    for kind, name in zip(kinds, table.header, strict=True):
+        header.append(f"<th{kind}>{escape(name)}</th>")
     rows = []
     for row, link in zip(table.rows, table.links or [""] * len(table.rows), strict=True):
-        cells = ["<br>".join(map(escape, cell_lines(cell))) for cell in row]
-        # A cell of many words is folded.
-        classes = [
-            " class=words" if len(cell) > _SHORT else kind
-            for kind, cell in zip(kinds, cells, strict=True)
-        ]
-        if link:
-            cells[0] = f'<a href="{escape(link)}">{cells[0]}</a>'
-        rows.append(
-            "".join(f"<td{kind}>{cell}</td>" for kind, cell in zip(classes, cells, strict=True))
-        )
-    lines = "\n".join(f"<tr>{row}</tr>" for row in rows)
-    name, colon, rest = table.title.partition(": ")
-    title = (
-        f"<h3><b>{escape(name + colon.rstrip())}</b>{' ' if rest else ''}{escape(rest)}</h3>"
-        if name
-        else ""
-    )
-    footnote = f'<p class="footnote">{escape(table.footnote)}</p>' if table.footnote else ""
+        rows.append(f"<tr>{_cells_html(row, kinds, link)}</tr>")
+    lines = "\n".join(rows)
     return (
-        f'<section class="table">{title}<div class="wide" tabindex="0"><table>'
-        f"<thead><tr>{header}</tr></thead><tbody>{lines}</tbody></table></div>{footnote}</section>"
+        f'<section class="table">{_title_html(table.title)}<div class="wide" tabindex="0"><table>'
+        f"<thead><tr>{''.join(header)}</tr></thead><tbody>{lines}</tbody></table></div>"
+        f"{_footnote_html(table.footnote)}</section>"
     )
+
+
+# The class of a cell by its alignment; most cells are numbers and have none.
+_CELLS: Final = {"l": " class=l", "r": ""}
+
+
+def _cells_html(row: Sequence[CellText], kinds: Sequence[str], link: str) -> str:
+    """Return the cells of a row; a cell of many words is folded, and the first has the link."""
+    cells: list[str] = []
+    for kind, cell in zip(kinds, row, strict=True):
+        text = "<br>".join(map(escape, cell_lines(cell)))
+        if len(text) > _SHORT:
+            kind = " class=words"
+        if link and not cells:
+            text = f'<a href="{escape(link)}">{text}</a>'
+        cells.append(f"<td{kind}>{text}</td>")
+    return "".join(cells)
+
+
+def _title_html(title: str) -> str:
+    """Return the title of a table, in bold up to a colon."""
+    if not title:
+        return ""
+    name, colon, rest = title.partition(": ")
+    bold = f"<b>{escape(name + colon.rstrip())}</b>"
+    if rest:
+        return f"<h3>{bold} {escape(rest)}</h3>"
+    return f"<h3>{bold}</h3>"
+
+
+def _footnote_html(footnote: str) -> str:
+    if footnote:
+        return f'<p class="footnote">{escape(footnote)}</p>'
+    return ""
 
 
 def _figure(figure: Figure) -> str:
     anchor = _anchor(figure.title)
-    panels = "\n".join(
-        _zoomed(panel, f"{anchor}-{number}", figure.legend)
-        for number, panel in enumerate(figure.panels, 1)
-    )
-    content = (
-        f'<div class="panels">{panels}</div>'
-        if panels
-        else '<p class="footnote">nothing to draw</p>'
-    )
+    panels = []
+    for number, panel in enumerate(figure.panels, 1):
+        panels.append(_zoomed(panel, f"{anchor}-{number}", figure.legend))
+    content = '<p class="footnote">nothing to draw</p>'
+    if panels:
+        lines = "\n".join(panels)
+        content = f'<div class="panels">{lines}</div>'
     return captioned(escape(figure.title), escape(figure.caption), content, _keys(figure.legend))
 
 
@@ -227,13 +271,16 @@ def captioned(title: str, caption: str, content: str, legend: str = "") -> str:
 
 
 def _keys(legend: Legend) -> str:
-    return f'<ul class="legend">{"".join(f"<li>{_key(style)}{escape(label)}</li>" for style, label in legend)}</ul>'
+    entries = [f"<li>{_key(style)}{escape(label)}</li>" for style, label in legend]
+    return f'<ul class="legend">{"".join(entries)}</ul>'
 
 
 def _key(style: str) -> str:
     """Draw the legend key of a style."""
-    kind, path = ("points", "M20 5h0") if style == REJECTED else ("line", "M1 5H39")
-    return f'<svg viewBox="0 0 40 10"><path class="{kind} {style}" d="{path}"/></svg>'
+    path = f'<path class="line {style}" d="M1 5H39"/>'
+    if style == REJECTED:
+        path = f'<path class="points {style}" d="M20 5h0"/>'
+    return f'<svg viewBox="0 0 40 10">{path}</svg>'
 
 
 def _zoomed(panel: Panel, anchor: str, legend: Legend = ()) -> str:
@@ -241,15 +288,17 @@ def _zoomed(panel: Panel, anchor: str, legend: Legend = ()) -> str:
 
     The legend of a track is below it: at the ends of its lines there is no room.
     """
-    own = (
-        [(curve.style, curve.label) for curve in panel.curves if curve.label] if panel.equal else []
-    )
+    kind = "zoom tall" if panel.is_tall else "zoom"
+    keys = ""
+    named = [(curve.style, curve.label) for curve in panel.curves if curve.label]
+    if panel.equal and named:
+        keys = _keys(named)
     return (
-        f'<div class="zoom{" tall" if panel.equal and not panel.low else ""}" id="{anchor}">'
-        f'<a class="open" href="#{anchor}" title="larger">{panel_svg(panel, legend)}</a>{_keys(own) if own else ""}'
+        f'<div class="{kind}" id="{anchor}">'
+        f'<a class="open" href="#{anchor}" title="larger">{panel_svg(panel, legend)}</a>{keys}'
         f'<a class="close" href="#{anchor}-back">back</a><i id="{anchor}-back"></i></div>'
     )
 
 
 def _anchor(text: str) -> str:
-    return "".join(letter if letter.isalnum() else "-" for letter in text.lower())
+    return _NOT_IN_ANCHOR.sub("-", text.lower())

@@ -98,6 +98,11 @@ class Panel:
     shades: tuple[Shade, ...] = ()
     low: bool = False  # usual height although `equal`
 
+    @property
+    def is_tall(self) -> bool:
+        """Whether it is as high as it is wide."""
+        return self.equal and not self.low
+
 
 @dataclass(frozen=True)
 class Figure:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -99,14 +98,12 @@ class Axis:
     @property
     def transform(self) -> tuple[float, float]:
         """Return scale and offset from counts to places."""
-        low, high = (
-            (self.low, self.high)
-            if self.scale == "linear"
-            else (math.log10(self.low), math.log10(self.high))
-        )
-        size = _LOG_COUNTS if self.scale == "log" else self.unit * 10.0**self.decimals
-        scale = (self.end - self.start) / (high - low)
-        return scale / size, self.start - low * scale
+        if self.scale == "log":
+            low = math.log10(self.low)
+            scale = (self.end - self.start) / (math.log10(self.high) - low)
+            return scale / _LOG_COUNTS, self.start - low * scale
+        scale = (self.end - self.start) / (self.high - self.low)
+        return scale / (self.unit * 10.0**self.decimals), self.start - self.low * scale
 
     @property
     def reading(self) -> str:
@@ -131,18 +128,23 @@ class Axis:
         if self.scale == "log":
             values = _decades(self.low, self.high, count)
             powers = np.rint(np.log10(values)).astype(int).tolist()
-            labels = [f"{10.0**power:g}" if -4 < power < 5 else f"1e{power}" for power in powers]
+            labels = [_power_of_ten(power) for power in powers]
         else:
             step, values = _round_values(self.low, self.high, count, whole=self.whole)
-            rounded = (round(value / step) * step for value in values)
-            labels = [f"{value:.6g}".replace("-", "\N{MINUS SIGN}") for value in rounded]
-        inside = (values >= self.low) & (values <= self.high)
-        places = self.place(values).tolist()
-        return [
-            (place, label)
-            for place, label, shown in zip(places, labels, inside.tolist(), strict=True)
-            if shown
-        ]
+            labels = [_multiple(value, step) for value in values.tolist()]
+        ticks = zip(values.tolist(), self.place(values).tolist(), labels, strict=True)
+        return [(place, label) for value, place, label in ticks if self.low <= value <= self.high]
+
+
+def _power_of_ten(power: int) -> str:
+    if -4 < power < 5:
+        return f"{10.0**power:g}"
+    return f"1e{power}"
+
+
+def _multiple(value: float, step: float) -> str:
+    """Write a multiple of a step, without what a division leaves of it."""
+    return f"{round(value / step) * step:.6g}".replace("-", "\N{MINUS SIGN}")
 
 
 def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
@@ -165,17 +167,21 @@ def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
 
 def _round_values(low: float, high: float, count: int, *, whole: bool) -> tuple[float, Floats]:
     """Find the smallest step that needs at most ``count`` intervals, smaller if it shows one value, and its values."""
-    smallest = max((high - low) / count, 1.0 if whole else 0.0)
-    steps = [share * 10.0 ** math.floor(math.log10(smallest)) for share in _STEPS]
-    fitting = [
-        step
-        for before, step in pairwise([0.0, *steps])
-        if before < smallest and (step.is_integer() or not whole)
-    ]
+    smallest = (high - low) / count
+    if whole:
+        smallest = max(smallest, 1.0)
+    power = 10.0 ** math.floor(math.log10(smallest))
+    fitting = []
+    for share in _STEPS:
+        step = share * power
+        if step.is_integer() or not whole:
+            fitting.append(step)
+        if step >= smallest:
+            break
     for step in reversed(fitting):
-        values = (
-            np.arange(math.floor(low / step), math.ceil(high / step) + 1, dtype=np.float64) * step
-        )
+        first = math.floor(low / step)
+        last = math.ceil(high / step)
+        values = np.arange(first, last + 1, dtype=np.float64) * step
         if np.sum((values >= low) & (values <= high)) > 1:
             break
     return step, values
@@ -230,12 +236,12 @@ Legend = Sequence[tuple[str, str]]  # Style and meaning.
 
 def panel_svg(panel: Panel, legend: Legend = ()) -> str:
     """Draw a panel; the legend names its lines at the cursor."""
-    tall = panel.equal and not panel.low
-    return _panel(panel, f'class="{"tall " if tall else ""}panel"', dict(legend))
+    place = 'class="tall panel"' if panel.is_tall else 'class="panel"'
+    return _panel(panel, place, dict(legend))
 
 
 def _height(panel: Panel) -> float:
-    if panel.equal and not panel.low:
+    if panel.is_tall:
         return WIDTH
     return HEIGHT
 
@@ -247,57 +253,79 @@ def _panel(panel: Panel, place: str, names: Mapping[str, str]) -> str:
     tall = height - _TOP - _BOTTOM
     plot = f'x="{_LEFT:g}" y="{_TOP:g}" width="{width:g}" height="{tall:g}"'
     title = escape(panel.title)
-    (across, left), (down, top) = x_axis.transform, y_axis.transform
-    return "".join(
-        [
-            f'<svg {place} viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{title}" '
-            f'data-x="{x_axis.reading}" data-y="{y_axis.reading}">',
-            f'<text class="title" x="{_LEFT:g}" y="15">{title}</text>',
-            *_grid(panel, x_axis, y_axis),
-            f'<svg {plot} viewBox="{_LEFT:g} {_TOP:g} {width:g} {tall:g}">',
-            f'<g transform="matrix({across:.7g} 0 0 1 {left:.7g} 0)">',
-            *_shades(panel, x_axis, y_axis),
-            "</g>",
-            f'<g class="data" transform="matrix({across:.7g} 0 0 {down:.7g} {left:.7g} {top:.7g})">',
-            *_content(panel, x_axis, y_axis, names),
-            "</g>",
-            *(
-                f'<path class="line limit" d="M{x_axis.start:g} {place:.1f}H{x_axis.end:g}"/>'
-                for place in y_axis.place(np.array(panel.levels))
-            ),
-            *_marks(panel, x_axis, y_axis),
-            "</svg>",
-            *(() if panel.equal else _names(panel, x_axis, y_axis)),
-            f'<rect class="frame" {plot}/>',
-            "</svg>",
-        ]
-    )
+    across, left = x_axis.transform
+    down, top = y_axis.transform
+    parts = [
+        f'<svg {place} viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{title}" '
+        f'data-x="{x_axis.reading}" data-y="{y_axis.reading}">',
+        f'<text class="title" x="{_LEFT:g}" y="15">{title}</text>',
+        *_grid(panel, x_axis, y_axis),
+        f'<svg {plot} viewBox="{_LEFT:g} {_TOP:g} {width:g} {tall:g}">',
+        f'<g transform="matrix({across:.7g} 0 0 1 {left:.7g} 0)">',
+        *_shades(panel, x_axis, y_axis),
+        "</g>",
+        f'<g class="data" transform="matrix({across:.7g} 0 0 {down:.7g} {left:.7g} {top:.7g})">',
+        *_content(panel, x_axis, y_axis, names),
+        "</g>",
+        *_levels(panel, x_axis, y_axis),
+        *_marks(panel, x_axis, y_axis),
+        "</svg>",
+        *_names(panel, x_axis, y_axis),
+        f'<rect class="frame" {plot}/>',
+        "</svg>",
+    ]
+    return "".join(parts)
 
 
 def _axes(panel: Panel, height: float) -> tuple[Axis, Axis]:
     """Find both axes; on equal ones the shorter span grows until a unit is as long in both directions."""
-    x = np.concatenate([np.empty(0), *(curve.x for curve in panel.curves)])
-    edges = [edge for curve in panel.curves if curve.band is not None for edge in curve.band]
-    y = np.concatenate([*(curve.y for curve in panel.curves), *edges, np.array(panel.levels)])
-    x_low, x_high = panel.x_limits or limits(x, panel.x_scale)
-    known = x[np.isfinite(x) & (x > 0.0)]
-    if panel.x_scale == "log" and len(known) and known.min() < known.max():
-        # with a margin, half of the axis would be empty
-        x_low = float(known.min())
-        x_high = float(known.max())
-    y_low, y_high = panel.y_limits or limits(y, panel.y_scale)
+    x_low, x_high = panel.x_limits or _x_limits(panel)
+    y_low, y_high = panel.y_limits or _y_limits(panel)
     right = WIDTH - _RIGHT
     bottom = height - _BOTTOM
+    digits = _DIGITS_X
     if panel.equal:
+        digits = _DIGITS_Y
         unit = max((x_high - x_low) / (right - _LEFT), (y_high - y_low) / (bottom - _TOP))
         x_low, x_high = _widened(x_low, x_high, unit * (right - _LEFT))
         y_low, y_high = _widened(y_low, y_high, unit * (bottom - _TOP))
-    unit = 1.0 if panel.x_scale == "log" else _SECONDS.get(panel.x_label, 1.0)
-    digits = _DIGITS_Y if panel.equal else _DIGITS_X
     x_axis = Axis(
-        x_low, x_high, _LEFT, right, panel.x_scale, whole=panel.x_whole, unit=unit, digits=digits
+        x_low,
+        x_high,
+        _LEFT,
+        right,
+        panel.x_scale,
+        whole=panel.x_whole,
+        unit=_seconds_of_unit(panel),
+        digits=digits,
     )
     return x_axis, Axis(y_low, y_high, bottom, _TOP, panel.y_scale)
+
+
+def _x_limits(panel: Panel) -> tuple[float, float]:
+    """Return the limits across: on a logarithmic axis without a margin, which would leave half of it empty."""
+    x = np.concatenate([np.empty(0), *(curve.x for curve in panel.curves)])
+    if panel.x_scale == "log":
+        known = x[np.isfinite(x) & (x > 0.0)]
+        if len(known) and known.min() < known.max():
+            return float(known.min()), float(known.max())
+    return limits(x, panel.x_scale)
+
+
+def _y_limits(panel: Panel) -> tuple[float, float]:
+    """Return the limits of all that is drawn over the horizontal axis."""
+    values = [np.array(panel.levels)]
+    for curve in panel.curves:
+        values.append(curve.y)
+        if curve.band is not None:
+            values += curve.band
+    return limits(np.concatenate(values), panel.y_scale)
+
+
+def _seconds_of_unit(panel: Panel) -> float:
+    if panel.x_scale == "log":
+        return 1.0
+    return _SECONDS.get(panel.x_label, 1.0)
 
 
 def _widened(low: float, high: float, span: float) -> tuple[float, float]:
@@ -313,7 +341,8 @@ def _shades(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
         begin, end = x_axis.counts(np.array([shade.begin, shade.end])).tolist()
         stretch = f"M{begin:.0f} {y_axis.end:g}H{max(end, begin + pixel):.0f}V{y_axis.start:g}H{begin:.0f}Z"
         paths[shade.style] = paths.get(shade.style, "") + stretch
-    yield from (f'<path class="shade {style}" d="{path}"/>' for style, path in paths.items())
+    for style, path in paths.items():
+        yield f'<path class="shade {style}" d="{path}"/>'
 
 
 def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
@@ -323,55 +352,99 @@ def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
     left = x_axis.start
     right = x_axis.end
     across = x_axis.ticks(_TICKS_WHOLE if panel.x_whole else _TICKS_X)
-    yield f'<g class="ticks"><path d="{"".join(f"M{place:.1f} {top:g}V{bottom:g}" for place, _ in across)}"/>'
-    yield from (
-        f'<text x="{place:.1f}" y="{bottom + 13:g}">{label}</text>' for place, label in across
-    )
+    lines = [f"M{place:.1f} {top:g}V{bottom:g}" for place, _ in across]
+    yield f'<g class="ticks"><path d="{"".join(lines)}"/>'
+    for place, label in across:
+        yield f'<text x="{place:.1f}" y="{bottom + 13:g}">{label}</text>'
     down = y_axis.ticks(_TICKS_Y)
-    yield f'</g><g class="scale"><path d="{"".join(f"M{left:g} {place:.1f}H{right:g}" for place, _ in down)}"/>'
-    yield from (
-        f'<text x="{left - 5:g}" y="{place + 3.5:.1f}">{label}</text>' for place, label in down
-    )
+    lines = [f"M{left:g} {place:.1f}H{right:g}" for place, _ in down]
+    yield f'</g><g class="scale"><path d="{"".join(lines)}"/>'
+    for place, label in down:
+        yield f'<text x="{left - 5:g}" y="{place + 3.5:.1f}">{label}</text>'
     yield f'</g><text class="label" x="{right:g}" y="{bottom + 29:g}" text-anchor="end">{escape(panel.x_label)}</text>'
 
 
 def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str]) -> Iterator[str]:
     """Draw the bands, the first of them filled, and the lines above all of them."""
-    paths = len(panel.curves) + sum(curve.band is not None for curve in panel.curves)
-    crowd = max(paths / _FEW, 1.0)
-    columns = round(COLUMNS / crowd**_COARSER)
-    step = _PIXEL * crowd**2
     bands: list[str] = []
     lines: list[str] = []
+    crowd = _crowd(panel)
     for curve in panel.curves:
-        x = x_axis.counts(curve.x)
-        y = y_axis.counts(curve.y)
-        places = x_axis.place(curve.x), y_axis.place(curve.y)
-        if curve.points:
-            rows = _one_of_each_cell(*places)
-            path = "".join(
-                f"M{across:.0f} {down:.0f}h0" for across, down in zip(x[rows], y[rows], strict=True)
-            )
-        else:
-            rows = without_standstill(*places, step) if panel.equal else envelope(x, y, columns)
-            path = _line(x[rows], y[rows])
-        of_style = names.get(curve.style, names.get(curve.style.split()[0], ""))
-        name = curve.name if curve.name is not None else curve.label or of_style
-        at = ""
-        if curve.time is not None:
-            at = f' data-t="{_steps_of_time(curve.time[rows[np.isfinite(x[rows] + y[rows])]])}"'
-        kind = "points" if curve.points else "line"
-        lines.append(
-            f'<path class="{kind} {curve.style}" data-name="{escape(visible(name))}"{at} d="{path}"/>'
-        )
+        drawn = _Drawn(curve, x_axis, y_axis, panel.equal, crowd)
+        lines.append(drawn.line(_name_of(curve, names)))
         if curve.band is not None:
-            low, high = (y_axis.counts(edge[rows]) for edge in curve.band)
-            looks = f"edges {curve.style}" if bands else curve.style
-            bands.append(
-                f'<path class="band {looks}" d="{_band_path(x[rows], low, high, closed=not bands)}"/>'
-            )
+            bands.append(drawn.band(curve.band, filled=not bands))
     yield from bands
     yield from lines
+
+
+def _crowd(panel: Panel) -> float:
+    """Return how many times more paths a panel has than all of whose columns are drawn."""
+    bands = [curve for curve in panel.curves if curve.band is not None]
+    return max((len(panel.curves) + len(bands)) / _FEW, 1.0)
+
+
+def _name_of(curve: Curve, names: Mapping[str, str]) -> str:
+    """Return what a curve is called at the cursor: by itself, at its end, or by its style in the legend."""
+    if curve.name is not None:
+        return curve.name
+    if curve.label:
+        return curve.label
+    first_word = curve.style.split()[0]
+    return names.get(curve.style, names.get(first_word, ""))
+
+
+class _Drawn:
+    """A curve in counts, of which only so many rows are kept as can be seen."""
+
+    def __init__(
+        self, curve: Curve, x_axis: Axis, y_axis: Axis, is_track: bool, crowd: float
+    ) -> None:
+        self.curve = curve
+        self.y_axis = y_axis
+        x = x_axis.counts(curve.x)
+        y = y_axis.counts(curve.y)
+        across = x_axis.place(curve.x)
+        down = y_axis.place(curve.y)
+        if curve.points:
+            self.rows = _one_of_each_cell(across, down)
+        elif is_track:
+            self.rows = without_standstill(across, down, _PIXEL * crowd**2)
+        else:
+            self.rows = envelope(x, y, round(COLUMNS / crowd**_COARSER))
+        self.x = x[self.rows]
+        self.y = y[self.rows]
+
+    def line(self, name: str) -> str:
+        """Draw the line, or its points, with the name and the times that are read at the cursor."""
+        curve = self.curve
+        times = ""
+        if curve.time is not None:
+            known = self.rows[np.isfinite(self.x + self.y)]
+            times = f' data-t="{_steps_of_time(curve.time[known])}"'
+        if curve.points:
+            kind = "points"
+            path = _points(self.x, self.y)
+        else:
+            kind = "line"
+            path = _line(self.x, self.y)
+        return (
+            f'<path class="{kind} {curve.style}" data-name="{escape(visible(name))}"{times} '
+            f'd="{path}"/>'
+        )
+
+    def band(self, edges: tuple[Floats, Floats], *, filled: bool) -> str:
+        """Draw the area between two edges, or the edges alone."""
+        low = self.y_axis.counts(edges[0][self.rows])
+        high = self.y_axis.counts(edges[1][self.rows])
+        style = self.curve.style if filled else f"edges {self.curve.style}"
+        return f'<path class="band {style}" d="{_band_path(self.x, low, high, closed=filled)}"/>'
+
+
+def _levels(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
+    """Draw the levels as limits, across the panel."""
+    for place in y_axis.place(np.array(panel.levels)):
+        yield f'<path class="line limit" d="M{x_axis.start:g} {place:.1f}H{x_axis.end:g}"/>'
 
 
 def ends_of_track(panel: Panel) -> dict[str, tuple[float, float]]:
@@ -409,7 +482,9 @@ def _marks(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
 
 
 def _names(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
-    """Write names at the ends of lines, apart where lines end together."""
+    """Write names at the ends of lines, apart where lines end together; a track has no room for them."""
+    if panel.equal:
+        return
     ends: list[tuple[float, Curve]] = []
     for curve in panel.curves:
         known = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
@@ -435,13 +510,13 @@ def _band_path(x: Floats, low: Floats, high: Floats, *, closed: bool) -> str:
     known = np.isfinite(low) & np.isfinite(high)
     if not known.any():
         return ""
+    there = x[known]
+    back = there[::-1]
+    upper = high[known]
+    lower = low[known][::-1]
     if closed:
-        there_and_back = (
-            np.append(x[known], x[known][::-1]),
-            np.append(high[known], low[known][::-1]),
-        )
-        return f"{_line(*there_and_back)}Z"
-    return _line(x[known], high[known]) + _line(x[known][::-1], low[known][::-1])
+        return f"{_line(np.append(there, back), np.append(upper, lower))}Z"
+    return _line(there, upper) + _line(back, lower)
 
 
 def _line(x: Floats, y: Floats) -> str:
@@ -454,16 +529,24 @@ def _line(x: Floats, y: Floats) -> str:
     begins = np.diff(np.flatnonzero(known), prepend=-2) > 1
     steps = np.diff(counts, axis=0, prepend=0)
     words = []
-    drawing = False
-    for (across, down), (right, below), begin in zip(
+    is_drawing = False
+    for (across, down), (right, below), is_begin in zip(
         counts.tolist(), steps.tolist(), begins.tolist(), strict=True
     ):
-        if begin:
+        if is_begin:
             words.append(f"M{across}{_behind(down)}")
+        elif is_drawing:
+            words.append(f"{_behind(right)}{_behind(below)}")
         else:
-            words.append(f"{_behind(right) if drawing else f'l{right}'}{_behind(below)}")
-        drawing = not begin
+            words.append(f"l{right}{_behind(below)}")
+        is_drawing = not is_begin
     return "".join(words)
+
+
+def _points(x: Floats, y: Floats) -> str:
+    """Write separate points."""
+    places = zip(x.tolist(), y.tolist(), strict=True)
+    return "".join(f"M{across:.0f} {down:.0f}h0" for across, down in places)
 
 
 def _behind(number: int) -> str:
@@ -507,12 +590,6 @@ def sheet_svg(figure: Figure) -> bytes:
         top += max(map(_height, row))
     width = WIDTH * min(PANELS_IN_A_ROW, len(figure.panels))
     entries = int(width // _ENTRY)
-    legend = []
-    for number, (style, label) in enumerate(figure.legend):
-        x = _ENTRY * (number % entries) + 48.0
-        y = top + _LEGEND / 2.0 + _LEGEND * (number // entries)
-        legend.append(f'<path class="line {style}" d="M{x:g} {y - 4:g}h36"/>')
-        legend.append(f'<text x="{x + 44:g}" y="{y:g}">{escape(visible(label))}</text>')
     height = top + _LEGEND * math.ceil(len(figure.legend) / entries)
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" role="img">',
@@ -520,8 +597,17 @@ def sheet_svg(figure: Figure) -> bytes:
         f"<style>\n{style_sheet()}</style>",
         f'<rect width="{width:g}" height="{height:g}" fill="var(--paper)"/>',
         *panels,
-        *legend,
+        *_legend_below(figure.legend, top, entries),
         "</svg>",
         "",
     ]
     return "\n".join(lines).encode()
+
+
+def _legend_below(legend: Legend, top: float, entries: int) -> Iterator[str]:
+    """Draw a legend, so many entries in a row."""
+    for number, (style, label) in enumerate(legend):
+        x = _ENTRY * (number % entries) + 48.0
+        y = top + _LEGEND / 2.0 + _LEGEND * (number // entries)
+        yield f'<path class="line {style}" d="M{x:g} {y - 4:g}h36"/>'
+        yield f'<text x="{x + 44:g}" y="{y:g}">{escape(visible(label))}</text>'

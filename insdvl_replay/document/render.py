@@ -1,6 +1,6 @@
 """A result in any format, and the files of its folder."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,9 +51,8 @@ def render(result: Result, format_: str) -> str:
         case "latex":
             from insdvl_replay.document.latex import as_latex
 
-            return as_latex(
-                document(result), result.title if result.kind in ("replay", "inspection") else ""
-            )
+            is_of_dives = result.kind in ("replay", "inspection")
+            return as_latex(document(result), result.title if is_of_dives else "")
         case "html":
             from insdvl_replay.document.page import page
 
@@ -65,34 +64,37 @@ def document(result: Result) -> Document:
     """Return the parts of a result in their order."""
     if result.document is not None:
         return result.document
-    tables: Sequence[Part] = result.display or [
-        shown(type(table[0]), table)
-        for table in result.tables.values()
-        if isinstance(table, Sequence) and table and hasattr(table[0], "title")
-    ]
-    sentences = [Callout(part) if isinstance(part, str) else part for part in result.sentences]
-    return [
-        Title(result.title),
-        *sentences,
-        *([Heading("Figures")] if result.figures else []),
-        *result.figures.values(),
-        Heading("Tables"),
-        *tables,
-        Only(PAGE, (Heading("Notes"), notes_table(result.notes), *_provenance(result))),
-    ]
+    parts: list[Part] = [Title(result.title)]
+    for sentence in result.sentences:
+        parts.append(Callout(sentence) if isinstance(sentence, str) else sentence)
+    if result.figures:
+        parts += [Heading("Figures"), *result.figures.values()]
+    parts += [Heading("Tables"), *(result.display or _tables_by_type(result))]
+    last = (Heading("Notes"), notes_table(result.notes), *_provenance(result))
+    return [*parts, Only(PAGE, last)]
+
+
+def _tables_by_type(result: Result) -> Iterator[Part]:
+    """Yield the tables whose row types say how they are shown."""
+    for table in result.tables.values():
+        if isinstance(table, Sequence) and table and hasattr(table[0], "title"):
+            yield shown(type(table[0]), table)
 
 
 def _provenance(result: Result) -> list[Part]:
     from insdvl_replay.document.page import facts, settings_details
 
-    asked = {
-        name: ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-        for name, value in result.arguments.items()
-    }
-    versions = ", ".join(f"{name} {version}" for name, version in package_versions().items())
-    made_by = {"tool": f"{Tool().name} {Tool().version}", "packages": versions}
-    settings = [settings_details(render_toml(result.config))] if result.config else []
-    return [Heading("Provenance"), facts({**asked, **made_by}), *settings]
+    named = {}
+    for name, value in result.arguments.items():
+        values = value if isinstance(value, list) else [value]
+        named[name] = ", ".join(map(str, values))
+    versions = [f"{name} {version}" for name, version in package_versions().items()]
+    named["tool"] = f"{Tool().name} {Tool().version}"
+    named["packages"] = ", ".join(versions)
+    parts: list[Part] = [Heading("Provenance"), facts(named)]
+    if result.config:
+        parts.append(settings_details(render_toml(result.config)))
+    return parts
 
 
 def result_json(result: Result) -> bytes:
@@ -117,7 +119,8 @@ def result_json(result: Result) -> bytes:
 
 def _records(table: Any) -> list[dict[str, Any]]:
     header, rows = header_and_rows(table)
-    return [{str(column): value for column, value in zip(header, row, strict=True)} for row in rows]
+    columns = [str(column) for column in header]
+    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 def result_schema(tables: Mapping[str, type[Struct]]) -> dict[str, Any]:
@@ -125,9 +128,9 @@ def result_schema(tables: Mapping[str, type[Struct]]) -> dict[str, Any]:
     (result, *rows), definitions = msgspec.json.schema_components(
         [ResultJson, *tables.values()], ref_template="#/$defs/{name}"
     )
-    properties = {
-        name: {"type": "array", "items": row} for name, row in zip(tables, rows, strict=True)
-    }
+    properties = {}
+    for name, row in zip(tables, rows, strict=True):
+        properties[name] = {"type": "array", "items": row}
     definitions[ResultJson.__name__]["properties"]["tables"]["properties"] = properties
     return {**result, "$defs": definitions}
 

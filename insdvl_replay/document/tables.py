@@ -5,7 +5,7 @@ import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
@@ -63,8 +63,12 @@ def significant(value: float | None, digits: int = 2) -> str:
 
 def numbers_apart(old: float, new: float) -> tuple[str, str]:
     """Write two numbers with three digits, or with as many as it takes to tell them apart."""
-    texts = ((f"{old:.{digits}g}", f"{new:.{digits}g}") for digits in range(3, 18))
-    return next((pair for pair in texts if pair[0] != pair[1]), (f"{old:.3g}", f"{new:.3g}"))
+    for digits in range(3, 18):
+        before = f"{old:.{digits}g}"
+        after = f"{new:.{digits}g}"
+        if before != after:
+            return before, after
+    return f"{old:.3g}", f"{new:.3g}"
 
 
 def percent(value: float | None) -> str:
@@ -83,18 +87,24 @@ def ratio(value: float | None) -> str:
 
 def signed_percent(value: float | None) -> str:
     """Write a change in percent with its sign: one decimal, two if it is small, none near zero."""
-    if value is None or abs(value) < 0.005:
-        if value is None:
-            return MISSING
+    if value is None:
+        return MISSING
+    if abs(value) < 0.005:
         return "0"
     if abs(value) >= 0.95:
         return f"{value:+.1f}"
     return f"{value:+.2f}"
 
 
+def _plain(value: object) -> str:
+    if value is None or isinstance(value, float):
+        return number(value)
+    return str(value)
+
+
 # The format of a column's values, by the name in its row type.
 FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
-    "": lambda value: number(value) if value is None or isinstance(value, float) else str(value),
+    "": _plain,
     "label": label,
     "short": lambda name: label(name).replace("accelerometer", "accel."),
     "words": lambda value: value.replace("_", " "),
@@ -104,9 +114,6 @@ FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
     "value": partial(significant, digits=3),
     "signed_percent": signed_percent,
     "share": share_text,
-    "cell": lambda value: (
-        number(value) if isinstance(value, float) else MISSING if value is None else str(value)
-    ),
     **{str(digits): partial(decimal, digits=digits) for digits in range(5)},
 }
 
@@ -124,27 +131,32 @@ def table_of(
 ) -> DisplayTable:
     """Return a table with a row for each of ``rows``: objects, mappings, or those of a frame."""
     listed: list[Any] = rows.to_dict("records") if hasattr(rows, "to_dict") else list(rows)
-    get: Callable[[str], Callable[[Any], Any]] = (
-        itemgetter if listed and isinstance(listed[0], dict) else attrgetter
-    )
-
-    def text_of(row: Any, written: Callable[[Any], CellText] | str) -> CellText:
-        if not isinstance(written, str):
-            return written(row)
-        key, _, form = written.partition(":")
-        return FORMS[form](get(key)(row))
-
-    cells = tuple(tuple(text_of(row, written) for _, _, written in columns) for row in listed)
-    alignment = "".join(letter for _, letter, _ in columns)
+    heads = []
+    letters = []
+    for head, letter, _ in columns:
+        heads.append(head)
+        letters.append(letter)
+    cells = []
+    for row in listed:
+        cells.append(tuple(_cell(row, written) for _, _, written in columns))
     return DisplayTable(
         title,
-        tuple(head for head, _, _ in columns),
-        alignment,
-        cells,
+        tuple(heads),
+        "".join(letters),
+        tuple(cells),
         footnote,
         spare=spare,
         folds=folds,
     )
+
+
+def _cell(row: Any, written: Callable[[Any], CellText] | str) -> CellText:
+    """Write a cell of a row."""
+    if not isinstance(written, str):
+        return written(row)
+    key, _, form = written.partition(":")
+    value = row[key] if isinstance(row, dict) else attrgetter(key)(row)
+    return FORMS[form](value)
 
 
 def shown(
@@ -152,33 +164,30 @@ def shown(
 ) -> DisplayTable:
     """Return a table of rows of a type: its columns that have a head, in which ``{filter}`` is a name."""
     layout = layout_of("", kind)
-    columns: list[ShownColumn] = [
-        (
-            column.head.format(**names),
-            "l" if layout.kinds[name] == "text" else "r",
-            f"{name}:{column.form}",
-        )
-        for name, column in layout.columns.items()
-        if column.head
-    ]
+    columns: list[ShownColumn] = []
+    for name, column in layout.columns.items():
+        if column.head:
+            letter = "l" if layout.kinds[name] == "text" else "r"
+            columns.append((column.head.format(**names), letter, f"{name}:{column.form}"))
     return table_of(layout.title.format(**names), rows, columns, footnote or layout.footnote)
 
 
 def cell_lines(cell: CellText) -> list[str]:
     """Return the lines of a cell as they can be shown anywhere."""
-    return [visible(line) for line in ([cell] if isinstance(cell, str) else cell)]
+    if isinstance(cell, str):
+        return [visible(cell)]
+    return [visible(line) for line in cell]
 
 
 def notes_table(notes: Iterable[Note]) -> DisplayTable | str:
     """Return the notes as a table."""
-    rows = tuple(
-        (str(note.count), note.severity, f"{note.text} [{note.code}]", note.hint) for note in notes
-    )
+    rows = []
+    for note in notes:
+        rows.append((str(note.count), note.severity, f"{note.text} [{note.code}]", note.hint))
     if not rows:
         return "No notes."
-    return DisplayTable(
-        "Notes on reading, preparing and filtering", ("count", "", "note", "hint"), "rlll", rows
-    )
+    title = "Notes on reading, preparing and filtering"
+    return DisplayTable(title, ("count", "", "note", "hint"), "rlll", tuple(rows))
 
 
 def parts_for(format_: Format, document: Document) -> Iterator[Part]:
@@ -235,7 +244,8 @@ def header_and_rows(table: "Sequence[Struct] | Block | pd.DataFrame") -> Rows:
     if isinstance(table, Block):
         return table.header, table.rows
     if isinstance(table, Sequence):
-        return (table[0].__struct_fields__ if table else ()), map(astuple, table)
+        header = table[0].__struct_fields__ if table else ()
+        return header, map(astuple, table)
     return list(table.columns), table.itertuples(index=False, name=None)
 
 
@@ -246,7 +256,7 @@ def table_csv(table: "Sequence[Struct] | Block | pd.DataFrame") -> bytes:
 
 def blocks_csv(column: str, blocks: Mapping[str, Rows]) -> str:
     """Write tables one after the other, a blank line between them; the first column, ``column``, has their names."""
-    return "\n".join(
-        rows_csv((column, *header), ((name, *row) for row in rows))
-        for name, (header, rows) in blocks.items()
-    )
+    texts = []
+    for name, (header, rows) in blocks.items():
+        texts.append(rows_csv((column, *header), ((name, *row) for row in rows)))
+    return "\n".join(texts)

@@ -19,6 +19,7 @@ from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Verdict
 from insdvl_replay.document.parts import (
     Callout,
+    CellText,
     Code,
     DisplayTable,
     Document,
@@ -52,8 +53,13 @@ def spoken(sentence: str, style: str = "") -> Text:
 
 def for_terminal(document: Document) -> Group:
     """Render a document for a rich console, which decides about width and colour. Only code is never folded."""
-    lines = [line for part in parts_for("terminal", document) for line in _terminal_lines(part)]
-    return Group(*(lines[1:] if lines and isinstance(lines[0], Text) and not lines[0] else lines))
+    lines: list[RenderableType] = []
+    for part in parts_for("terminal", document):
+        lines += _terminal_lines(part)
+    # Nothing is before the first part, from which an empty line would keep it apart.
+    if lines and isinstance(lines[0], Text) and not lines[0]:
+        del lines[0]
+    return Group(*lines)
 
 
 def _terminal_lines(part: Part) -> Iterator[RenderableType]:
@@ -68,14 +74,13 @@ def _terminal_lines(part: Part) -> Iterator[RenderableType]:
             yield from (spoken(sentence), Padding(spoken(f"hint: {hint}"), (0, 0, 0, 2)))
         case Sentences(sentences):
             yield Text()
-            for line in sentences:
-                yield from _terminal_lines(line)
+            for said in sentences:
+                yield from _terminal_lines(said)
         case Code(text, language):
             if language:
                 yield Text()
-            yield from (
-                Text(visible(line), no_wrap=True, overflow="ignore") for line in text.splitlines()
-            )
+            for line in text.splitlines():
+                yield Text(visible(line), no_wrap=True, overflow="ignore")
         case DisplayTable(title):
             if title:  # a table without one belongs to what is before it
                 yield from (Text(), spoken(title, "bold"))
@@ -89,14 +94,15 @@ class _Fitting:
     table: DisplayTable
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        spare = [place if isinstance(place, tuple) else (place,) for place in self.table.spare]
-        for count in range(len(spare) + 1):
-            grid = _grid(self.table, [place for places in spare[:count] for place in places])
-            if count == len(spare):
-                break  # to measure it takes as long as to print it
-            needed = Measurement.get(console, options.update(max_width=_ANY_WIDTH), grid).maximum
+        left_out: list[int] = []
+        grid = _grid(self.table, left_out)
+        at_any_width = options.update(max_width=_ANY_WIDTH)
+        for places in self.table.spare:
+            needed = Measurement.get(console, at_any_width, grid).maximum
             if needed - self.table.folds <= options.max_width:
                 break
+            left_out += places if isinstance(places, tuple) else (places,)
+            grid = _grid(self.table, left_out)
         yield grid
         if self.table.footnote:
             yield spoken(self.table.footnote)
@@ -109,14 +115,15 @@ def _grid(table: DisplayTable, left_out: Sequence[int]) -> Table:
         justify = "right" if table.alignment[place] == "r" else "left"
         grid.add_column(Text(visible_lines(table.header[place])), justify=justify, overflow="fold")  # type: ignore[arg-type]
     for row in table.rows:
-        texts = ["\n".join(cell_lines(row[place])) for place in kept]
-        grid.add_row(
-            *(
-                Text(text, style=_STYLES.get(text.lower().partition(" by ")[0], ""))
-                for text in texts
-            )
-        )
+        grid.add_row(*(_coloured(row[place]) for place in kept))
     return grid
+
+
+def _coloured(cell: CellText) -> Text:
+    """Return a cell; a verdict has a colour, also where what it is made by follows it."""
+    text = "\n".join(cell_lines(cell))
+    word = text.lower().partition(" by ")[0]
+    return Text(text, style=_STYLES.get(word, ""))
 
 
 # --- Markdown, with pipe tables. Backticks stay, since hints have commands between them.
@@ -130,7 +137,10 @@ def as_markdown(document: Document) -> str:
 def flat(format_: Format, document: Document) -> Iterator[Part]:
     """Yield the parts of a format, sentences one by one."""
     for part in parts_for(format_, document):
-        yield from part.lines if isinstance(part, Sentences) else (part,)
+        if isinstance(part, Sentences):
+            yield from part.lines
+        else:
+            yield part
 
 
 def _markdown(part: Part) -> str:
@@ -142,19 +152,30 @@ def _markdown(part: Part) -> str:
             fence = "`" * max(3, longest + 1)
             return f"{fence}{language}\n{visible_lines(text.rstrip())}\n{fence}"
         case DisplayTable():
-            rule = ["---:" if letter == "r" else "---" for letter in part.alignment]
-            rows = [[" ".join(name.split()) for name in part.header], rule, *part.rows]
-            cells = [
-                ["<br>".join(map(_markdown_cell, cell_lines(cell))) for cell in row] for row in rows
-            ]
-            lines = [
-                f"**{_markdown_text(part.title)}**\n",
-                *(f"| {' | '.join(row)} |" for row in cells),
-            ]
-            return "\n".join(
-                [*lines, *(["", _markdown_text(part.footnote)] if part.footnote else [])]
-            )
+            return _markdown_table(part)
     return _markdown_text(sentence_of(part))
+
+
+def _markdown_table(table: DisplayTable) -> str:
+    """Write a table under its title, with its footnote below it."""
+    lines = [
+        f"**{_markdown_text(table.title)}**\n",
+        _markdown_row([" ".join(name.split()) for name in table.header]),
+        _markdown_row([_RULES[letter] for letter in table.alignment]),
+    ]
+    for row in table.rows:
+        lines.append(_markdown_row(row))
+    if table.footnote:
+        lines += ["", _markdown_text(table.footnote)]
+    return "\n".join(lines)
+
+
+_RULES: Final = {"l": "---", "r": "---:"}  # By the letter of the alignment.
+
+
+def _markdown_row(row: Sequence[CellText]) -> str:
+    texts = ["<br>".join(map(_markdown_cell, cell_lines(cell))) for cell in row]
+    return f"| {' | '.join(texts)} |"
 
 
 def _markdown_text(text: str) -> str:

@@ -320,8 +320,8 @@ _CONSISTENCY: Final[ShownColumn] = (
 )  # fmt: skip
 _LAST: Final[tuple[ShownColumn, ...]] = (
     _CONSISTENCY,
-    ("warnings", "r", "warnings:cell"),
-    ("reason of failure", "l", "reason:cell"),
+    ("warnings", "r", "warnings"),
+    ("reason of failure", "l", "reason"),
 )
 _CANDIDATE: Final[tuple[ShownColumn, ...]] = (
     ("verdict", "l", "verdict"),
