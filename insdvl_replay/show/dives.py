@@ -176,8 +176,8 @@ def named_result(
 def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
     for answer in _pooled(outcomes):
         if not answer.rows:
-            is_judged = answer.verdict not in WITHOUT_VERDICT
-            why = NO_EVIDENCE if is_judged else f"{answer.verdict}: {answer.reason}"
+            is_evaluated = answer.verdict not in WITHOUT_VERDICT
+            why = NO_EVIDENCE if is_evaluated else f"{answer.verdict}: {answer.reason}"
             yield f"{answer.filter} against {answer.baseline}: {why}"
             continue
         yield shown(
