@@ -45,9 +45,8 @@ class BeamVelocities:
     def of_pings(cls, along_mps: Floats, velocity_d: Floats) -> "BeamVelocities":
         """Choose the pings that have both."""
         whole = np.isfinite(along_mps).all(axis=1) & np.isfinite(velocity_d).all(axis=1)
-        moving = whole & (
-            np.linalg.norm(np.where(np.isfinite(velocity_d), velocity_d, 0.0), axis=1) > _MOVING_MPS
-        )
+        speeds_mps = np.linalg.norm(np.nan_to_num(velocity_d, posinf=0.0, neginf=0.0), axis=1)
+        moving = whole & (speeds_mps > _MOVING_MPS)
         return cls(along_mps[moving], velocity_d[moving])
 
     def __len__(self) -> int:
@@ -132,7 +131,8 @@ def agreeing_directions(
         nearest = int(np.argmin(misfits))
         best.append((misfits[nearest], tried[nearest]))
     best.sort(key=lambda found: found[0])
-    (misfit, vectors_d), (second, _) = best[0], best[1]
+    misfit, vectors_d = best[0]
+    second, _ = best[1]
     is_clear = second > max(AGREES, _CLEARLY * misfit)
     if is_clear and pings.agree(vectors_d):
         return vectors_d

@@ -21,6 +21,7 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.errors import LogError, Note, counted_clause
+from insdvl_replay.core.units import TIME_UNITS_NS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.tables import (
     RECORDER_STAMPS,
@@ -138,23 +139,22 @@ class Cleaner:
         if all(np.isfinite([array.min(), array.max()]).all() for array in values if array.size):
             return
         finite = np.ones(self.time_ns.size, np.bool_)
-        for column in (column for array in values for column in array.T):
-            finite &= np.isfinite(column)
+        for array in values:
+            for column in array.T:
+                finite &= np.isfinite(column)
         lost = ~finite[self.rows]
         count = int(np.count_nonzero(lost))
         is_serious = 2 * count > lost.size
         if hint:
             is_serious = bool(np.any(lost[1:] & lost[:-1])) or not is_few(count, lost.size)
-        self.keep(
-            finite, "not_finite", reason, Severity.WARNING if is_serious else Severity.INFO, hint
-        )
+        severity = Severity.WARNING if is_serious else Severity.INFO
+        self.keep(finite, "not_finite", reason, severity, hint)
 
     def keep_possible(self, possible: Mask, impossible: Floats, reason: str, hint: str) -> None:
         """Drop rows with impossible readings, shape (m,), unless these mean a wrong unit."""
         if not self._are_of_another_unit(~possible[self.rows], impossible):
-            self.keep(
-                possible, "impossible", f"{reason} ({shown(impossible)})", Severity.WARNING, hint
-            )
+            reason = f"{reason} ({shown(impossible)})"
+            self.keep(possible, "impossible", reason, Severity.WARNING, hint)
 
     def without_impossible(
         self, values: Floats, is_impossible: Mask, reason: str, hint: str
@@ -181,9 +181,8 @@ class Cleaner:
         if not self.rows.size:
             reasons = "; ".join(note.text for note in self.notes)
             hint = f"to use another topic: {self.role}.topic (`inspect` lists the topics)"
-            raise LogError(
-                f"no message of {self.time_ns.size} can be used: {reasons}", hint, *self.table.where
-            )
+            text = f"no message of {self.time_ns.size} can be used: {reasons}"
+            raise LogError(text, hint, *self.table.where)
 
     def drop_repeated_times(self, *values: Floats) -> None:
         """Keep the first of several rows with the same time.
@@ -199,9 +198,8 @@ class Cleaner:
         count = int(np.count_nonzero(differ))
         if not is_few(count, times.size):
             reason = "messages have the time of the one before, but other values (stamped together on delivery)"
-            if (
-                count > 0.5 * times.size
-            ):  # without most of its messages, a topic is not the same any more
+            # Without most of its messages, a topic is not the same any more.
+            if count > 0.5 * times.size:
                 hint = f'{self.stamp_hint}; to use the recorder\'s time: {self.role}.stamp = "log_time"'
                 raise LogError(f"{count} of {times.size} {reason}", hint, *self.table.where)
             good = np.ones(times.size, np.bool_)
@@ -234,9 +232,9 @@ class Cleaner:
         first: Rows | None = None,
     ) -> None:
         """Add a note about some of the rows, with the time of the earliest."""
-        first_s = (
-            0.0 if first is None else float(seconds(self.time_ns[first].min(), self._first_ns))
-        )
+        first_s = 0.0
+        if first is not None:
+            first_s = float(seconds(self.time_ns[first].min(), self._first_ns))
         text = f"{self.role}: {counted_clause(count, text)}; the first {first_s:.3f} s after the first message"
         self.notes.append(Note(f"{self.table.source.code}_{code}", text, count, severity, hint))
 
@@ -270,15 +268,17 @@ def raise_if_two_dives(table: Table, time_ns: TimeNs) -> None:
         first_ns = max(time_ns[own][0], time_ns[~own][0])
         last_ns = min(time_ns[own][-1], time_ns[~own][-1])
         both = (time_ns >= first_ns) & (time_ns <= last_ns)
-        ours, theirs = (int(np.count_nonzero(rows & both & alone)) for rows in (own, ~own))
+        ours = int(np.count_nonzero(own & both & alone))
+        theirs = int(np.count_nonzero(~own & both & alone))
         # A recorder loses at most 5 %, so that another one alone has them.
         if min(ours, theirs) > max(1.0, 0.05 * np.count_nonzero(both)):
-            raise LogError(
-                f"in the {(time_ns[both][-1] - time_ns[both][0]) * 1e-9:.3f} s in which the files "
-                f"overlap, one has {ours} messages and the others {theirs} of the same topic: they are different dives",
-                "give only the files of one dive, or replay each file alone, without --one-dive",
-                *table.where,
+            both_s = (time_ns[both][-1] - time_ns[both][0]) * 1e-9
+            text = (
+                f"in the {both_s:.3f} s in which the files overlap, one has {ours} messages and the others {theirs} of "
+                "the same topic: they are different dives"
             )
+            hint = "give only the files of one dive, or replay each file alone, without --one-dive"
+            raise LogError(text, hint, *table.where)
 
 
 def note_lost_samples(cleaner: Cleaner) -> None:
@@ -294,9 +294,8 @@ def note_lost_samples(cleaner: Cleaner) -> None:
     in_steps = step_ns / step_ns[np.abs(step_ns / first_ns - 1.0) <= 0.2].mean()
     multiples = np.round(in_steps)
     near = np.abs(in_steps - multiples) <= 0.2
-    pauses = (in_steps > 1.5) & (
-        in_steps < 10.5
-    )  # longer ones are outages, which have a note of their own
+    # Longer pauses are outages, which have a note of their own.
+    pauses = (in_steps > 1.5) & (in_steps < 10.5)
     # Fewer than six pauses may be near a multiple by chance, and jitter is near none.
     if np.count_nonzero(pauses) < 6 or near.mean() < 0.8 or near[pauses].mean() < 0.9:
         return
@@ -318,9 +317,8 @@ def note_lost_samples(cleaner: Cleaner) -> None:
     if share >= 0.05:  # more may change the results
         hint = "check whether the recorder or the network was too slow"
         severity = Severity.WARNING
-    cleaner.note(
-        "lost_samples", text, lost, severity, hint, first=cleaner.rows[stamped[pauses & near]]
-    )
+    first = cleaner.rows[stamped[pauses & near]]
+    cleaner.note("lost_samples", text, lost, severity, hint, first)
 
 
 def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
@@ -338,9 +336,7 @@ def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
         f"of {usual_ns / NS_PER_S:.4f} s apart): the stamps are times of delivery"
     )
     hint = f"{cleaner.stamp_hint}; else raise {remedy} until NIS/dof is about 1"
-    cleaner.note(
-        "bursts", text, together.size, Severity.WARNING, hint, first=cleaner.rows[together]
-    )
+    cleaner.note("bursts", text, together.size, Severity.WARNING, hint, cleaner.rows[together])
 
 
 def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
@@ -348,8 +344,10 @@ def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
     max_gap_ns = nanoseconds(max_gap_s)
     is_short = pauses_ns <= max_gap_ns
     short_ns = pauses_ns if is_short.all() else pauses_ns[is_short]
-    # Five steps are more than the jitter of stamps that come in bursts.
-    least_ns = min(5.0 * float(short_ns.mean()), max_gap_ns) if short_ns.size else max_gap_ns
+    least_ns: float = max_gap_ns
+    if short_ns.size:
+        # Five steps are more than the jitter of stamps that come in bursts.
+        least_ns = min(5.0 * float(short_ns.mean()), max_gap_ns)
     gaps = np.flatnonzero(pauses_ns > least_ns)
     if not gaps.size:
         return
@@ -358,26 +356,20 @@ def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
         f"gaps are longer than {least_ns / NS_PER_S:.3g} s: longest {pauses_ns.max() / NS_PER_S:.3f} s, total "
         f"{pauses_ns[gaps].sum() / NS_PER_S:.3f} s; {long} longer than {max_gap_s:g} s"
     )
-    hint = f"to allow longer gaps: {cleaner.role}.max_gap_s" if long else ""
-    cleaner.note(
-        "gaps",
-        text,
-        gaps.size,
-        Severity.WARNING if long else Severity.INFO,
-        hint,
-        first=cleaner.rows[gaps],
-    )
+    severity = Severity.INFO
+    hint = ""
+    if long:
+        severity = Severity.WARNING
+        hint = f"to allow longer gaps: {cleaner.role}.max_gap_s"
+    cleaner.note("gaps", text, gaps.size, severity, hint, cleaner.rows[gaps])
     # No recorder waits for a day in the middle of a dive; one without a clock of its own begins in 1970.
-    steps = np.flatnonzero(pauses_ns > 86_400 * NS_PER_S)
+    steps = np.flatnonzero(pauses_ns > TIME_UNITS_NS["d"])
     if steps.size:
-        before, after = (
-            np.datetime64(int(cleaner.times[steps[0] + i]), "ns").astype("M8[s]") for i in (0, 1)
-        )
+        around_ns = cleaner.times[steps[0] : steps[0] + 2]
+        before, after = around_ns.astype("M8[ns]").astype("M8[s]")
         text = (
             f"steps are longer than a day, the first from {before} to {after} UTC: the clock was set during the "
             "recording, or the log has two dives"
         )
         hint = "choose the part before or after the step with --start and --end"
-        cleaner.note(
-            "clock_set", text, steps.size, Severity.WARNING, hint, first=cleaner.rows[steps]
-        )
+        cleaner.note("clock_set", text, steps.size, Severity.WARNING, hint, cleaner.rows[steps])

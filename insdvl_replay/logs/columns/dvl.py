@@ -68,38 +68,38 @@ def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
     _note_unused_flags(table, cleaner)
     for rule in _BOTTOM_TRACK:
         cleaner.keep_where(*rule)
-    beams = (
-        _beam_velocity(table, cleaner)
-        if "beam_velocity" in table
-        else np.full((len(table), 0), np.nan)
-    )
+    beams = np.full((len(table), 0), np.nan)
+    if "beam_velocity" in table:
+        beams = _beam_velocity(table, cleaner)
     has_beams = np.asarray(~np.isnan(beams).all(axis=1))
     if "beams_valid" in table:
         has_beams &= table.column("beams_valid") != 0.0
-    is_beams = "beam_velocity" in table
+    directions = None
+    if _is_by_beams(table, settings, cleaner, beams[has_beams]):
+        unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
+        beams = _without_impossible(_without_none(beams, unit) * unit, cleaner)
+        valid = np.where(has_beams[:, None], beams, np.nan)
+        directions = _used_directions(table, settings, cleaner, valid, is_given)
+    if directions is None:
+        return _decode_velocities(table, settings, cleaner), cleaner.notes
+    return _decode_beams(table, cleaner, beams, has_beams, directions), cleaner.notes
+
+
+def _is_by_beams(table: Table, settings: Dvl, cleaner: Cleaner, valid: Floats) -> bool:
+    """Return whether the beams are used: as the settings say, else where a valid one is ever there."""
     if settings.kind is not None:
-        is_beams = settings.kind == "beams"
         quantity = "beam_velocity" if settings.kind == "beams" else "velocity"
         if quantity not in table:
             text = f"type {table.source.type_name} has no {quantity}, but dvl.kind is '{settings.kind}'"
             raise LogError(text, f'to read it: dvl.{quantity} = "field.path"', *table.where)
-    elif is_beams and "velocity" in table and not np.nan_to_num(beams[has_beams]).any():
-        is_beams = False
-        cleaner.note(
-            "no_beams",
-            "pings (all) have no valid beam; the velocities of the DVL are used",
-            len(table),
-        )
-    directions = None
-    if is_beams:
-        unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
-        beams = _without_impossible(_without_none(beams, unit) * unit, cleaner)
-        directions = _used_directions(
-            table, settings, cleaner, np.where(has_beams[:, None], beams, np.nan), is_given
-        )
-    if directions is None:
-        return _decode_velocities(table, settings, cleaner), cleaner.notes
-    return _decode_beams(table, cleaner, beams, has_beams, directions), cleaner.notes
+        return settings.kind == "beams"
+    if "beam_velocity" not in table:
+        return False
+    if "velocity" in table and not np.nan_to_num(valid).any():
+        text = "pings (all) have no valid beam; the velocities of the DVL are used"
+        cleaner.note("no_beams", text, len(table))
+        return False
+    return True
 
 
 def _note_unused_flags(table: Table, cleaner: Cleaner) -> None:
@@ -109,20 +109,22 @@ def _note_unused_flags(table: Table, cleaner: Cleaner) -> None:
     names = split_paths(table.source.fields[UNUSED_FLAGS])
     found = flag_columns(names)
     for name, flag in zip(names, table.values(UNUSED_FLAGS).T, strict=True):
-        is_inverse = name in found.invalid
-        count = marks_some(
-            np.where(flag == 0.0, 1.0, 0.0) if is_inverse else flag,
-            is_sure=name not in found.unsure,
-        )
+        key = "invalid" if name in found.invalid else "valid"
+        is_sure = name not in found.unsure
+        valid = flag
+        if key == "invalid":
+            valid = np.where(flag == 0.0, 1.0, 0.0)
+        count = marks_some(valid, is_sure=is_sure)
         if not count:
             continue
         values, counts = np.unique(flag[np.isfinite(flag)], return_counts=True)
         often = np.argsort(-counts)[:3]
         shown = listed(f"{values[i]:g} in {counts[i]}" for i in sorted(often.tolist()))
         text = f"pings may be marked as invalid by the column '{name}' ({shown} of {len(flag)}), which is not used"
-        key = "invalid" if is_inverse else "valid"
-        other = "" if name not in found.unsure else f', or dvl.invalid = "{name}" if 0 means valid'
-        cleaner.note("unused_flag", text, count, Severity.WARNING, f'dvl.{key} = "{name}"{other}')
+        hint = f'dvl.{key} = "{name}"'
+        if not is_sure:
+            hint += f', or dvl.invalid = "{name}" if 0 means valid'
+        cleaner.note("unused_flag", text, count, Severity.WARNING, hint)
 
 
 def _has_directions(settings: Dvl) -> bool:
@@ -210,21 +212,19 @@ def _without_none(values: Floats, unit: float) -> Floats:
 def _beam_velocity(table: Table, cleaner: Cleaner) -> Floats:
     """Return the velocities along the beams in the log's unit, NaN where a beam is lost."""
     velocity = table.values("beam_velocity")
-    if "beam_var" in table and (variance := table.values("beam_var")).shape == velocity.shape:
-        velocity = np.where(variance < 0.0, np.nan, velocity)
+    if "beam_var" in table:
+        variance = table.values("beam_var")
+        if variance.shape == velocity.shape:
+            velocity = np.where(variance < 0.0, np.nan, velocity)
     if "nortek_status" in table and velocity.shape[1] == 4:
-        velocity = np.where(
-            _are_set(table.values("nortek_status", 1), (0, 1, 2, 3)), velocity, np.nan
-        )
+        are_valid = _are_set(table.values("nortek_status", 1), (0, 1, 2, 3))
+        velocity = np.where(are_valid, velocity, np.nan)
     if "beam_valid" in table:
         valid = table.values("beam_valid")
         if valid.shape != velocity.shape:
             text = f"has {velocity.shape[1]} beam velocities, but {valid.shape[1]} validity flags"
-            raise LogError(
-                text,
-                "dvl.beam_velocity and dvl.beam_valid need the same number of values",
-                *table.where,
-            )
+            hint = "dvl.beam_velocity and dvl.beam_valid need the same number of values"
+            raise LogError(text, hint, *table.where)
         velocity = np.where(valid > 0.0, velocity, np.nan)
     lost = _are_lost(table, velocity)
     if lost.any():
@@ -242,28 +242,34 @@ def _are_lost(table: Table, velocity: Floats) -> Mask:
     marks a lost beam if other ranges are positive.
     """
     lost = np.zeros(velocity.shape, np.bool_)
-    is_zero = velocity == 0.0
-    if "beam_ranges" in table and (ranges := table.values("beam_ranges")).shape == velocity.shape:
-        has_range = ranges > 0.0
-        lost |= is_zero & ~has_range
-        if np.count_nonzero(has_range) > 0.5 * has_range.size:
-            lost |= np.isfinite(velocity) & (ranges < 0.0)
+    if "beam_ranges" in table:
+        lost |= _are_without_range(table.values("beam_ranges"), velocity)
     if "good_beams" in table:
         good = table.column("good_beams")
-        lost |= is_zero & ((good > 0.0) & (good < velocity.shape[1]))[:, None]
+        has_fewer = (good > 0.0) & (good < velocity.shape[1])
+        lost |= (velocity == 0.0) & has_fewer[:, None]
     return lost
+
+
+def _are_without_range(ranges: Floats, velocity: Floats) -> Mask:
+    """Find the beams that are lost by their ranges, both of shape (k, beams); none where these are of other beams."""
+    if ranges.shape != velocity.shape:
+        return np.zeros(velocity.shape, np.bool_)
+    has_range = ranges > 0.0
+    lost = (velocity == 0.0) & ~has_range
+    if np.count_nonzero(has_range) > 0.5 * has_range.size:
+        lost |= np.isfinite(velocity) & (ranges < 0.0)
+    return np.asarray(lost)
 
 
 def _without_impossible(values_mps: Floats, cleaner: Cleaner) -> Floats:
     """Drop what no vehicle reaches, however often; most pings with different such velocities mean a wrong unit."""
     is_impossible = np.abs(values_mps) > FASTEST_MPS
-    is_mark = stand_for_none(values_mps[is_impossible])
-    hint = (
-        _VALID_HINT if is_mark else "check dvl.velocity_unit, and whether the DVL had bottom lock"
-    )
-    return cleaner.without_impossible(
-        values_mps, is_impossible, f"readings are above {FASTEST_MPS:g} m/s", hint
-    )
+    hint = "check dvl.velocity_unit, and whether the DVL had bottom lock"
+    if stand_for_none(values_mps[is_impossible]):
+        hint = _VALID_HINT
+    reason = f"readings are above {FASTEST_MPS:g} m/s"
+    return cleaner.without_impossible(values_mps, is_impossible, reason, hint)
 
 
 def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
@@ -286,9 +292,8 @@ def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
             raise LogError(text, hint, *cleaner.table.where)
         count = int(np.sum(ends[long] - starts[long]))
         text = f"pings repeat the same values for over 5 s, longest run {lengths_s.max():.1f} s"
-        cleaner.note(
-            "stuck", text, count, Severity.WARNING, _VALID_HINT, first=cleaner.rows[starts[long]]
-        )
+        first = cleaner.rows[starts[long]]
+        cleaner.note("stuck", text, count, Severity.WARNING, _VALID_HINT, first)
     cleaner.drop_repeated_values(values)
     cleaner.require_rows()
     note_bursts(cleaner, np.diff(cleaner.times), "dvl.velocity_sd_mps")
@@ -310,9 +315,8 @@ def _with_beam_speeds(table: Table, settings: Dvl) -> Table:
         return table
     vectors = parts.reshape(len(table), 3, -1).transpose(0, 2, 1)
     sizes = np.linalg.norm(vectors, axis=2)
-    down = in_frd(vectors.reshape(-1, 3), settings.axes or FRD, "dvl.axes")[:, 2].reshape(
-        sizes.shape
-    )
+    turned = in_frd(vectors.reshape(-1, 3), settings.axes or FRD, "dvl.axes")
+    down = turned[:, 2].reshape(sizes.shape)
     axes = np.empty((vectors.shape[1], 3))
     for beam, axis in enumerate(axes):
         moves = (sizes[:, beam] > _MOVING_MPS) & (down[:, beam] != 0.0)
@@ -326,9 +330,8 @@ def _with_beam_speeds(table: Table, settings: Dvl) -> Table:
         _AXES: np.broadcast_to(axes.ravel(), (len(table), axes.size)),
     }
     fields = {**table.source.fields, "beam_velocity": _SPEEDS, "beam_vectors": _AXES}
-    return replace(
-        table, columns={**table.columns, **columns}, source=replace(table.source, fields=fields)
-    )
+    source = replace(table.source, fields=fields)
+    return replace(table, columns={**table.columns, **columns}, source=source)
 
 
 def _limited(values: Floats) -> Floats:
@@ -338,28 +341,34 @@ def _limited(values: Floats) -> Floats:
 
 def _reported_vectors(table: Table, cleaner: Cleaner) -> Floats:
     """Return the directions that the messages tell in the log's axes, shape (beams, 3)."""
-    quantity, width = ("beam_vectors", 3) if "beam_vectors" in table else ("beam_quaternions", 4)
-    reported = _limited(cleaner.kept(table.values(quantity)))
-    if reported.shape[1] % width:
+    if "beam_vectors" in table:
+        vectors = _numbers_of_beams(table, cleaner, "beam_vectors", 3)
+    else:
+        vectors = _axes_of(_numbers_of_beams(table, cleaner, "beam_quaternions", 4))
+    return np.asarray(np.median(vectors, axis=0))
+
+
+def _numbers_of_beams(table: Table, cleaner: Cleaner, quantity: str, width: int) -> Floats:
+    """Return so many numbers of each beam, shape (k, beams, width)."""
+    numbers = _limited(cleaner.kept(table.values(quantity)))
+    if numbers.shape[1] % width:
         field = table.source.fields[quantity]
-        text = (
-            f"field '{field}' holds {reported.shape[1]} numbers, which are not {width} for a beam"
-        )
+        text = f"field '{field}' holds {numbers.shape[1]} numbers, which are not {width} for a beam"
         raise LogError(text, _BEAM_HINT, *table.where)
-    reported = reported.reshape(len(reported), -1, width)
-    if quantity == "beam_quaternions":
-        # The UUV Simulator writes the axis of the turn whole, beside w: a quaternion whose vector part has length 1
-        # can only be half a turn, with a w of 0.
-        axis = reported[..., :3]
-        w = reported[..., 3:]
-        whole = (np.abs(np.linalg.norm(axis, axis=-1, keepdims=True) - 1.0) < 1e-6) & (
-            np.abs(w) <= 1.0
-        )
-        sines = np.sqrt(np.clip(1.0 - w * w, 0.0, 1.0))
-        reported = mat_from_quat(np.concatenate([np.where(whole, axis * sines, axis), w], axis=-1))[
-            ..., 0
-        ]
-    return np.asarray(np.median(reported, axis=0))
+    return numbers.reshape(len(numbers), -1, width)
+
+
+def _axes_of(quaternions: Floats) -> Floats:
+    """Return the x axes of beams by their attitudes, (k, beams, 4), shape (k, beams, 3)."""
+    # The UUV Simulator writes the axis of the turn whole, beside w: a quaternion whose vector part has length 1 can
+    # only be half a turn, with a w of 0.
+    axis = quaternions[..., :3]
+    w = quaternions[..., 3:]
+    length = np.linalg.norm(axis, axis=-1, keepdims=True)
+    whole = (np.abs(length - 1.0) < 1e-6) & (np.abs(w) <= 1.0)
+    sines = np.sqrt(np.clip(1.0 - w * w, 0.0, 1.0))
+    vector = np.where(whole, axis * sines, axis)
+    return np.asarray(mat_from_quat(np.concatenate([vector, w], axis=-1))[..., 0])
 
 
 def _usual_directions(settings: Dvl) -> Floats:
@@ -408,9 +417,8 @@ def _used_directions(
         why = fault or _contradiction(pings, in_use)
         other = agreeing_directions(pings, reported, _slant(table, cleaner))
         if other is not None:
-            _note_other_directions(
-                cleaner, other, "beam_geometry" if fault else "beam_directions", why
-            )
+            code = "beam_geometry" if fault else "beam_directions"
+            _note_other_directions(cleaner, other, code, why)
             return _Directions(other)
         if len(in_use) != beams or not pings.has_other_axes(in_use):
             _note_unused_beams(cleaner, why)
@@ -418,14 +426,19 @@ def _used_directions(
         _note_contradiction(cleaner, pings, in_use)
     _require_directions(table, in_use, beams)
     if fault:
-        why = (
-            "are assumed" if pings is None else "are used, which agree with the DVL's own velocity"
-        )
-        text = f"pings have impossible beam vectors ({fault}); {_words(in_use)} {why}"
-        cleaner.note("beam_geometry", text, cleaner.rows.size, Severity.WARNING, _BEAM_HINT)
+        _note_fault(cleaner, fault, in_use, are_compared=pings is not None)
     look = None if usable is None else usable.mean(axis=0)
     _note_look(cleaner, look)
     return _Directions(in_use, look)
+
+
+def _note_fault(cleaner: Cleaner, fault: str, in_use: Floats, *, are_compared: bool) -> None:
+    """Report directions in the messages that cannot be, and those that are used."""
+    why = "are assumed"
+    if are_compared:
+        why = "are used, which agree with the DVL's own velocity"
+    text = f"pings have impossible beam vectors ({fault}); {_words(in_use)} {why}"
+    cleaner.note("beam_geometry", text, cleaner.rows.size, Severity.WARNING, _BEAM_HINT)
 
 
 def _note_given_contradiction(cleaner: Cleaner, pings: BeamVelocities, vectors_d: Floats) -> None:
@@ -436,11 +449,9 @@ def _note_given_contradiction(cleaner: Cleaner, pings: BeamVelocities, vectors_d
 
 def _require_directions(table: Table, vectors_d: Floats, beams: int) -> None:
     if len(vectors_d) != beams:
-        raise ConfigError(
-            f"has {beams} beams, but the geometry has {len(vectors_d)}",
-            "set one angle for each beam in dvl.beam_azimuth_deg",
-            *table.where,
-        )
+        text = f"has {beams} beams, but the geometry has {len(vectors_d)}"
+        hint = "set one angle for each beam in dvl.beam_azimuth_deg"
+        raise ConfigError(text, hint, *table.where)
 
 
 def _directions_in_messages(
@@ -463,9 +474,8 @@ def _note_other_directions(cleaner: Cleaner, vectors_d: Floats, code: str, why: 
         f"pings have beams whose directions cannot be true ({why}); {_words(vectors_d)} agree with the DVL's own "
         "velocity and are used"
     )
-    cleaner.note(
-        code, text, cleaner.rows.size, Severity.WARNING, f"to keep these: {_keys(vectors_d)}"
-    )
+    hint = f"to keep these: {_keys(vectors_d)}"
+    cleaner.note(code, text, cleaner.rows.size, Severity.WARNING, hint)
 
 
 def _note_unused_beams(cleaner: Cleaner, why: str) -> None:
@@ -504,9 +514,8 @@ def _compared_pings(
     """Return the pings whose beams can be compared with the instrument's own velocity; None without any."""
     if "velocity" not in table or "coordinates" in table:
         return None
-    pings = BeamVelocities.of_pings(
-        cleaner.kept(beams_mps), cleaner.kept(_velocity_d(table, settings))
-    )
+    velocity_d = cleaner.kept(_velocity_d(table, settings))
+    pings = BeamVelocities.of_pings(cleaner.kept(beams_mps), velocity_d)
     if len(pings):
         return pings
     return None
@@ -514,10 +523,9 @@ def _compared_pings(
 
 def _contradiction(pings: BeamVelocities, vectors_d: Floats) -> str:
     """State how far beams are from the velocity."""
-    if len(vectors_d) != pings.along_mps.shape[1]:
-        return (
-            f"there are {pings.along_mps.shape[1]} of them, but the geometry has {len(vectors_d)}"
-        )
+    beams = pings.along_mps.shape[1]
+    if len(vectors_d) != beams:
+        return f"there are {beams} of them, but the geometry has {len(vectors_d)}"
     if not np.isfinite(pings.misfit(vectors_d)):
         return "they are in one plane"
     if pings.misfit(vectors_d) <= AGREES:
@@ -538,11 +546,8 @@ def _slant(table: Table, cleaner: Cleaner) -> float | None:
         return None
     altitude = cleaner.kept(table.column("altitude"))
     ranges = cleaner.kept(table.values("beam_ranges"))
-    measured = (
-        (np.isfinite(ranges) & (ranges > 0.0)).all(axis=1)
-        & np.isfinite(altitude)
-        & (altitude > 0.0)
-    )
+    measured = (np.isfinite(ranges) & (ranges > 0.0)).all(axis=1)
+    measured &= np.isfinite(altitude) & (altitude > 0.0)
     if not measured.any():
         return None
     return float(np.median(altitude[measured, None] / ranges[measured]))

@@ -26,7 +26,7 @@ _OF_OTHERS: Final = re.compile(
 )
 _FEWEST: Final = 3  # pings that show what a flag means
 _ENOUGH: Final = 8  # pings of each kind, of which the scatter is compared
-# share of the pings that have no velocity
+# Share of the pings that have no velocity.
 _MOSTLY = 0.5
 _HARDLY = 0.05
 _SCATTERS: Final = 3.0  # times as much as the others
@@ -70,7 +70,9 @@ def says_valid(flag: Floats, velocity: Floats) -> bool | None:
     is_zero = flag == 0.0
     groups = (is_zero, ~is_zero & np.isfinite(flag))
     speed = np.abs(velocity).max(axis=1)
-    usual = float(np.median(speed[speed > 0.0])) if (speed > 0.0).any() else 0.0
+    usual = 0.0
+    if (speed > 0.0).any():
+        usual = float(np.median(speed[speed > 0.0]))
     has_none = ~(speed > 0.0) | (speed > _OUTLIER * usual)
     if min(np.count_nonzero(group) for group in groups) < _FEWEST:
         return None
@@ -81,7 +83,8 @@ def says_valid(flag: Floats, velocity: Floats) -> bool | None:
     parts = [off[group & np.isfinite(off)] for group in groups]
     if min(map(len, parts)) < _ENOUGH:
         return None
-    zero, other = (float(np.median(part)) for part in parts)
+    zero = float(np.median(parts[0]))
+    other = float(np.median(parts[1]))
     if max(zero, other) < _SCATTERS * min(zero, other):
         return None
     return zero > other
@@ -107,8 +110,10 @@ def marks_some(flag: Floats, *, is_sure: bool) -> int:
     """
     known = flag[np.isfinite(flag)]
     zeros = int(np.count_nonzero(flag == 0.0))
+    if is_sure and len(known):
+        return zeros + len(flag) - len(known)
     if is_sure:
-        return zeros + (len(flag) - len(known) if len(known) else 0)
+        return zeros
     values, counts = np.unique(known, return_counts=True)
     if len(values) < 2:
         return 0

@@ -49,26 +49,24 @@ def in_frd(vectors: Floats, axes: str, key: str, unit: float = 1.0) -> Floats:
     text = _NAMED_AXES.get(axes, axes)
     readings = re.findall(r"([+-])([xyz])", text)
     if len(text) != 6 or sorted(axis for _, axis in readings) != ["x", "y", "z"]:
-        raise ConfigError(
-            f'{key} = "{axes}" is no set of axes', f'{key} = "frd", "flu" or for example "+y+x-z"'
-        )
+        hint = f'{key} = "frd", "flu" or for example "+y+x-z"'
+        raise ConfigError(f'{key} = "{axes}" is no set of axes', hint)
     if text == _NAMED_AXES[FRD] and unit == 1.0:
         return vectors
     turned = np.empty_like(vectors)
     for i, (sign, axis) in enumerate(readings):
-        np.multiply(vectors[:, "xyz".index(axis)], unit if sign == "+" else -unit, out=turned[:, i])
+        factor = unit if sign == "+" else -unit
+        np.multiply(vectors[:, "xyz".index(axis)], factor, out=turned[:, i])
     return turned
 
 
 def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     """Make the columns of the IMU; a `LogError` where no reading can be used, a `ConfigError` where axes are none."""
     settings = table.source.completed(settings)
-    force_unit = (
-        SPECIFIC_FORCE_UNITS[settings.specific_force_unit or "m/s2"] / settings.specific_force_scale
-    )
-    rate_unit = (
-        ANGULAR_RATE_UNITS[settings.angular_rate_unit or "rad/s"] / settings.angular_rate_scale
-    )
+    force_unit = SPECIFIC_FORCE_UNITS[settings.specific_force_unit or "m/s2"]
+    force_unit /= settings.specific_force_scale
+    rate_unit = ANGULAR_RATE_UNITS[settings.angular_rate_unit or "rad/s"]
+    rate_unit /= settings.angular_rate_scale
     axes = settings.axes or FRD
     force_axes = axes
     force_key = "imu.axes"
@@ -82,9 +80,8 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
     # A sample is possible within the limits, and not free of gravity and Earth rate; what is not finite is not either.
-    possible = _is_within(specific_force_b, LARGEST_FORCE_MPS2) & _is_within(
-        angular_rate_b, LARGEST_RATE_RADPS
-    )
+    possible = _is_within(specific_force_b, LARGEST_FORCE_MPS2)
+    possible &= _is_within(angular_rate_b, LARGEST_RATE_RADPS)
     dead = np.flatnonzero(specific_force_b[:, 0] == 0.0)
     possible[dead] &= specific_force_b[dead].any(axis=1) | angular_rate_b[dead].any(axis=1)
     if not possible.all():
@@ -184,14 +181,10 @@ def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:
     # Where readings jump all the time, or are in another unit, none stands out.
     far = np.maximum(jump, 20.0 * np.median(np.abs(step), axis=0))
     smaller = np.minimum(np.abs(there), np.abs(back))
-    alone = (
-        (smaller > far)
-        & (there * back < 0.0)
-        & (np.abs(there + back) < np.maximum(0.25 * far, 0.05 * smaller))
-    )
-    near = np.diff(time_ns) <= nanoseconds(
-        0.03
-    )  # further apart, two samples do not tell a spike from a jolt
+    returns = np.abs(there + back) < np.maximum(0.25 * far, 0.05 * smaller)
+    alone = (smaller > far) & (there * back < 0.0) & returns
+    # Further apart, two samples do not tell a spike from a jolt.
+    near = np.diff(time_ns) <= nanoseconds(0.03)
     spikes[1:-1] = alone.any(axis=1) & near[:-1] & near[1:]
     # Of an end the samples next to it say where it should be.
     for end, first, second in ((0, 0, 1), (-1, -1, -2)):

@@ -10,6 +10,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -71,9 +72,8 @@ _LONGEST_AGAIN_S: Final = 2.5  # in which a topic repeats a value
 _LEAST_VALUES: Final = 20
 
 
-Part = tuple[
-    Cleaner, dict[str, Floats]
-]  # what one topic gives of `_SHAPES`, and which of its messages were taken
+# What one topic gives of `_SHAPES`, and which of its messages were taken.
+Part = tuple[Cleaner, dict[str, Floats]]
 _SHAPES: Final = {"position": (3,), "velocity_n": (3,), "mat_nb": (3, 3)}
 
 
@@ -84,16 +84,24 @@ def decode_reference(
     if any("latitude" in table for table in tables):
         # Positions from an origin that nobody knows are left out where another topic has them on Earth.
         for i, table in enumerate(tables):
-            fields = {
-                name: path for name, path in table.source.fields.items() if name != "local_position"
-            }
+            fields = dict(table.source.fields)
+            fields.pop("local_position", None)
             tables[i] = replace(table, source=replace(table.source, fields=fields))
-    parts = [read_part(table, settings, initial) for table in tables]
-    if not parts:
+    if not tables:
         return None, []
-    stated = [_stated(table, settings, part) for table, part in zip(tables, parts, strict=True)]
+    parts = [read_part(table, settings, initial) for table in tables]
+    stated = []
+    for table, part in zip(tables, parts, strict=True):
+        stated.append(_stated(table, settings, part))
     reference = replace(union(parts), stated=_joined(stated))
-    return reference, [note for cleaner, _ in parts for note in cleaner.notes]
+    return reference, _notes_of(parts)
+
+
+def _notes_of(parts: Sequence[Part]) -> list[Note]:
+    notes: list[Note] = []
+    for cleaner, _ in parts:
+        notes += cleaner.notes
+    return notes
 
 
 def _stated(table: Table, settings: Navigation, part: Part) -> StatedErrors:
@@ -102,7 +110,8 @@ def _stated(table: Table, settings: Navigation, part: Part) -> StatedErrors:
     order, rows = rows_among(table.sampled, cleaner.rows, len(table))
     cov, _ = _covariances(table, table.source.completed(settings), found, order, rows)
     if "position" not in found:
-        cov[:, DP], cov[:, :, DP] = np.nan, np.nan
+        cov[:, DP] = np.nan
+        cov[:, :, DP] = np.nan
     return StatedErrors(cleaner.times[rows], cov)
 
 
@@ -128,19 +137,11 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
     reported = None if position is None else position.copy()
     if position is not None:
         _drop_beyond_poles(cleaner, position[:, 0])
-        # Receivers without satellites report latitude and longitude 0, and no dive is there.
-        zero = np.flatnonzero((position[:, :2] == 0.0).all(axis=1))
-        if zero.size:
-            position[zero] = np.nan
-            text = "positions have latitude and longitude 0 (no satellites) and are left out"
-            hint = f"to read another topic of positions: {cleaner.role}.fix"
-            cleaner.note("zero", text, zero.size, Severity.WARNING, hint, first=zero)
-    cleaner.keep_where(
-        "fix_status", lambda status: status >= 0.0, "no_fix", "positions have no fix"
-    )
-    cleaner.keep_where(
-        "fix_type", lambda kind: kind >= 2, "no_fix", "positions have no fix"
-    )  # of two dimensions
+        _clear_zero(cleaner, position)
+    no_fix = "positions have no fix"
+    cleaner.keep_where("fix_status", lambda status: status >= 0.0, "no_fix", no_fix)
+    # Of two dimensions.
+    cleaner.keep_where("fix_type", lambda kind: kind >= 2, "no_fix", no_fix)
     if position is not None and "sensor_id" in table:
         cleaner.keep(np.isfinite(position[:, 0]), "no_fix", "positions are without satellites")
         cleaner.drop_repeated_values(position)
@@ -152,19 +153,30 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
         is_impossible = np.abs(velocity_n) > FASTEST_MPS
         reason = f"velocities are above {FASTEST_MPS:g} m/s"
         velocity_n = cleaner.without_impossible(velocity_n, is_impossible, reason, hint)
-    position = _without_published_again(cleaner, "positions", position)
-    velocity_n = _without_published_again(cleaner, "velocities", velocity_n)
-    mat_nb = _without_published_again(cleaner, "attitudes", mat_nb)
-    for quantity, values in (
-        ("positions", None if reported is None else reported[:, :2]),
-        ("heights", None if reported is None else reported[:, 2:]),
-        ("velocities", velocity_n),
-        ("attitudes", None if mat_nb is None else mat_nb.reshape(-1, 9)),
-    ):
-        if values is not None:
-            cleaner.note_missing(quantity, values)
-    found = zip(_SHAPES, (position, velocity_n, mat_nb), strict=True)
-    return cleaner, {name: cleaner.kept(values) for name, values in found if values is not None}
+    found = {
+        "position": _without_published_again(cleaner, "positions", position),
+        "velocity_n": _without_published_again(cleaner, "velocities", velocity_n),
+        "mat_nb": _without_published_again(cleaner, "attitudes", mat_nb),
+    }
+    if reported is not None:
+        cleaner.note_missing("positions", reported[:, :2])
+        cleaner.note_missing("heights", reported[:, 2:])
+    if found["velocity_n"] is not None:
+        cleaner.note_missing("velocities", found["velocity_n"])
+    if found["mat_nb"] is not None:
+        cleaner.note_missing("attitudes", found["mat_nb"].reshape(-1, 9))
+    kept = {name: cleaner.kept(values) for name, values in found.items() if values is not None}
+    return cleaner, kept
+
+
+def _clear_zero(cleaner: Cleaner, position: Floats) -> None:
+    """Take out latitude and longitude 0, which receivers without satellites report; no dive is there."""
+    zero = np.flatnonzero((position[:, :2] == 0.0).all(axis=1))
+    if zero.size:
+        position[zero] = np.nan
+        text = "positions have latitude and longitude 0 (no satellites) and are left out"
+        hint = f"to read another topic of positions: {cleaner.role}.fix"
+        cleaner.note("zero", text, zero.size, Severity.WARNING, hint, first=zero)
 
 
 def _drop_beyond_poles(cleaner: Cleaner, latitude: Floats) -> None:
@@ -175,9 +187,8 @@ def _drop_beyond_poles(cleaner: Cleaner, latitude: Floats) -> None:
     count = int(np.count_nonzero(~possible))
     hint = f'{cleaner.role}.angle_unit, or another field: {cleaner.role}.latitude = "field.path"'
     impossible_deg = latitude[~possible] / DEG
-    cleaner.keep_possible(
-        possible, impossible_deg, "latitudes are beyond the poles, in degrees", hint
-    )
+    reason = "latitudes are beyond the poles, in degrees"
+    cleaner.keep_possible(possible, impossible_deg, reason, hint)
     if not possible[cleaner.rows].all() or not cleaner.rows.size:
         what = f"{count} of {possible.size} latitudes are beyond the poles"
         raise LogError(what, hint, *cleaner.table.where)
@@ -185,9 +196,8 @@ def _drop_beyond_poles(cleaner: Cleaner, latitude: Floats) -> None:
 
 def heights_without_marks(cleaner: Cleaner, height_m: Floats) -> Floats:
     """Return heights, (k,), NaN where no water is, or where the number stands for none."""
-    is_impossible = ~((height_m > LOWEST_M) & (height_m < HIGHEST_M)) | (
-        np.abs(height_m) == NO_HEIGHT_M
-    )
+    is_impossible = ~((height_m > LOWEST_M) & (height_m < HIGHEST_M))
+    is_impossible |= np.abs(height_m) == NO_HEIGHT_M
     is_impossible &= np.isfinite(height_m)
     hint = f'to read another field: {cleaner.role}.height or {cleaner.role}.depth = "field.path"'
     reason = "heights are of no water on Earth, in metres"
@@ -196,9 +206,8 @@ def heights_without_marks(cleaner: Cleaner, height_m: Floats) -> Floats:
 
 def angles_without_marks(cleaner: Cleaner, angles: Floats, unit: float) -> Floats:
     """Return angles in a unit, (k, n), NaN where they are a number that stands for none, such as 999."""
-    beyond = (
-        np.abs(angles) * unit > LARGEST_ANGLE_RAD
-    )  # a heading that counts its turns may be large, too
+    # A heading that counts its turns may be large, too.
+    beyond = np.abs(angles) * unit > LARGEST_ANGLE_RAD
     if not beyond.any() or not stand_for_none(angles[beyond]):
         return angles
     hint = f"to read other fields: {cleaner.role}.roll, pitch and heading, or {cleaner.role}.quaternion"
@@ -241,10 +250,7 @@ def _position(
     if "latitude" in table:
         unit = ANGLE_UNITS[settings.angle_unit or "deg"]
         latitude = of_receiver(table, "latitude") * unit
-        longitude = (
-            angles_without_marks(cleaner, of_receiver(table, "longitude")[:, None], unit)[:, 0]
-            * unit
-        )
+        longitude = longitude_of(table, cleaner, unit)
         height_m = np.full(len(table), np.nan)
         if "depth" in table:
             height_m = -table.column("depth")
@@ -263,12 +269,10 @@ def _position(
     if initial.latitude_deg is not None:
         origin[:] = initial.latitude_deg, initial.longitude_deg, initial.height_m
     if "origin" in table:
-        is_given = (
-            table.column("origin_valid") > 0.0
-            if "origin_valid" in table
-            else np.ones(len(table), np.bool_)
-        )
-        origin = np.where(is_given[:, None], table.values("origin", 3), origin)
+        given = table.values("origin", 3)
+        if "origin_valid" in table:
+            given = np.where(table.values("origin_valid", 1) > 0.0, given, origin)
+        origin = given
     if np.isnan(origin).all():
         return None
     latitude = origin[:, 0] * DEG
@@ -289,6 +293,12 @@ def local_position_n(table: Table, settings: Navigation) -> Floats:
         if frame in table:
             local_m = np.where(table.column(frame)[:, None] == north, local_m, np.nan)
     return local_m if settings.axes == "ned_frd" else local_m @ MAT_ENU_NED
+
+
+def longitude_of(table: Table, cleaner: Cleaner, unit: float) -> Floats:
+    """Return the longitudes in a unit as rad, shape (k,), NaN where they are a number that stands for none."""
+    longitude = of_receiver(table, "longitude")[:, None]
+    return angles_without_marks(cleaner, longitude, unit)[:, 0] * unit
 
 
 def of_receiver(table: Table, quantity: str) -> Floats:
@@ -335,23 +345,16 @@ def is_by_quaternion(table: Table, settings: Navigation | Heading) -> bool:
 
 def _velocity_n(table: Table, settings: Navigation, mat_nb: Floats | None) -> Floats | None:
     if "velocity_frame" in table:
-        # Each is in the frame that its message says; NaN in frames without a north.
-        velocity = table.values("velocity_n", 3)
-        frame = table.column("velocity_frame")
-        in_n = np.where((frame == _NED)[:, None], velocity, np.nan)
-        if mat_nb is None:
-            return in_n
-        return np.where((frame == _BODY)[:, None], np.einsum("kij,kj->ki", mat_nb, velocity), in_n)
+        return _velocity_by_frame(table, mat_nb)
     if "velocity_n" in table and ("velocity_b" not in table or settings.velocity_n is not None):
         velocity = table.values("velocity_n", 3)
         if "velocity_valid" in table:
-            velocity = np.where(
-                table.values("velocity_valid", 2)[:, [0, 0, 1]] > 0.0, velocity, np.nan
-            )
-        # Unless its axes are set, it is in those of the quaternion beside it.
-        is_enu = settings.axes == "enu_flu" or (
-            settings.axes is None and is_by_quaternion(table, settings)
-        )
+            valid = table.values("velocity_valid", 2)[:, [0, 0, 1]] > 0.0
+            velocity = np.where(valid, velocity, np.nan)
+        is_enu = settings.axes == "enu_flu"
+        if settings.axes is None:
+            # Then it is in those of the quaternion beside it.
+            is_enu = is_by_quaternion(table, settings)
         return velocity @ MAT_ENU_NED if is_enu else velocity
     if "velocity_b" not in table or mat_nb is None:
         return None
@@ -361,19 +364,30 @@ def _velocity_n(table: Table, settings: Navigation, mat_nb: Floats | None) -> Fl
     return np.asarray(np.einsum("kij,kj->ki", mat_nb, velocity_b))
 
 
+def _velocity_by_frame(table: Table, mat_nb: Floats | None) -> Floats:
+    """Return velocities of which each is in the frame that its message says; NaN in frames without a north."""
+    velocity = table.values("velocity_n", 3)
+    frame = table.column("velocity_frame")
+    velocity_n = np.where((frame == _NED)[:, None], velocity, np.nan)
+    if mat_nb is None:
+        return velocity_n
+    turned_n = np.einsum("kij,kj->ki", mat_nb, velocity)
+    return np.where((frame == _BODY)[:, None], turned_n, velocity_n)
+
+
 def union(parts: Sequence[Part]) -> ReferenceColumns:
     """Join topics on the union of their times; one alone is not copied, and one row stands for what it lacks."""
+    columns: dict[str, Any] = {}
     if len(parts) == 1:
         [(cleaner, found)] = parts
-        columns: dict[str, Any] = {
-            name: np.ascontiguousarray(found[name])
-            if name in found
-            else nothing((cleaner.times.size, *shape))
-            for name, shape in _SHAPES.items()
-        }
+        for name, shape in _SHAPES.items():
+            columns[name] = nothing((cleaner.times.size, *shape))
+            if name in found:
+                columns[name] = np.ascontiguousarray(found[name])
         return ReferenceColumns(cleaner.times, **columns)
     time_ns = distinct(np.concatenate([cleaner.times for cleaner, _ in parts]))
-    columns = {name: np.full((time_ns.size, *shape), np.nan) for name, shape in _SHAPES.items()}
+    for name, shape in _SHAPES.items():
+        columns[name] = np.full((time_ns.size, *shape), np.nan)
     for cleaner, found in parts:
         for name, values in found.items():
             columns[name][np.searchsorted(time_ns, cleaner.times)] = values
@@ -396,9 +410,11 @@ def decode_solution(
     parts = [read_part(table, settings, Initial()) for table in tables]
     for cleaner, _ in parts:
         cleaner.require_rows()
-    motion, table, (cleaner, found) = union(parts), tables[0], parts[0]
+    motion = union(parts)
+    table = tables[0]
+    cleaner, found = parts[0]
     completed = table.source.completed(settings)
-    notes = [note for other, _ in parts for note in other.notes]
+    notes = _notes_of(parts)
     moved_n = None
     if "local_position" in table and not motion.has_position:
         moved_n = cleaner.kept(local_position_n(table, completed))
@@ -423,13 +439,12 @@ def _covariances(
     cov = np.full((len(rows), SIZE, SIZE), np.nan)
     wrong = 0
     ned_frd = settings.axes == "ned_frd"
-    turn_n, turn_b = (np.eye(3), np.eye(3)) if ned_frd else (MAT_ENU_NED, MAT_FRD_FLU)
+    turn_n = np.eye(3) if ned_frd else MAT_ENU_NED
     if "pose_cov" in table:
         pose, wrong = _valid_covariances(table.values("pose_cov", 21)[order], 6)
         blocks = ((DP, slice(0, 3)), (PHI, slice(3, 6)))
-        for row, pose_row in blocks:
-            for column, pose_column in blocks:
-                cov[:, row, column] = turn_n @ pose[:, pose_row, pose_column] @ turn_n.T
+        for (row, pose_row), (column, pose_column) in product(blocks, blocks):
+            cov[:, row, column] = turn_n @ pose[:, pose_row, pose_column] @ turn_n.T
     if "position_cov" in table:
         # East, north, up; of the types of covariances, 0 is unknown.
         position, more = _valid_covariances(table.values("position_cov", 6)[order], 3)
@@ -442,18 +457,30 @@ def _covariances(
         wrong += more
         in_body = "velocity_b" in table and settings.velocity_n is None
         if in_body and "mat_nb" in found:
+            turn_b = np.eye(3) if ned_frd else MAT_FRD_FLU
             mat = found["mat_nb"][rows] @ turn_b
-            velocity_x = skew(found["velocity_n"][rows])
-            by_phi = -velocity_x @ cov[:, PHI]
-            cov[:, DV, DV] = mat @ twist @ mat.swapaxes(1, 2) - by_phi[
-                :, :, PHI
-            ] @ velocity_x.swapaxes(1, 2)
-            cov[:, DV, PHI], cov[:, DV, DP] = by_phi[:, :, PHI], by_phi[:, :, DP]
-            cov[:, PHI, DV], cov[:, DP, DV] = (cov[:, DV, at].swapaxes(1, 2) for at in (PHI, DP))
+            _fill_by_body(cov, mat @ twist @ mat.swapaxes(1, 2), found["velocity_n"][rows])
         elif not in_body:
-            cov[:, DV, DV] = turn_n @ twist @ turn_n.T
-            cov[:, DV, PHI] = cov[:, DV, DP] = cov[:, PHI, DV] = cov[:, DP, DV] = 0.0
+            _fill_velocity(cov, turn_n @ twist @ turn_n.T)
     return cov, wrong
+
+
+def _fill_velocity(cov: Floats, velocity_cov: Floats) -> None:
+    """Fill the covariance of velocities that depend on no attitude."""
+    cov[:, DV, DV] = velocity_cov
+    for other in (PHI, DP):
+        cov[:, DV, other] = 0.0
+        cov[:, other, DV] = 0.0
+
+
+def _fill_by_body(cov: Floats, velocity_cov: Floats, velocity_n: Floats) -> None:
+    """Fill the covariance of velocities that were turned by the attitude, and err with it."""
+    velocity_x = skew(velocity_n)
+    by_phi = -velocity_x @ cov[:, PHI]
+    cov[:, DV, DV] = velocity_cov - by_phi[:, :, PHI] @ velocity_x.swapaxes(1, 2)
+    for other in (PHI, DP):
+        cov[:, DV, other] = by_phi[:, :, other]
+        cov[:, other, DV] = by_phi[:, :, other].swapaxes(1, 2)
 
 
 def _valid_covariances(upper: Floats, size: int) -> tuple[Floats, int]:
@@ -465,9 +492,8 @@ def _valid_covariances(upper: Floats, size: int) -> tuple[Floats, int]:
     row, column = np.triu_indices(size)
     cov[:, row, column] = cov[:, column, row] = upper
     variances = np.diagonal(cov, axis1=1, axis2=2)
-    given = np.asarray(
-        ((variances > 0.0) & np.isfinite(variances)).reshape(len(cov), -1, 3).all(axis=2)
-    )
+    is_variance = (variances > 0.0) & np.isfinite(variances)
+    given = np.asarray(is_variance.reshape(len(cov), -1, 3).all(axis=2))
     given[cov[:, 0, 0] == -1.0] = False
     rows = np.repeat(given, 3, axis=1)
     given_cov = np.where(rows[:, :, None] & rows[:, None, :], cov, 0.0)
@@ -477,9 +503,8 @@ def _valid_covariances(upper: Floats, size: int) -> tuple[Floats, int]:
     possible = np.flatnonzero(~wrong)
     wrong[possible] = np.linalg.eigvalsh(given_cov[possible])[:, 0] <= 0.0
     rows[wrong] = False
-    return np.where(rows[:, :, None] & rows[:, None, :], given_cov, np.nan), int(
-        np.count_nonzero(wrong)
-    )
+    valid = np.where(rows[:, :, None] & rows[:, None, :], given_cov, np.nan)
+    return valid, int(np.count_nonzero(wrong))
 
 
 def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns, list[Note]]:
@@ -490,42 +515,21 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
         raise LogError(f"cannot be read: {error.strerror}", f"check {role}.file", path) from error
     sha256 = hashlib.sha256(content).hexdigest()
     if settings.sha256 not in (None, sha256):
-        raise LogError(
-            f"has changed since the settings were read: its SHA-256 is {sha256}", "run again", path
-        )
-    times = []
-    poses = []
-    for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), 1):
-        words = line.replace(",", " ").split()
-        if not words or words[0].startswith("#"):
-            continue
-        try:
-            time_s, *pose = (Decimal(words[0]), *map(float, words[1:]))
-            if len(words) != _TUM_COLUMNS or not (time_s.is_finite() and abs(time_s) < _LATEST_S):
-                raise ValueError
-        except (
-            ArithmeticError,
-            ValueError,
-        ) as error:  # of what is in it nothing is shown: it may be any file
-            raise LogError(
-                f"line {number} is no pose: it needs {_TUM_COLUMNS} numbers", _TUM_FORMAT, path
-            ) from error
-        times.append(round(time_s * NS_PER_S))
-        poses.append(pose)
-    if not poses:
-        raise LogError("has no line with a pose", _TUM_FORMAT, path)
-    time_ns = np.array(times, np.int64)
-    numbers = np.array(poses, np.float64)
+        text = f"has changed since the settings were read: its SHA-256 is {sha256}"
+        raise LogError(text, "run again", path)
+    time_ns, numbers = _tum_poses(path, content.decode("utf-8", "replace"))
     finite = np.isfinite(numbers)
     if not finite.any():
-        raise LogError(f"has no number in any of its {len(poses)} poses", _TUM_FORMAT, path)
+        raise LogError(f"has no number in any of its {len(numbers)} poses", _TUM_FORMAT, path)
     numbers = np.where(finite, numbers, np.nan)
     notes = []
-    if back := int(np.count_nonzero(np.diff(time_ns) < 0)):
+    back = int(np.count_nonzero(np.diff(time_ns) < 0))
+    if back:
         text = f"{role}: {back} lines have an earlier time than the line above; sorted"
         hint = "if the file has two runs, split it into two solutions"
         notes.append(Note("solution_out_of_order", text, back, Severity.WARNING, hint))
-    if repeats := len(time_ns) - len(np.unique(time_ns)):
+    repeats = len(time_ns) - len(np.unique(time_ns))
+    if repeats:
         text = f"{role}: {repeats} lines repeat the time of another line; the first of each time is used"
         notes.append(Note("solution_repeats", text, repeats))
     order = np.argsort(time_ns, kind="stable")
@@ -540,3 +544,27 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
         time_ns[rows] - round(settings.latency_s * NS_PER_S), nothing, nothing.copy(), mat
     )
     return SolutionColumns(motion, way, *no_covariances()), notes
+
+
+def _tum_poses(path: Path, text: str) -> tuple[TimeNs, Floats]:
+    """Return the times of the poses in a text, (k,) ns, and their numbers, (k, 7), in the order of the lines."""
+    times = []
+    poses = []
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.replace(",", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            time_s = Decimal(words[0])
+            pose = [float(word) for word in words[1:]]
+            if len(words) != _TUM_COLUMNS or not (time_s.is_finite() and abs(time_s) < _LATEST_S):
+                raise ValueError
+        except (ArithmeticError, ValueError) as error:
+            # Of what is in it nothing is shown: it may be any file.
+            what = f"line {number} is no pose: it needs {_TUM_COLUMNS} numbers"
+            raise LogError(what, _TUM_FORMAT, path) from error
+        times.append(round(time_s * NS_PER_S))
+        poses.append(pose)
+    if not poses:
+        raise LogError("has no line with a pose", _TUM_FORMAT, path)
+    return np.array(times, np.int64), np.array(poses, np.float64)

@@ -17,6 +17,7 @@ from insdvl_replay.logs.columns.reference import (
     attitude,
     heights_without_marks,
     is_by_quaternion,
+    longitude_of,
     of_receiver,
 )
 from insdvl_replay.logs.columns.tables import Table
@@ -75,24 +76,9 @@ def _depth(table: Table, settings: Depth, cleaner: Cleaner) -> Readings:
 def _heading(table: Table, settings: Heading, cleaner: Cleaner) -> Readings:
     """Return the true heading, (k, 1), and the attitude that it is part of; NaN where a message has none."""
     declination = settings.declination_deg * DEG
-    turned = any(settings.mounting_rpy_deg)
-    heading_alone = (
-        settings.heading is not None and settings.quaternion is None and settings.roll is None
-    )
-    if (
-        not heading_alone
-        and settings.angle_unit not in (None, "deg")
-        and is_by_quaternion(table, settings)
-    ):
-        raise ConfigError(
-            "heading.angle_unit is set, but the messages have a quaternion",
-            "leave heading.angle_unit out; to read an angle: heading.heading",
-        )
-    mat = (
-        None if heading_alone else attitude(table, settings, cleaner)
-    )  # from magnetic or true north
+    mat = _attitude(table, settings, cleaner)  # from magnetic or true north
     if mat is None:
-        if turned:
+        if any(settings.mounting_rpy_deg):
             raise ConfigError(
                 "heading.mounting_rpy_deg needs an attitude, but the messages have a heading only",
                 "to correct a heading: heading.declination_deg",
@@ -100,8 +86,9 @@ def _heading(table: Table, settings: Heading, cleaner: Cleaner) -> Readings:
         unit = ANGLE_UNITS[settings.angle_unit or "deg"]
         heading = angles_without_marks(cleaner, table.values("heading", 1), unit) * unit
         return heading + declination, None
-    if turned:
-        mat = np.asarray(mat @ mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG).T)
+    if any(settings.mounting_rpy_deg):
+        mounting = mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG)
+        mat = np.asarray(mat @ mounting.T)
     if "quaternion_var" in table:
         without = table.column("quaternion_var") < 0.0
         if without.all():
@@ -112,6 +99,18 @@ def _heading(table: Table, settings: Heading, cleaner: Cleaner) -> Readings:
     return np.asarray(heading[:, None]), mat_from_rpy(np.array([0.0, 0.0, declination])) @ mat
 
 
+def _attitude(table: Table, settings: Heading, cleaner: Cleaner) -> Floats | None:
+    """Return the attitude that a heading is part of, (k, 3, 3); None where the settings name a heading alone."""
+    if settings.heading is not None and settings.quaternion is None and settings.roll is None:
+        return None
+    if settings.angle_unit not in (None, "deg") and is_by_quaternion(table, settings):
+        raise ConfigError(
+            "heading.angle_unit is set, but the messages have a quaternion",
+            "leave heading.angle_unit out; to read an angle: heading.heading",
+        )
+    return attitude(table, settings, cleaner)
+
+
 def _position(table: Table, settings: Position, cleaner: Cleaner) -> Readings:
     """Return latitude rad, longitude rad, height m, (k, 3): NaN where there was no fix.
 
@@ -119,28 +118,23 @@ def _position(table: Table, settings: Position, cleaner: Cleaner) -> Readings:
     """
     unit = ANGLE_UNITS[settings.angle_unit or "deg"]
     latitude = of_receiver(table, "latitude") * unit
-    longitude = (
-        angles_without_marks(cleaner, of_receiver(table, "longitude")[:, None], unit)[:, 0] * unit
-    )
+    longitude = longitude_of(table, cleaner, unit)
     polar = np.abs(latitude) > 0.5 * np.pi
     count = int(polar.sum())
     known = int(np.isfinite(latitude).sum())
     hint = 'to read another field: position.latitude = "field.path"'
     if 2 * count > known and (count == known or not stand_for_none(latitude[polar])):
         furthest = latitude[np.nanargmax(np.abs(latitude))] / unit
-        raise LogError(
-            f"{count} of {known} latitudes are beyond the poles, up to {furthest:.6g} {settings.angle_unit or 'deg'}",
-            f'position.angle_unit = "deg" or "rad"; {hint}',
-            *table.where,
-        )
+        largest = f"{furthest:.6g} {settings.angle_unit or 'deg'}"
+        text = f"{count} of {known} latitudes are beyond the poles, up to {largest}"
+        raise LogError(text, f'position.angle_unit = "deg" or "rad"; {hint}', *table.where)
     reason = "latitudes are beyond the poles, in radians"
     latitude = cleaner.without_impossible(latitude[:, None], polar[:, None], reason, hint)[:, 0]
     height_m = np.full(len(table), np.nan)
     if "height" in table:
         height_m = heights_without_marks(cleaner, table.column("height"))
-    position = np.stack(
-        [latitude, longitude, np.where(np.isfinite(height_m), height_m, np.nan)], axis=1
-    )
+    height_m = np.where(np.isfinite(height_m), height_m, np.nan)
+    position = np.stack([latitude, longitude, height_m], axis=1)
     needed = position[:, : 2 if settings.height_sd_m is None else 3]
     lost = (latitude == 0.0) & (longitude == 0.0) | ~np.isfinite(needed).all(axis=1)
     if "fix_status" in table:
