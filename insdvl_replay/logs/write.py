@@ -7,7 +7,7 @@ the order of their times of validity. The mcap library frames all records; the m
 by column. Source: https://mcap.dev/spec.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -42,13 +42,14 @@ from insdvl_replay.geometry.frames import MAT_FRD_FLU, east_north_up_m, quat_enu
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, turned
 from insdvl_replay.logs.formats.definitions import Definitions, definition_text, parse_definitions
 from insdvl_replay.logs.formats.fields import layout_for_texts
+from insdvl_replay.logs.formats.log_file import LogChannel
+from insdvl_replay.logs.formats.mcap_file import HEADER_SIZE
 from insdvl_replay.logs.formats.recording import open_recording
 
 LIBRARY: Final = "insdvl-replay"
 NEVER: Final = np.empty(0, np.int64)
-CHUNK_BYTES: Final = (
-    1024 * 1024
-)  # a chunk is full with the message that exceeds this, before compression
+# A chunk is full with the message that exceeds this, before compression.
+CHUNK_BYTES: Final = 1024 * 1024
 FRAMES: Final = {
     "ned": "north-east-down at the vehicle",
     "imu": "the body: forward-starboard-down at the IMU",
@@ -59,9 +60,8 @@ FRAMES: Final = {
 """What the names in ``frame_id`` mean."""
 NED, IMU, DVL, ODOM, BASE_LINK = FRAMES
 _STAMP_POLICY: Final = "log_time = publish_time = header.stamp = time of validity"
-_QOS: Final = {
-    "offered_qos_profiles": ""
-}  # no profile at all is the one value that every release of rosbag2 reads
+# No profile at all is the one value that every release of rosbag2 reads.
+_QOS: Final = {"offered_qos_profiles": ""}
 _LATEST_NS: Final = (2**31 - 1) * NS_PER_S
 _RECORD_HEAD: Final = [
     ("opcode", "u1"),
@@ -91,12 +91,8 @@ def stamped(
     topic: str, type_name: str, time_ns: TimeNs, frame: str, columns: Mapping[str, Column]
 ) -> Batch:
     """Make a batch of messages that begin with a header, whose frame is one of `FRAMES`."""
-    return Batch(
-        topic,
-        type_name,
-        time_ns,
-        {**stamp("header.stamp", time_ns), "header.frame_id": frame, **columns},
-    )
+    header = {**stamp("header.stamp", time_ns), "header.frame_id": frame}
+    return Batch(topic, type_name, time_ns, {**header, **columns})
 
 
 def stamp(path: str, time_ns: TimeNs) -> dict[str, Column]:
@@ -110,10 +106,10 @@ def stamp(path: str, time_ns: TimeNs) -> dict[str, Column]:
 
 def components(path: str, vectors: Floats | float, names: str = "xyz") -> dict[str, Column]:
     """Fill the components at a path with the columns of vectors, or all with one number."""
-    columns: Sequence[Any] = (
-        [vectors] * len(names) if isinstance(vectors, float) else list(vectors.T)
-    )
-    return {f"{path}.{name}": column for name, column in zip(names, columns, strict=True)}
+    if isinstance(vectors, float):
+        return {f"{path}.{name}": vectors for name in names}
+    columns = zip(names, vectors.T, strict=True)
+    return {f"{path}.{name}": column for name, column in columns}
 
 
 @cache
@@ -138,11 +134,9 @@ class _Messages:
         """Return the records of some messages."""
         time_ns = self.batch.time_ns[rows]
         records = np.zeros(len(time_ns), self._dtype)
-        records["opcode"], records["length"], records["channel"] = (
-            Opcode.MESSAGE,
-            self.size - 9,
-            self.channel,
-        )
+        records["opcode"] = Opcode.MESSAGE
+        records["length"] = self.size - HEADER_SIZE
+        records["channel"] = self.channel
         records["log_time"] = records["publish_time"] = time_ns
         messages = self._layout.new_messages(len(time_ns))
         for path, column in self.batch.columns.items():
@@ -212,39 +206,49 @@ def write_log(
 def copy_log(path: Path, logs: Sequence[Path], held_back: Mapping[str, TimeNs | None]) -> None:
     """Copy the messages of a log to MCAP, without those at some log times, or with None all, of some topics."""
     log = open_recording(logs, allow_damaged=True)
-    kept = {
-        channel.id: channel
-        for channel in log.channels
-        if held_back.get(channel.topic, NEVER) is not None
-    }
-    encodings = {channel.encoding for channel in kept.values()}
+    kept: dict[int, LogChannel] = {}
+    for channel in log.channels:
+        if held_back.get(channel.topic, NEVER) is not None:
+            kept[channel.id] = channel
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE)
-        schemas = dict[tuple[str, str, bytes], int]()
-        channels = dict[int, int]()
-        writer.start(
-            "ros2" if "cdr" in encodings else "ros1" if "ros1" in encodings else "", LIBRARY
-        )
-        for channel in kept.values():
-            schema = channel.type_name, channel.schema_encoding, channel.schema_data
-            if schema not in schemas:
-                schemas[schema] = writer.register_schema(*schema) if any(schema) else 0
-            metadata = dict(channel.metadata)
-            channels[channel.id] = writer.register_channel(
-                channel.topic, channel.encoding, schemas[schema], metadata
-            )
+        writer.start(_profile_of(kept.values()), LIBRARY)
+        ids = _register(writer, kept)
         for block in log.blocks(kept):
             absent = held_back.get(kept[block.channel_id].topic, NEVER)
-            block = block.part(
-                np.flatnonzero(~np.isin(block.log_time, () if absent is None else absent))
-            )
-            columns = (block.offsets, block.sizes, block.log_time, block.publish_time)
-            for offset, size, log_time, publish_time in zip(
-                *(column.tolist() for column in columns), strict=True
-            ):
+            if absent is None:
+                continue
+            present = block.part(np.flatnonzero(~np.isin(block.log_time, absent)))
+            places = zip(present.offsets.tolist(), present.sizes.tolist(), strict=True)
+            times = zip(present.log_time.tolist(), present.publish_time.tolist(), strict=True)
+            for (offset, size), (log_ns, publish_ns) in zip(places, times, strict=True):
                 data = bytes(block.buffer[offset : offset + size])
-                writer.add_message(channels[block.channel_id], log_time, data, publish_time)
+                writer.add_message(ids[block.channel_id], log_ns, data, publish_ns)
         writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _profile_of(channels: Iterable[LogChannel]) -> str:
+    """Return what a log with some channels promises to follow."""
+    encodings = {channel.encoding for channel in channels}
+    if "cdr" in encodings:
+        return "ros2"
+    if "ros1" in encodings:
+        return "ros1"
+    return ""
+
+
+def _register(writer: Writer, channels: Mapping[int, LogChannel]) -> dict[int, int]:
+    """Register channels with their schemas; return the new ids by the ones they have."""
+    schemas: dict[tuple[str, str, bytes], int] = {}
+    ids: dict[int, int] = {}
+    for channel in channels.values():
+        schema = (channel.type_name, channel.schema_encoding, channel.schema_data)
+        if schema not in schemas:
+            schemas[schema] = writer.register_schema(*schema) if any(schema) else 0
+        ids[channel.id] = writer.register_channel(
+            channel.topic, channel.encoding, schemas[schema], dict(channel.metadata)
+        )
+    return ids
 
 
 def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
@@ -252,14 +256,11 @@ def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
 
     The library adds one message after another; its chunk and its statistics are filled here with many at once.
     """
-    chunk, statistics = (
-        vars(writer)[f"_Writer__{name}"] for name in ("chunk_builder", "statistics")
-    )
+    chunk = vars(writer)["_Writer__chunk_builder"]
+    statistics = vars(writer)["_Writer__statistics"]
     time_ns = np.concatenate([messages.batch.time_ns for messages in batches])
-    batch_of = np.repeat(
-        np.arange(len(batches), dtype=np.int32),
-        [len(messages.batch.time_ns) for messages in batches],
-    )
+    counts = [len(messages.batch.time_ns) for messages in batches]
+    batch_of = np.repeat(np.arange(len(batches), dtype=np.int32), counts)
     order = np.argsort(time_ns, kind="stable")
     time_ns = time_ns[order]
     batch_of = batch_of[order]
@@ -269,60 +270,59 @@ def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
         statistics.channel_message_counts[number] = len(rows)
     if len(time_ns):
         statistics.message_count = len(time_ns)
-        statistics.message_start_time, statistics.message_end_time = (
-            int(time_ns[0]),
-            int(time_ns[-1]),
-        )
+        statistics.message_start_time = int(time_ns[0])
+        statistics.message_end_time = int(time_ns[-1])
 
     begin = 0
     start = 0
     done = np.zeros(len(batches), np.int64)
     while begin < len(ends):
         head = chunk.count  # of the first chunk, the schemas and channels
-        end = min(
-            int(np.searchsorted(ends, start - head + CHUNK_BYTES, side="right")) + 1, len(ends)
-        )
-        # The messages of a batch are neighbours there: they are serialised together and then dealt out.
+        last = int(np.searchsorted(ends, start - head + CHUNK_BYTES, side="right"))
+        end = min(last + 1, len(ends))
         own = np.bincount(batch_of[begin:end], minlength=len(batches))
-        records = [
-            record
-            for number in np.flatnonzero(own).tolist()
-            for record in batches[number].records(slice(done[number], done[number] + own[number]))
-        ]
-        places = np.argsort(np.argsort(batch_of[begin:end], kind="stable")).tolist()
-        chunk.record_writer.write(b"".join([records[place] for place in places]))
+        records = _records_in_order(batches, batch_of[begin:end], done, done + own)
+        chunk.record_writer.write(b"".join(records))
         offsets = np.append(start, ends[begin : end - 1]) - start + head
         for number, rows in _by_channel(channel[begin:end]):
             entries: Any = np.stack([time_ns[begin:end][rows], offsets[rows]], axis=1)
             chunk.message_indices[number] = _ColumnIndex(number, entries)
         chunk.num_messages = end - begin
-        chunk.message_start_time, chunk.message_end_time = (
-            int(time_ns[begin]),
-            int(time_ns[end - 1]),
-        )
+        chunk.message_start_time = int(time_ns[begin])
+        chunk.message_end_time = int(time_ns[end - 1])
         writer.flush()  # type: ignore[no-untyped-call]
         begin = end
         start = int(ends[end - 1])
         done = done + own
 
 
+def _records_in_order(
+    batches: Sequence[_Messages], batch_of: Array, first: Integers, behind: Integers
+) -> list[bytes]:
+    """Return messages in the order of their batches, (k,), of each batch those from the first to one behind the last.
+
+    The messages of a batch are serialised together and then dealt out.
+    """
+    records: list[bytes] = []
+    for number in np.flatnonzero(behind > first).tolist():
+        records += batches[number].records(slice(first[number], behind[number]))
+    places = np.argsort(np.argsort(batch_of, kind="stable")).tolist()
+    return [records[place] for place in places]
+
+
 def _by_channel(channel: Integers) -> list[tuple[int, NDArray[np.intp]]]:
     """Return the channels in the order of their first messages, each with the rows of all its messages."""
     numbers, first = np.unique(channel, return_index=True)
-    return [
-        (number, np.flatnonzero(channel == number))
-        for number in numbers[np.argsort(first)].tolist()
-    ]
+    in_order = numbers[np.argsort(first)].tolist()
+    return [(number, np.flatnonzero(channel == number)) for number in in_order]
 
 
 # --- Dives and replays.
 
-ALTITUDE_M: Final = (
-    20.0  # above a flat seabed, from which the ranges of the beams follow; no filter uses it
-)
-VELOCITY_DIGITS: Final = (
-    6  # decimals of what the instrument makes of its beams, m/s and rad: far below their noise
-)
+# Above a flat seabed, from which the ranges of the beams follow; no filter uses it.
+ALTITUDE_M: Final = 20.0
+# Decimals of what the instrument makes of its beams, m/s and rad: far below their noise.
+VELOCITY_DIGITS: Final = 6
 ANGLE_DIGITS: Final = 9  # decimals of the reference's angles, rad
 _ATMOSPHERE_PA: Final = 101325.0
 _SEA_WATER_KGPM3: Final = 1025.0
@@ -391,10 +391,8 @@ def _sensor_batch(name: str, sensor: SensorColumns) -> Batch:
     columns: dict[str, Column]
     if name == "depth":
         pressure_pa = _ATMOSPHERE_PA + _SEA_WATER_KGPM3 * STANDARD_GRAVITY_MPS2 * values[:, 0]
-        columns = {
-            "fluid_pressure": np.round(pressure_pa, 1),
-            "variance": 0.0,
-        }  # a hundredth of a millimetre of water
+        # Exact to a hundredth of a millimetre of water.
+        columns = {"fluid_pressure": np.round(pressure_pa, 1), "variance": 0.0}
         return stamped("/pressure", "sensor_msgs/msg/FluidPressure", sensor.time_ns, IMU, columns)
     if name == "heading":
         if mat_nb is None:
@@ -469,13 +467,14 @@ def _velocity_from_beams(beam_velocity_mps: Floats, beam_vectors_d: Floats) -> F
     for beam, vector in enumerate(beam_vectors_d):
         normal += np.where(good[:, beam, None, None], vector[:, None] * vector, 0.0)
         projected += np.where(good[:, beam, None], beam_velocity_mps[:, beam, None] * vector, 0.0)
-    x, y, z = (normal[:, i] for i in range(3))
+    x = normal[:, 0]
+    y = normal[:, 1]
+    z = normal[:, 2]
     adjugate = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
     determinant = turned(adjugate[:, :1], x)
     enough = good.sum(axis=1, keepdims=True) >= _BEAMS_FOR_VELOCITY
-    return np.divide(
-        turned(adjugate, projected), determinant, out=np.full_like(projected, np.nan), where=enough
-    )
+    velocity_d = np.full_like(projected, np.nan)
+    return np.divide(turned(adjugate, projected), determinant, out=velocity_d, where=enough)
 
 
 def write_replay(
@@ -496,43 +495,51 @@ def write_replay(
 ) -> None:
     """Write what the filters made of a dive; a `LogError` where a time does not fit a ROS stamp."""
     origin = histories[0].position[0]
-    batches = [
-        batch
-        for history in histories
-        for batch in _filter_batches(history, errors.get(history.filter), origin)
-    ]
+    batches: list[Batch] = []
+    for history in histories:
+        batches += _filter_batches(history, errors.get(history.filter), origin)
     for quantity, (type_name, column) in _DVL_MESSAGES.items():
         if quantity in dvl:
             time_ns, values_b = dvl[quantity]
-            batches.append(
-                stamped(f"/insdvl/dvl/{quantity}", type_name, time_ns, IMU, {column: values_b})
-            )
+            topic = f"/insdvl/dvl/{quantity}"
+            batches.append(stamped(topic, type_name, time_ns, IMU, {column: values_b}))
     if dive.reference is not None:
         # As the log has it, inside the replay; poses count from where the first filter starts.
         shown = dive.reference.within(int(histories[0].time_ns[0]), int(histories[0].time_ns[-1]))
         batches += _motion_batches("/insdvl/reference", shown, origin)
     end_ns = np.array([max(int(history.time_ns[-1]) for history in histories)])
-    for layout, rows in each_table(tables):
-        for row in rows:  # a batch each, since its texts are its own
-            columns: dict[str, Column] = {}
-            for name, kind in layout.kinds.items():
-                value = getattr(row, name)
-                columns[name] = value if value is not None else "" if kind == "text" else np.nan
-            type_name = f"insdvl_msgs/msg/{layout.row.__name__}"
-            batches.append(stamped(f"/insdvl/table/{layout.name}", type_name, end_ns, NED, columns))
-    for note in notes:
-        text = f"{note.code} ({note.count}): {note.text}" + (
-            f" hint: {note.hint}" if note.hint else ""
-        )
-        columns = {
-            **stamp("stamp", end_ns),
-            "level": _LOG_LEVELS[note.severity],
-            "name": dive.name,
-            "msg": text,
-        }
-        batches.append(Batch("/insdvl/notes", "rcl_interfaces/msg/Log", end_ns, columns))
+    batches += _table_batches(tables, end_ns)
+    batches += [_note_batch(note, dive.name, end_ns) for note in notes]
     metadata = {"version": version, "log": dive.name, "log_sha256": dive.sha256}
     write_log(path, batches, metadata, {"config.toml": ("application/toml", config_toml.encode())})
+
+
+def _table_batches(tables: Tables, time_ns: TimeNs) -> Iterator[Batch]:
+    """Give the rows of the tables at one time, each as a batch, since its texts are its own."""
+    for layout, rows in each_table(tables):
+        topic = f"/insdvl/table/{layout.name}"
+        type_name = f"insdvl_msgs/msg/{layout.row.__name__}"
+        for row in rows:
+            columns: dict[str, Column] = {}
+            for name, kind in layout.kinds.items():
+                columns[name] = getattr(row, name)
+                if columns[name] is None:
+                    columns[name] = "" if kind == "text" else np.nan
+            yield stamped(topic, type_name, time_ns, NED, columns)
+
+
+def _note_batch(note: Note, dive: str, time_ns: TimeNs) -> Batch:
+    """Return a note as a message at a time."""
+    text = f"{note.code} ({note.count}): {note.text}"
+    if note.hint:
+        text += f" hint: {note.hint}"
+    columns: dict[str, Column] = {
+        **stamp("stamp", time_ns),
+        "level": _LOG_LEVELS[note.severity],
+        "name": dive,
+        "msg": text,
+    }
+    return Batch("/insdvl/notes", "rcl_interfaces/msg/Log", time_ns, columns)
 
 
 def _filter_batches(history: History, errors: Any, origin: Floats) -> list[Batch]:
