@@ -8,9 +8,8 @@ from collections.abc import Collection
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, TimeNs
+from insdvl_replay.core.dive_columns import Floats, Integers, Mask, TimeNs, seconds
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.runtime import compiled, inlined, is_compiled, plain
 from insdvl_replay.core.states import states_with
@@ -86,7 +85,7 @@ SOON_S: Final = 60.0
 class Records(NamedTuple):
     """The navigation state at the recorded events, and P at some."""
 
-    cov_row: NDArray[np.int64]  # row in ``cov``, -1 for none
+    cov_row: Integers  # row in ``cov``, -1 for none
     cov: Floats
     position: Floats
     corrected: (
@@ -107,9 +106,9 @@ class Updates(NamedTuple):
     sd: Floats
     nis: Floats
     log_det: Floats
-    used: NDArray[np.bool_]
-    reopened: NDArray[np.bool_]  # used in spite of the gate
-    rejected_in_a_row: NDArray[np.int64]
+    used: Mask
+    reopened: Mask  # used in spite of the gate
+    rejected_in_a_row: Integers
     rejected_s: Floats  # time of the last rejection
     reopened_s: Floats  # time of the last that was used in spite of the gate
     used_s: Floats  # time of the last reading that was used
@@ -171,42 +170,18 @@ def run_filter(
     cov_ns : ndarray, shape (c,), optional
         Recorded times at which the history keeps all of P, not only its diagonal; others are ignored.
     """
-    states, stack, layout = states_with(more_states), stacked(measurements), layout_of(more_states)
-    n, recorded = len(states), timeline.record >= 0
+    states = states_with(more_states)
+    stack = stacked(measurements)
+    layout = layout_of(more_states)
+    n = len(states)
     if len(noise_density) > n:
         raise ValueError(f"{len(noise_density)} densities of {n} states")
     density = (*noise_density.tolist(), *[0.0] * (n - len(noise_density)))
-    time_ns = timeline.event_ns[recorded]
-    keep_cov, rows = np.isin(time_ns, () if cov_ns is None else cov_ns), len(time_ns)
-    vectors, of_states = (rows, 3), ((rows, len(start.constants)), (rows, n))
-    corrected = (rows if layout.position >= 0 else 0, 3)
-    shapes = vectors, corrected, vectors, (rows, 3, 3), vectors, vectors, *of_states
-    cov_row, cov = (
-        np.where(keep_cov, np.cumsum(keep_cov) - 1, -1),
-        np.empty((int(keep_cov.sum()), n, n)),
-    )
-    records = Records(cov_row, cov, *map(np.empty, shapes))
-    count, readings, width = stack.values.shape
-    components, singles = (count, readings, width), (count, readings)
-    updates = Updates(
-        innovation=np.full(components, np.nan),
-        sd=np.full(components, np.nan),
-        nis=np.full(singles, np.nan),
-        log_det=np.full(singles, np.nan),
-        used=np.zeros(singles, np.bool_),
-        reopened=np.zeros(singles, np.bool_),
-        rejected_in_a_row=np.zeros(count, np.int64),
-        rejected_s=np.full(count, -np.inf),
-        reopened_s=np.full(count, -np.inf),
-        used_s=np.zeros(count),
-        noise_var=np.zeros(count),
-        noise_found=np.ones(count),
-        noise_factor=np.ones(count),
-    )
-    P, size = np.array(start.cov, order="C"), max(3, width)
-    start_var, constants = np.diag(start.cov).copy(), start.constants.copy()
-    scratch = map(np.zeros, (*[(size, n)] * 4, *[(size, size)] * 3, (size,), (size,), (n,)))
-    matrices = Matrices(P, P.ravel(), start_var, constants, *scratch)
+    is_recorded = timeline.record >= 0
+    time_ns = timeline.event_ns[is_recorded]
+    if cov_ns is None:
+        cov_ns = time_ns[:0]
+    keep_cov = np.isin(time_ns, cov_ns)
     state = NavState(
         vector(start.position),
         vector(start.velocity_n),
@@ -214,71 +189,170 @@ def run_filter(
         vector(start.accel_bias_b),
         vector(start.gyro_bias_b),
     )
-    memory = Memory(*np.zeros((3, int(timeline.ping.max()) + 1, 3)))
-    user = min(
-        (made.predict for made in measurements if made.predict is not None),
-        key=is_compiled,
-        default=None,
-    )
-    run, arm_b = _run if user is None or is_compiled(user) else plain(_run), vector(lever_arm_b)
-    rate_hz = heading_bias_rate_hz if n > TWELVE else None
-    noise = NoiseSteps(np.empty(0), np.empty((0, 6)))
-    if noise_factors is not None:
-        more = np.asarray(noise_density)[:6] * (noise_factors.factors**2 - 1.0)
-        noise = NoiseSteps((noise_factors.time_ns - timeline.event_ns[0]) * 1e-9, more)
+    records = _empty_records(keep_cov, start, n, estimates_position=layout.position >= 0)
+    count, readings, width = stack.values.shape
+    updates = _no_updates(count, readings, width)
+    predict = _prediction(measurements)
+    run = _run
+    if predict is not None and not is_compiled(predict):
+        run = plain(_run)
+    rate_hz = None
+    if n > TWELVE:
+        rate_hz = heading_bias_rate_hz
     run(
         timeline,
         state,
-        matrices,
+        _matrices(start, n, width),
         density,
-        noise,
+        _noise_steps(noise_factors, noise_density, int(timeline.event_ns[0])),
         layout,
         rate_hz,
         stack,
-        user,
-        arm_b,
-        memory,
+        predict,
+        vector(lever_arm_b),
+        _memory(int(timeline.ping.max()) + 1),
         records,
         updates,
     )
-
-    innovations = []
-    for m, made in enumerate(measurements):
-        reading_ns = timeline.event_ns[timeline.rows[made.sensor] >= 0]
-        used = np.flatnonzero(made.available[: len(reading_ns)])
-        found = {
-            name: getattr(updates, name)[m, used] for name in ("nis", "used", "reopened", "log_det")
-        }
-        found |= {
-            name: getattr(updates, name)[m, used, : made.size] for name in ("innovation", "sd")
-        }
-        innovations.append(
-            Innovations(
-                measurement=made.name,
-                unit=made.unit,
-                axes=made.axes,
-                time_ns=reading_ns[used],
-                valid_ns=made.valid_ns[used],
-                measured=made.values[used],
-                gate=made.gate,
-                reopen_after=made.reopen_after,
-                noise_factor=float(updates.noise_factor[m]),
-                holds_height=made.holds_height,
-                **found,
-            )
-        )
     records.position[:, 1] = wrap_angle(records.position[:, 1])
-    recorded_states = records._asdict()
-    del recorded_states["cov_row"]
     return History(
         filter=name,
         states=states,
         time_ns=time_ns,
-        updated=timeline.ping[recorded] >= 0,
+        updated=timeline.ping[is_recorded] >= 0,
+        position=records.position,
+        corrected=records.corrected,
+        velocity_n=records.velocity_n,
+        mat_nb=records.mat_nb,
+        accel_bias_b=records.accel_bias_b,
+        gyro_bias_b=records.gyro_bias_b,
+        constants=records.constants,
+        sd=records.sd,
         cov_ns=time_ns[keep_cov],
-        innovations=tuple(innovations),
-        **recorded_states,
+        cov=records.cov,
+        innovations=tuple(
+            _innovations(made, m, timeline, updates) for m, made in enumerate(measurements)
+        ),
     )
+
+
+def _empty_records(keep_cov: Mask, start: Start, n: int, *, estimates_position: bool) -> Records:
+    """Make room for the states at the recorded events, with P where it is to be kept, shape (k,)."""
+    rows = len(keep_cov)
+    corrected_rows = rows if estimates_position else 0
+    return Records(
+        cov_row=np.where(keep_cov, np.cumsum(keep_cov) - 1, -1),
+        cov=np.empty((int(keep_cov.sum()), n, n)),
+        position=np.empty((rows, 3)),
+        corrected=np.empty((corrected_rows, 3)),
+        velocity_n=np.empty((rows, 3)),
+        mat_nb=np.empty((rows, 3, 3)),
+        accel_bias_b=np.empty((rows, 3)),
+        gyro_bias_b=np.empty((rows, 3)),
+        constants=np.empty((rows, len(start.constants))),
+        sd=np.empty((rows, n)),
+    )
+
+
+def _no_updates(measurements: int, readings: int, width: int) -> Updates:
+    """Make room for the innovations of some measurements, of which none has been met."""
+    return Updates(
+        innovation=np.full((measurements, readings, width), np.nan),
+        sd=np.full((measurements, readings, width), np.nan),
+        nis=np.full((measurements, readings), np.nan),
+        log_det=np.full((measurements, readings), np.nan),
+        used=np.zeros((measurements, readings), np.bool_),
+        reopened=np.zeros((measurements, readings), np.bool_),
+        rejected_in_a_row=np.zeros(measurements, np.int64),
+        rejected_s=np.full(measurements, -np.inf),
+        reopened_s=np.full(measurements, -np.inf),
+        used_s=np.zeros(measurements),
+        noise_var=np.zeros(measurements),
+        noise_found=np.ones(measurements),
+        noise_factor=np.ones(measurements),
+    )
+
+
+def _matrices(start: Start, n: int, width: int) -> Matrices:
+    """Return the covariance of a start of n states, with memory for updates by up to so many components."""
+    P = np.array(start.cov, order="C")
+    size = max(3, width)
+    return Matrices(
+        P=P,
+        P_by_row=P.ravel(),
+        start_var=np.diag(start.cov).copy(),
+        constants=start.constants.copy(),
+        H=np.zeros((size, n)),
+        HP=np.zeros((size, n)),
+        KT=np.zeros((size, n)),
+        rest=np.zeros((size, n)),
+        R=np.zeros((size, size)),
+        S=np.zeros((size, size)),
+        L=np.zeros((size, size)),
+        z=np.zeros(size),
+        standardised=np.zeros(size),
+        dx=np.zeros(n),
+    )
+
+
+def _memory(pings: int) -> Memory:
+    return Memory(
+        rate_nb_b=np.zeros((pings, 3)),
+        rate_eb_b=np.zeros((pings, 3)),
+        velocity_change_b=np.zeros((pings, 3)),
+    )
+
+
+def _noise_steps(
+    noise_factors: NoiseFactors | None, noise_density: Floats, start_ns: int
+) -> NoiseSteps:
+    """Return what factors of the readings' noise add to its density, from the start on."""
+    if noise_factors is None:
+        return NoiseSteps(time_s=np.empty(0), density_b=np.empty((0, 6)))
+    more = np.asarray(noise_density)[:6] * (noise_factors.factors**2 - 1.0)
+    return NoiseSteps(time_s=seconds(noise_factors.time_ns, start_ns), density_b=more)
+
+
+def _prediction(measurements: tuple[Measurement, ...]) -> Predicts | None:
+    """Return the function that predicts what the user defined; one that is not compiled predicts all of it."""
+    predictions = [made.predict for made in measurements if made.predict is not None]
+    return min(predictions, key=is_compiled, default=None)
+
+
+def _innovations(
+    made: Measurement, number: int, timeline: Timeline, updates: Updates
+) -> Innovations:
+    """Return the innovations of a measurement, the one of this number, at its available readings."""
+    reading_ns = timeline.event_ns[timeline.rows[made.sensor] >= 0]
+    rows = np.flatnonzero(made.available[: len(reading_ns)])
+    return Innovations(
+        measurement=made.name,
+        unit=made.unit,
+        axes=made.axes,
+        time_ns=reading_ns[rows],
+        valid_ns=made.valid_ns[rows],
+        measured=made.values[rows],
+        innovation=updates.innovation[number, rows, : made.size],
+        sd=updates.sd[number, rows, : made.size],
+        nis=updates.nis[number, rows],
+        used=updates.used[number, rows],
+        log_det=updates.log_det[number, rows],
+        gate=made.gate,
+        reopen_after=made.reopen_after,
+        reopened=updates.reopened[number, rows],
+        noise_factor=float(updates.noise_factor[number]),
+        holds_height=made.holds_height,
+    )
+
+
+# What becomes of an innovation.
+UNTESTED: Final = 0
+SCALED: Final = 1
+"""It passed the gate. Its noise was scaled by what the innovation itself shows, and it is tested again."""
+USED: Final = 2
+REJECTED: Final = 3
+OPENED: Final = 4
+"""It is the last of too many rejections in a row. The velocity is opened, so that it is used in spite of the gate."""
 
 
 # One function: parts of it would each be optimised by themselves, and once more in it, which takes a third longer.
@@ -301,17 +375,22 @@ def _run(  # noqa: C901
 ) -> None:
     """Walk the time line. This is the whole filter."""
     # The compiler knows the length of the tuple, and leaves out what twelve states do not need.
-    layout = layout if len(noise_density) > TWELVE else TWELVE_ALONE
-    P, P_by_row, dx, constants = matrices.P, matrices.P_by_row, matrices.dx, matrices.constants
-    now, earth, velocity_after_b, corrected = (
-        first_node(timeline),
-        NOWHERE,
-        (0.0, 0.0, 0.0),
-        (0.0, 0.0, 0.0),
-    )
-    gravity, noise_step = GravityHeight(state.position[2], 0.0, now.time_s), -1
+    if len(noise_density) <= TWELVE:
+        layout = TWELVE_ALONE
+    P = matrices.P
+    P_by_row = matrices.P_by_row
+    dx = matrices.dx
+    constants = matrices.constants
+    now = first_node(timeline)
+    earth = NOWHERE
+    velocity_after_b = (0.0, 0.0, 0.0)
+    corrected = (0.0, 0.0, 0.0)
+    gravity = GravityHeight(state.position[2], 0.0, now.time_s)
+    noise_step = -1
     while True:
-        row = timeline.record[now.event] if is_event(timeline, now) else -1
+        row = -1
+        if is_event(timeline, now):
+            row = timeline.record[now.event]
         if row >= 0:
             write_row_vector(state.position, records.position, row)
             if layout.position >= 0:
@@ -333,7 +412,8 @@ def _run(  # noqa: C901
             return
 
         # Propagate the state and its covariance to the next sample or event.
-        before, now = now, next_node(timeline, now)
+        before = now
+        now = next_node(timeline, now)
         dt = now.time_s - before.time_s
         earth = local_earth_near(state.position, earth)
         gravity = followed(gravity, state.position[2], before.time_s)
@@ -363,11 +443,9 @@ def _run(  # noqa: C901
             continue
 
         # Remember the motion at a ping: windows need the rates, and what the mechanisation alone has added.
-        ping, predicted, predicted_b = (
-            timeline.rows[PINGS, now.event],
-            state.position,
-            _velocity_b(state),
-        )
+        ping = timeline.rows[PINGS, now.event]
+        predicted = state.position
+        predicted_b = _velocity_b(state)
         if ping >= 0:
             rate_ib_b = subtract(now.readings.angular_rate_b, state.gyro_bias_b)
             rate_nb_b = subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_in_n))
@@ -381,28 +459,28 @@ def _run(  # noqa: C901
         # Apply the measurements in their order. Those of one reading, such as beams, add to dx and correct the state
         # together. If all beams of too many pings in a row were rejected, the velocity is opened and the beams of the
         # last ping are applied again. They keep the innovations that they had before, and do not count for the noise.
-        time_s, estimated, is_again, rejected_square, first, m = now.time_s, False, False, 0.0, 0, 0
+        time_s = now.time_s
+        estimated = False  # dx has the errors that the reading shows
+        is_again = False  # the velocity was opened for the reading
+        rejected_square = 0.0
+        first = 0  # measurement of the reading
+        m = 0
         while m < len(measurements.kind):
             row = timeline.rows[measurements.sensor[m], now.event]
             if row >= 0 and measurements.available[m, row]:
                 # The innovation, less what the errors estimated before explain of it.
-                size, gate, noise = (
-                    measurements.size[m],
-                    measurements.gate[m],
-                    measurements.noise[m],
-                )
-                H, HP, KT, rest = (
-                    matrices.H[:size],
-                    matrices.HP[:size],
-                    matrices.KT[:size],
-                    matrices.rest[:size],
-                )
-                R, S, L = (
-                    matrices.R[:size, :size],
-                    matrices.S[:size, :size],
-                    matrices.L[:size, :size],
-                )
-                z, standardised = matrices.z[:size], matrices.standardised[:size]
+                size = measurements.size[m]
+                gate = measurements.gate[m]
+                noise = measurements.noise[m]
+                H = matrices.H[:size]
+                HP = matrices.HP[:size]
+                KT = matrices.KT[:size]
+                rest = matrices.rest[:size]
+                R = matrices.R[:size, :size]
+                S = matrices.S[:size, :size]
+                L = matrices.L[:size, :size]
+                z = matrices.z[:size]
+                standardised = matrices.standardised[:size]
                 rate_ib_b = subtract(now.readings.angular_rate_b, state.gyro_bias_b)
                 ins = InsNow(
                     state.position,
@@ -424,70 +502,70 @@ def _run(  # noqa: C901
                 _write_scaled(updates.noise_factor[m], measurements.cov[m, row], R)
 
                 # The gate, again with the noise that the innovation itself shows, and with an opened velocity.
-                is_followed, scaled, used, reopened = (
-                    noise == ADAPTIVE and not is_again,
-                    False,
-                    False,
-                    False,
-                )
+                is_followed = noise == ADAPTIVE and not is_again
+                stage = UNTESTED
                 while True:
                     innovation_cov(P, H, R, HP, S)
                     cholesky(S, L)
                     nis = normalised_square(L, z, standardised)
-                    if reopened:
+                    if stage == OPENED:
                         break
-                    used = nis <= gate
-                    if used and not scaled and (is_followed or noise == STUDENT_T):
+                    passes = nis <= gate
+                    if passes and stage == UNTESTED and (is_followed or noise == STUDENT_T):
                         factor = (
                             _follow_noise(m, 1.0, z, S, R, updates)
                             if is_followed
                             else outlier_factor(nis, size)
                         )
                         _write_scaled(factor, R, R)
-                        scaled = True
+                        stage = SCALED
                         continue
-                    alone = measurements.kind[m] != BEAM
-                    reopened = (
-                        not used
-                        and alone
-                        and locks_out(updates, m, nis, time_s, measurements.reopen_after[m])
-                    )
-                    used = used or reopened
-                    updates.used[m, row], updates.reopened[m, row] = (
-                        used,
-                        reopened or (is_again and used),
-                    )
+                    is_alone = measurements.kind[m] != BEAM
+                    if passes:
+                        stage = USED
+                    elif is_alone and locks_out(
+                        updates, m, nis, time_s, measurements.reopen_after[m]
+                    ):
+                        stage = OPENED
+                    else:
+                        stage = REJECTED
+                    updates.used[m, row] = stage != REJECTED
+                    updates.reopened[m, row] = stage == OPENED or (is_again and stage == USED)
                     if not is_again:
-                        updates.nis[m, row], log_det = nis, 0.0
+                        updates.nis[m, row] = nis
+                        log_det = 0.0
                         for i in range(size):
                             log_det += math.log(L[i, i])
-                            updates.innovation[m, row, i], updates.sd[m, row, i] = (
-                                z[i],
-                                math.sqrt(S[i, i]),
-                            )
+                            updates.innovation[m, row, i] = z[i]
+                            updates.sd[m, row, i] = math.sqrt(S[i, i])
                         updates.log_det[m, row] = 2.0 * log_det
-                    if not reopened:
+                    if stage != OPENED:
                         break
                     open_state(
                         P, _square(z), matrices.start_var, layout.position, updates, m, time_s
                     )
 
                 # The gain and the covariance; of a rejected innovation the part that would just have passed.
-                if used:
-                    updates.rejected_in_a_row[m], updates.used_s[m] = 0, time_s
+                if stage == REJECTED:
+                    if is_followed and 0.0 < gate < nis and math.isfinite(nis):
+                        _follow_noise(m, gate / nis, z, S, R, updates)
+                    rejected_square += _square(z)
+                else:
+                    updates.rejected_in_a_row[m] = 0
+                    updates.used_s[m] = time_s
                     transposed_gain(HP, L, KT)
                     for i in range(len(dx)):
                         estimate = KT[0, i] * z[0]
                         for k in range(1, size):
                             estimate += KT[k, i] * z[k]
-                        dx[i] = dx[i] + estimate if estimated else estimate
+                        if estimated:
+                            dx[i] += estimate
+                        else:
+                            dx[i] = estimate
                     update_cov(P, H, R, HP, KT, rest)
                     estimated = True
-                else:
-                    if is_followed and 0.0 < gate < nis and math.isfinite(nis):
-                        _follow_noise(m, gate / nis, z, S, R, updates)
-                    rejected_square += _square(z)
-            last, m = m, m + 1
+            last = m
+            m += 1
             if measurements.goes_on[last]:
                 continue
 
@@ -506,22 +584,30 @@ def _run(  # noqa: C901
                     open_state(
                         P, square, matrices.start_var, layout.position, updates, last, time_s
                     )
-                    m, rejected_square = first, 0.0
+                    m = first
+                    rejected_square = 0.0
                     continue
             if estimated:
-                updates.rejected_in_a_row[last], updates.used_s[last] = 0, time_s
+                updates.rejected_in_a_row[last] = 0
+                updates.used_s[last] = time_s
                 state = correct(state, constants, P, dx, layout, earth)
                 # Gravity follows the INS's height while a velocity holds it; a depth leaves no drift.
                 if measurements.kind[last] == DEPTH:
                     gravity = GravityHeight(state.position[2], 0.0, time_s)
                 elif measurements.holds_height[last]:
                     gravity = GravityHeight(gravity.height_m, gravity.drift_m, time_s)
-            estimated, is_again, rejected_square, first = False, False, 0.0, m
+            estimated = False
+            is_again = False
+            rejected_square = 0.0
+            first = m
 
         corrected = add(corrected, subtract(state.position, predicted))
-        # Between pings, the correction by another sensor is not the mechanisation's.
-        change_b = subtract(_velocity_b(state), predicted_b)
-        velocity_after_b = _velocity_b(state) if ping >= 0 else add(velocity_after_b, change_b)
+        if ping >= 0:
+            velocity_after_b = _velocity_b(state)
+        else:
+            # Between pings, the correction by another sensor is not the mechanisation's.
+            change_b = subtract(_velocity_b(state), predicted_b)
+            velocity_after_b = add(velocity_after_b, change_b)
 
 
 @inlined
@@ -561,7 +647,10 @@ def locks_out(updates: Updates, m: int, nis: float, time_s: float, reopen_after:
     if not math.isfinite(nis):
         return False
     goes_on = time_s - updates.rejected_s[m] <= RUN_PAUSE_S
-    updates.rejected_in_a_row[m] = updates.rejected_in_a_row[m] + 1 if goes_on else 1
+    if goes_on:
+        updates.rejected_in_a_row[m] += 1
+    else:
+        updates.rejected_in_a_row[m] = 1
     updates.rejected_s[m] = time_s
     lost: bool = 0 < reopen_after <= updates.rejected_in_a_row[m]
     return lost
@@ -605,4 +694,5 @@ def open_state(
         if position >= 0:
             P[position + i, position + i] += square * lost_s * lost_s
     updates.reopened_s[m] = time_s
-    updates.rejected_in_a_row[m], updates.used_s[m] = 0, time_s
+    updates.rejected_in_a_row[m] = 0
+    updates.used_s[m] = time_s
