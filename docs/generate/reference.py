@@ -15,7 +15,7 @@ from written import PROJECT, markdown_table
 import insdvl_replay
 from insdvl_replay.cli.app import app
 from insdvl_replay.core.config import ConfigFile
-from insdvl_replay.core.tables import LAKE, LAYOUTS, TableLayout
+from insdvl_replay.core.tables import ANSWERS, LAKE, LAYOUTS, TableLayout
 
 FOLDER = PROJECT / "docs" / "reference"
 NAME = "NAME"  # in the place of a name that the user chooses
@@ -142,11 +142,12 @@ def tables() -> str:
     """Write every table and its columns."""
     head = (
         "# Tables\n\nEach table is a CSV file in the result folder. `report.json` has the same rows. `filters` is the"
-        " first block of `report.json`. `lake` is the dataset of `run --lake`.\n\nA missing number is empty. It is"
+        " first block of `report.json`. `lake` is the dataset of `run --lake`. `answers` is the"
+        " `answers.csv` of several dives.\n\nA missing number is empty. It is"
         " never 0. The unit *row* means: column `unit` of the same row has the unit. A column without a meaning belongs"
         " to the column above.\n"
     )
-    return head + "".join(part for layout in (*LAYOUTS, LAKE) for part in _table(layout))
+    return head + "".join(part for layout in (*LAYOUTS, LAKE, ANSWERS) for part in _table(layout))
 
 
 def _table(layout: TableLayout) -> Iterator[str]:

@@ -26,7 +26,7 @@ from insdvl_replay.core.report import (
     StoredReport,
 )
 from insdvl_replay.core.states import COLUMNS, GROUPS
-from insdvl_replay.core.tables import CANDIDATES, TABLES, PooledRow, layout_of
+from insdvl_replay.core.tables import ANSWERS, CANDIDATES, TABLES, PooledRow, layout_of
 from insdvl_replay.core.words import GateLevel
 
 if TYPE_CHECKING:
@@ -36,10 +36,17 @@ if TYPE_CHECKING:
 ANY: Final = "*"  # every filter or row
 LOG: Final = "{log}"  # in the path of expected values, the dive's name
 POOLED: Final = "pooled"  # the table of the evidence pooled over all dives, as in the ``evidence.csv`` of several dives
+OVER_DIVES: Final = (ANSWERS.name, POOLED)
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
 ON_TRAJECTORY: Final = 'expected = "expected/{log}.npz", or within = [0.0, 2.0] with share_pct = 95'
 LAYOUTS: Final = {
-    layout.name: layout for layout in (*TABLES, CANDIDATES, layout_of(POOLED, PooledRow))
+    layout.name: layout
+    for layout in (
+        *TABLES,
+        CANDIDATES,
+        ANSWERS,
+        layout_of(POOLED, PooledRow),
+    )
 }
 Limit = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]  # finite
 Allowance = Annotated[float, Meta(ge=0, le=LARGEST)]
@@ -66,7 +73,7 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class CellGate(Gate, frozen=True, kw_only=True):
-    """A condition on a column of a table: as in ``report.json``, ``filters``, or pooled over all dives."""
+    """A condition on a column of a table: as in ``report.json``, ``filters``, or over all dives."""
 
     column: str
     min: Limit | None = None  # inclusive, as the maximum
@@ -299,8 +306,10 @@ def _check_expectation(gate: CellGate) -> None:
         text = "expected needs max_worse_pct or max_worse_abs, and these need expected"
         raise ConfigError(text, 'expected = "expected/{log}.json" with max_worse_pct = 5')
     is_of_dives = gate.expected is not None or gate.share_of_dives_pct is not None or gate.dives
-    if gate.table == POOLED and is_of_dives:
-        text = "pooled evidence has no expected values and no single dives"
+    if gate.table in OVER_DIVES and is_of_dives:
+        text = (
+            f"table {gate.table} is over all dives: it has no expected values and no single dives"
+        )
         raise ConfigError(text, "min, max or equals")
     if gate.expected is None:
         return

@@ -25,19 +25,26 @@ from insdvl_replay.changes.findings import (
     Finding,
     GateOutcome,
 )
-from insdvl_replay.changes.gate_file import POOLED, CellGate, Gate, Gates, TrajectoryGate
+from insdvl_replay.changes.gate_file import (
+    OVER_DIVES,
+    POOLED,
+    CellGate,
+    Gate,
+    Gates,
+    TrajectoryGate,
+)
 from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ResultError, UserError
-from insdvl_replay.core.quantities import WITHOUT_VERDICT
-from insdvl_replay.core.report import StoredLog, StoredReport
-from insdvl_replay.core.tables import EvidenceRow, PooledRow
+from insdvl_replay.core.report import Row, StoredLog, StoredReport
+from insdvl_replay.core.tables import ANSWERS, EvidenceRow
 from insdvl_replay.core.words import GateLevel, GateStatus
 from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE
 from insdvl_replay.results.stored_results import read_results
 
 if TYPE_CHECKING:
-    # Trajectories need numpy, and a check of tables alone must not wait for it.
+    # Trajectories and answers need numpy, and a check of tables alone must not wait for it.
+    from insdvl_replay.evaluation.answers import CandidateAnswer, CandidateOnDive
     from insdvl_replay.results.trajectory import Trajectory
 
 
@@ -63,75 +70,74 @@ def checked_results(folder: Path) -> Iterator[Checked]:
         yield Checked(error, folder)
 
 
-def pooled_dive(dives: Sequence[Checked]) -> Checked:
-    """Return the pooled evidence of all dives as one result, as the ``evidence.csv`` of several dives has it."""
+def together(dives: Sequence[Checked]) -> Checked:
+    """Return the tables over all dives as one result, as a run of several dives writes them.
+
+    They are the answer for each candidate, as in ``answers.csv``, and the evidence, as in ``evidence.csv``.
+    """
     reports = [dive.result for dive in dives if isinstance(dive.result, StoredReport)]
     if not reports:
         return Checked(ResultError("no dive has a result", "see the dives above"), Path(EVERY_DIVE))
-    rows = [asdict(row) for row in _pooled_rows(reports)]
-    report = StoredReport({}, StoredLog(EVERY_DIVE), {POOLED: rows}, baseline=reports[0].baseline)
+    from insdvl_replay.evaluation.answers import answer_row
+
+    tables: dict[str, list[Row]] = {ANSWERS.name: [], POOLED: []}
+    for answer in _answers(reports):
+        tables[ANSWERS.name].append(asdict(answer_row(answer)))
+        tables[POOLED] += [asdict(row) for row in answer.rows]
+    report = StoredReport({}, StoredLog(EVERY_DIVE), tables, baseline=reports[0].baseline)
     return Checked(report, Path(EVERY_DIVE))
 
 
-def _pooled_rows(reports: Sequence[StoredReport]) -> Iterator[PooledRow]:
-    """Yield the pooled evidence on each candidate, with its share of the error rate."""
+def _answers(reports: Sequence[StoredReport]) -> list["CandidateAnswer"]:
+    """Return the answer for each candidate, with its share of the error rate."""
     from insdvl_replay.evaluation.answers import (
         CandidateAnswer,
+        answer_over_dives,
         answers_together,
-        pooled_candidate,
-        primary_of,
     )
 
     reports, _ = distinct_dives(reports)
     settings = reports[0].config.get("evaluation", {})
 
     def answer_at(name: str, level: float) -> CandidateAnswer:
-        evaluated = _evaluated_reports(reports, name)
-        evidence = [_rows_on(report, name) for report in evaluated]
-        return pooled_candidate(
-            name,
-            reports[0].baseline,
-            evidence,
-            len(evidence),
-            primary=primary_of(evidence, settings.get("primary", "")),
-            level=level,
-            vehicles=[report.vehicle for report in evaluated],
-        )
+        having = [report for report in reports if name in report.filters]
+        dives = [_candidate_on(report, name) for report in having]
+        return answer_over_dives(name, dives, primary=settings.get("primary", ""), level=level)
 
     names = dict[str, None]()
     for report in reports:
         names.update(dict.fromkeys(report.filters))
-    for answer in answers_together(names, answer_at, settings.get("candidate", "")).values():
-        yield from answer.rows
+    return [*answers_together(names, answer_at, settings.get("candidate", "")).values()]
 
 
-def _evaluated_reports(reports: Sequence[StoredReport], name: str) -> list[StoredReport]:
-    """Return the dives in which a candidate is evaluated."""
-    evaluated = list[StoredReport]()
-    for report in reports:
-        candidate = report.filters.get(name)
-        if candidate is not None and candidate.get("verdict") not in WITHOUT_VERDICT:
-            evaluated.append(report)
-    return evaluated
+def _candidate_on(report: StoredReport, name: str) -> "CandidateOnDive":
+    """Return what a result says of a candidate."""
+    from insdvl_replay.evaluation.answers import CandidateOnDive
 
-
-def _rows_on(report: StoredReport, name: str) -> list[EvidenceRow]:
-    """Return the rows of evidence on a candidate."""
+    candidate = report.filters[name]
     rows = [row for row in report.tables.get("evidence", []) if row.get("filter") == name]
-    return msgspec.convert(rows, list[EvidenceRow])
+    return CandidateOnDive(
+        log=report.log.name,
+        baseline=report.baseline,
+        vehicle=report.vehicle,
+        verdict=str(candidate.get("verdict", "")),
+        reason=str(candidate.get("reason") or ""),
+        predicted_pct=None,
+        rows=msgspec.convert(rows, list[EvidenceRow]),
+    )
 
 
 # --- All gates.
 
 
 def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
-    """Evaluate every gate on the dives it applies to, and gates on the pooled evidence on all together."""
+    """Evaluate every gate on the dives it applies to, and gates on tables over all dives on all together."""
     outcomes = list[GateOutcome]()
     for dive in dives:
         outcomes += _outcomes_of_dive(gates, dive)
     for gate in gates.gates:
-        if gate.table == POOLED:
-            outcomes.append(_outcome(gates, gate, pooled_dive(dives)))
+        if gate.table in OVER_DIVES:
+            outcomes.append(_outcome(gates, gate, together(dives)))
         if gate.share_of_dives_pct is not None:
             outcomes = _with_share(gate, gate.share_of_dives_pct, outcomes)
     outcomes.sort(key=lambda item: list(GateStatus).index(item.status))
@@ -155,7 +161,7 @@ def _outcomes_of_dive(gates: Gates, dive: Checked) -> list[GateOutcome]:
     """Evaluate the gates that apply to a dive; those that it does not pass name the known causes."""
     outcomes = list[GateOutcome]()
     for gate in gates.gates:
-        if gate.table != POOLED and gate.applies_to(dive.name):
+        if gate.table not in OVER_DIVES and gate.applies_to(dive.name):
             outcomes.append(_outcome(gates, gate, dive))
     missed = [item for item in outcomes if item.status in _MISSED]
     if not missed or not isinstance(dive.result, StoredReport):

@@ -221,7 +221,7 @@ ChosenTables = Annotated[
     typer.Option(
         "--table",
         metavar="NAME",
-        help="Print only this table, with all rows; pooled and summary are over all dives. May be repeated.",
+        help="Print only this table, with all rows; answers, pooled and summary are over all dives. May be repeated.",
     ),
 ]
 

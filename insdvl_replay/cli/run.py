@@ -189,14 +189,21 @@ def run(
     dives = plan_jobs(fetch(found), output, options, configs, one_dive=one_dive)
     if len(dives) > 1:
         require_overviews(dives, output, force=force)
-    elif "pooled" in tables:
-        raise ConfigError(f"--table pooled: {dives[0].name} is one dive", "name two dives or more")
+    else:
+        _require_no_table_over_dives(tables, str(dives[0].name))
     screen = RunScreen(dives, output, Wanted(format_, tables, verbose, quiet, strict))
     # An interrupt may come here, and the workers must end before this process.
     with closing(outcomes(dives, how, lake)) as replays:
         for outcome in replays:
             screen.add(outcome)
     return screen.finish()
+
+
+def _require_no_table_over_dives(tables: "Sequence[str]", dive: str) -> None:
+    """Raise a ConfigError where a table over dives is asked for that one dive cannot fill."""
+    for name in ("answers", "pooled"):
+        if name in tables:
+            raise ConfigError(f"--table {name}: {dive} is one dive", "name two dives or more")
 
 
 def _require_together(

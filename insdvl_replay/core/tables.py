@@ -27,7 +27,15 @@ from insdvl_replay.core.quantities import (
     axis_of,
 )
 from insdvl_replay.core.states import STATES
-from insdvl_replay.core.words import EvidenceVerdict, Prediction, Role, Settling, Verdict, Whiteness
+from insdvl_replay.core.words import (
+    EvidenceVerdict,
+    Prediction,
+    ReasonCode,
+    Role,
+    Settling,
+    Verdict,
+    Whiteness,
+)
 
 Number = float | None
 _TWO_DIGITS: Final = 99.5  # From here on a size with two digits would have an exponent.
@@ -156,6 +164,9 @@ _CREDIBILITY: Final = (
     *ALL_CREDIBILITY_GROUPS,
     JOINT,
 )
+
+
+_REASON_CODES: Final = [code for code in ReasonCode if code]
 
 
 def _quantity(names: Sequence[str]) -> Col:
@@ -817,6 +828,80 @@ class PooledRow(Struct, frozen=True):
             "The same word by low_always and high_always, which may be asked for after every dive."
         ),
     ] = EvidenceVerdict.UNDECIDED
+    vehicles: Annotated[
+        int, Col("Vehicles of the dives with a ratio; 0 where nobody said which vehicle it was.")
+    ] = 0
+
+
+class AnswerRow(Struct, frozen=True):
+    """The answer for one candidate over all dives of a run: its headline, for scripts and gates."""
+
+    title: ClassVar = "The answer over all dives"
+    footnote: ClassVar = (
+        "verdict: mixed where the primary quantity is better and another one worse, or where starts or vehicles "
+        "contradict each other."
+    )
+
+    log: Annotated[str, Col("* for all dives; the dive where only one has the candidate.")]
+    filter: Annotated[str, Col("The candidate, and what it is compared with.", head="filter")]
+    baseline: Annotated[str, Col(head="against")]
+    verdict: Annotated[
+        str,
+        Col(
+            "The word of the headline. One dive has no verdict: undecided, unless it is proved how little is changed.",
+            head="verdict",
+            best_first=tuple(Verdict),
+        ),
+    ]
+    verdict_always: Annotated[
+        str,
+        Col(
+            "The same by the intervals that may be looked at after every dive.",
+            best_first=tuple(Verdict),
+        ),
+    ]
+    primary: Annotated[
+        str, Col("The quantity that decides; empty for none.", head="decides by", form="label")
+    ]
+    ratio: Annotated[
+        Number,
+        Col(
+            "Its ratio and interval, as in the table of all quantities.",
+            head="ratio",
+            form="ratio",
+            better="lower",
+            primary=True,
+        ),
+    ]
+    low: Annotated[Number, Col(head="low", form="ratio")]
+    high: Annotated[Number, Col(head="high", form="ratio")]
+    dives: Annotated[
+        int,
+        Col("Dives that have the candidate, and those of them that are evaluated.", head="dives"),
+    ]
+    evaluated: Annotated[int, Col(head="evaluated")]
+    vehicles: Annotated[
+        int,
+        Col(
+            "Vehicles of the dives with this ratio; 0 where nobody said which vehicle it was.",
+            head="vehicles",
+        ),
+    ]
+    convergence: Annotated[
+        str,
+        Col(
+            "The second answer: sooner, same, undecided or later; empty where it is not known.",
+            head="convergence",
+            best_first=(Settling.SOONER, Settling.SAME, Settling.UNDECIDED, Settling.LATER),
+        ),
+    ]
+    reason_code: Annotated[
+        str,
+        Col(
+            f"Why it is no plain word of the primary quantity: {', '.join(_REASON_CODES)}; empty where it is.",
+            head="because",
+        ),
+    ]
 
 
 class AssayRow(Struct, frozen=True):
@@ -931,6 +1016,7 @@ TABLES: Final[tuple[TableLayout, ...]] = tuple(
 # The block ``filters`` of a report as a table with one row for each candidate.
 CANDIDATES: Final = layout_of("filters", CandidateVerdict)
 LAKE: Final = layout_of("lake", LakeRow)
+ANSWERS: Final = layout_of("answers", AnswerRow)  # over all dives of a run
 LAYOUTS: Final = (
     CANDIDATES,
     *TABLES,

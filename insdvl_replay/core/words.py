@@ -88,6 +88,21 @@ class Verdict(StrEnum):
     NOT_EVALUATED = "not evaluated"
 
 
+class ReasonCode(StrEnum):
+    """Why the answer over several dives is no plain word of its primary quantity; empty where it is."""
+
+    NONE = ""
+    ONE_DIVE = "one dive"
+    FEW_DIVES = "few dives"
+    NO_PRIMARY = "no primary quantity"
+    NOISE = "noise of the reference"  # It is most of the errors, which are equal.
+    WIDE = "wide interval"
+    WARNING = "warning"  # Another quantity, which can warn, is worse.
+    START = "heading at the start"  # The two starts contradict each other.
+    VEHICLES = "vehicles"  # Two vehicles contradict each other.
+    EXCLUDED = "dives not evaluated"  # At least half of them.
+
+
 class HeadingSource(StrEnum):
     """Where the heading at the start comes from."""
 

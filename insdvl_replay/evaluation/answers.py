@@ -13,6 +13,7 @@ from typing import Annotated, Final, TypeVar
 
 import numpy as np
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from insdvl_replay.core.quantities import (
     CONSISTENCY,
@@ -22,9 +23,24 @@ from insdvl_replay.core.quantities import (
     PREDICTION,
     PRIMARIES,
     SECONDARIES,
+    WITHOUT_VERDICT,
 )
-from insdvl_replay.core.tables import AssayRow, EvidenceRow, Number, PooledRow, finite
-from insdvl_replay.core.words import EvidenceVerdict, Prediction, Role, Settling, Verdict
+from insdvl_replay.core.tables import (
+    AnswerRow,
+    AssayRow,
+    EvidenceRow,
+    Number,
+    PooledRow,
+    finite,
+)
+from insdvl_replay.core.words import (
+    EvidenceVerdict,
+    Prediction,
+    ReasonCode,
+    Role,
+    Settling,
+    Verdict,
+)
 from insdvl_replay.evaluation.interval import (
     BAND,
     LEVEL,
@@ -78,6 +94,16 @@ class Undecided(StrEnum):
     NO_PRIMARY = "no quantity that may decide was measured"
     NOISE = "most of the error is noise of the reference"
     WIDE = "the interval reaches into the band"
+
+
+_CODES: Final = {
+    Undecided.NONE: ReasonCode.NONE,
+    Undecided.ONE_DIVE: ReasonCode.ONE_DIVE,
+    Undecided.FEW_DIVES: ReasonCode.FEW_DIVES,
+    Undecided.NO_PRIMARY: ReasonCode.NO_PRIMARY,
+    Undecided.NOISE: ReasonCode.NOISE,
+    Undecided.WIDE: ReasonCode.WIDE,
+}
 
 
 class Answer(Struct, frozen=True, kw_only=True):
@@ -160,6 +186,7 @@ class CandidateAnswer(Answer, frozen=True, kw_only=True):
     """The verdict on a candidate of a replay, or of several, and what it predicts by its own covariance."""
 
     log: str = EVERY_DIVE
+    verdict_always: Verdict  # by the intervals that may be looked at after every dive
     predicted_pct: Number  # how much smaller its predicted sigma is; of several dives the median
     prediction: Prediction  # whether it is confirmed
 
@@ -313,7 +340,15 @@ def _pooled_row(
         role=role,
         verdict=word,
         verdict_always=word_always,
+        vehicles=_vehicles_named(rows_of_dives, interval),
     )
+
+
+def _vehicles_named(rows: Sequence[tuple[EvidenceRow, str]], interval: Interval) -> int:
+    """Return how many vehicles an interval has, 0 if no dive says which vehicle made it."""
+    if any(vehicle for _, vehicle in rows):
+        return interval.vehicles
+    return 0
 
 
 def _word_of(
@@ -506,14 +541,20 @@ def pooled_candidate(
     pct = median_of(map(finite, predicted_pct))
     reason = _most_common(reasons)
     verdict, undecided = verdict_of(rows, len(evidence))
+    always, _ = verdict_of([_for_every_look(row) for row in rows], len(evidence))
     # Two vehicles that cancel each other may look equivalent together.
-    if vehicles is not None and _contradict(evidence, primary, level, vehicles):
-        verdict = Verdict.MIXED
-        undecided = Undecided.NONE
+    if vehicles is not None:
+        words = _words_of_two(evidence, primary, level, vehicles)
+        if _contradict(word for word, _ in words):
+            verdict = Verdict.MIXED
+            undecided = Undecided.NONE
+        if _contradict(word_always for _, word_always in words):
+            always = Verdict.MIXED
     if 2 * len(evidence) <= dives:
         verdict = Verdict.NOT_EVALUATED
         if 2 * not_repeatable > dives - len(evidence):
             verdict = Verdict.NOT_REPEATABLE
+        always = verdict
         undecided = Undecided.NONE
         reason = reason or "too few dives are evaluated"
     settling_row = _row_with(rows, Role.SETTLING)
@@ -521,6 +562,7 @@ def pooled_candidate(
         filter=name,
         baseline=baseline,
         verdict=verdict,
+        verdict_always=always,
         dives=dives,
         evaluated=len(evidence),
         rows=rows,
@@ -531,6 +573,53 @@ def pooled_candidate(
         predicted_pct=pct,
         prediction=prediction_of(pct, rows),
     )
+
+
+class CandidateOnDive(Struct, frozen=True, kw_only=True):
+    """What the result of one dive says of a candidate."""
+
+    log: str  # name of the dive
+    baseline: str
+    vehicle: str  # empty: nobody said
+    verdict: str
+    reason: str  # why it is not evaluated; empty if it is
+    predicted_pct: Number
+    rows: Sequence[EvidenceRow]
+
+
+def answer_over_dives(
+    name: str, dives: Sequence[CandidateOnDive], *, primary: str = "", level: float = LEVEL
+) -> CandidateAnswer:
+    """Answer for one candidate by the results of the dives that have it.
+
+    Parameters
+    ----------
+    name : str
+        The candidate.
+    dives : sequence of CandidateOnDive
+        All dives that have it, evaluated or not.
+    primary : str
+        The quantity that the settings name; empty for the one that the dives choose.
+    level : float
+        Confidence of the interval.
+    """
+    evaluated = [dive for dive in dives if dive.verdict not in WITHOUT_VERDICT]
+    evidence = [dive.rows for dive in evaluated]
+    answer = pooled_candidate(
+        name,
+        " or ".join(sorted({dive.baseline for dive in dives})),
+        evidence,
+        len(dives),
+        [dive.predicted_pct for dive in evaluated],
+        [dive.reason for dive in dives],
+        primary=primary_of(evidence, primary),
+        level=level,
+        vehicles=[dive.vehicle for dive in evaluated],
+        not_repeatable=sum(dive.verdict == Verdict.NOT_REPEATABLE for dive in dives),
+    )
+    if len(dives) == 1:
+        answer = replace(answer, log=dives[0].log)
+    return answer
 
 
 def _most_common(reasons: Iterable[str]) -> str:
@@ -583,22 +672,34 @@ def answers_together(
     return together
 
 
-def _contradict(
+def _words_of_two(
     evidence: Sequence[Sequence[EvidenceRow]], primary: str, level: float, vehicles: Sequence[str]
-) -> bool:
-    """Return whether there are two vehicles, on one of which the candidate is better and on the other worse."""
+) -> list[tuple[EvidenceVerdict, EvidenceVerdict]]:
+    """Return the words of each of two vehicles, once and for every look; none if there are not two vehicles."""
     names = set(vehicles)
+    words = list[tuple[EvidenceVerdict, EvidenceVerdict]]()
     if len(names) != 2:
-        return False
-    words = set()
+        return words
     for name in names:
         own: list[tuple[EvidenceRow, str]] = []
         for rows, vehicle in zip(evidence, vehicles, strict=True):
             if vehicle == name:
                 own += [(row, name) for row in rows if row.quantity == primary]
         interval = _interval(own, level)
-        words.add(word_of_interval(interval.low, interval.high))
-    return words == {*DECIDED}
+        word = word_of_interval(interval.low, interval.high)
+        word_always = word_of_interval(interval.low_always, interval.high_always)
+        words.append((word, word_always))
+    return words
+
+
+def _contradict(words: Iterable[EvidenceVerdict]) -> bool:
+    """Return whether the candidate is better on one vehicle, and worse on the other."""
+    return {*words} == {*DECIDED}
+
+
+def _for_every_look(row: PooledRow) -> PooledRow:
+    """Return a row with the interval, and the word, that may be looked at after every dive."""
+    return replace(row, low=row.low_always, high=row.high_always, verdict=row.verdict_always)
 
 
 def prediction_of(predicted_pct: float, rows: Sequence[PooledRow]) -> Prediction:
@@ -615,3 +716,45 @@ def prediction_of(predicted_pct: float, rows: Sequence[PooledRow]) -> Prediction
     if most_pct < needed_pct or 100.0 * finite(primary.acts_most) < needed_pct:
         return Prediction.NOT_CONFIRMED
     return Prediction.UNDECIDED
+
+
+# --- The answer for scripts.
+
+
+def answer_row(answer: CandidateAnswer) -> AnswerRow:
+    """Return an answer as a row of its table."""
+    found = AnswerRow(
+        log=answer.log,
+        filter=answer.filter,
+        baseline=answer.baseline,
+        verdict=answer.verdict,
+        verdict_always=answer.verdict_always,
+        primary=answer.primary,
+        ratio=None,
+        low=None,
+        high=None,
+        dives=answer.dives,
+        evaluated=answer.evaluated,
+        vehicles=0,
+        convergence=answer.settling,
+        reason_code=reason_code_of(answer),
+    )
+    row = answer.decisive
+    if row is None:
+        return found
+    return replace(found, ratio=row.ratio, low=row.low, high=row.high, vehicles=row.vehicles)
+
+
+def reason_code_of(answer: Answer) -> ReasonCode:
+    """Return why an answer is no plain word of its primary quantity, as a word for scripts."""
+    if answer.verdict in WITHOUT_VERDICT:
+        return ReasonCode.EXCLUDED
+    if answer.verdict != Verdict.MIXED:
+        return _CODES[answer.undecided]
+    if answer.is_by_heading:
+        return ReasonCode.START
+    primary = answer.decisive
+    is_better = primary is not None and primary.verdict == EvidenceVerdict.BETTER
+    if is_better and _is_warned(answer.rows):
+        return ReasonCode.WARNING
+    return ReasonCode.VEHICLES

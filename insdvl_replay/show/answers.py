@@ -18,7 +18,7 @@ from insdvl_replay.core.quantities import (
 )
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
-from insdvl_replay.core.words import Prediction, ReferenceStatus, Role, Verdict
+from insdvl_replay.core.words import Prediction, ReferenceStatus, Role
 from insdvl_replay.document.tables import MISSING, percent
 from insdvl_replay.evaluation.answers import (
     BAD,
@@ -27,6 +27,8 @@ from insdvl_replay.evaluation.answers import (
     NOTABLE_PCT,
     Answer,
     CandidateAnswer,
+    CandidateOnDive,
+    answer_over_dives,
     answers_together,
     assay_rows,
     median_of,
@@ -218,29 +220,30 @@ def answers_of(reports: Sequence[Report]) -> list[CandidateAnswer]:
 
 def _answer(reports: Sequence[Report], name: str, level: float = LEVEL) -> CandidateAnswer:
     having = [report for report in reports if name in report.filters]
+    primary = ""
+    if having:
+        primary = having[0].config.get("evaluation", {}).get("primary", "")
+    dives = [_candidate_on(report, name) for report in having]
+    answer = answer_over_dives(name, dives, primary=primary, level=level)
     evaluated = [report for report in having if report.filters[name].verdict not in WITHOUT_VERDICT]
-    rows = [of_filter(name, report.tables.evidence) for report in evaluated]
-    named = next((report.config.get("evaluation", {}).get("primary", "") for report in having), "")
-    answer = pooled_candidate(
-        name,
-        baseline_names(having),
-        rows,
-        len(having),
-        [report.filters[name].mean_improvement_pct for report in evaluated],
-        [report.filters[name].reason for report in having],
-        primary=primary_of(rows, named),
-        level=level,
-        vehicles=[report.vehicle for report in evaluated],
-        not_repeatable=sum(
-            report.filters[name].verdict == Verdict.NOT_REPEATABLE for report in having
-        ),
-    )
-    if len(having) == 1:
-        answer = replace(answer, log=having[0].log.name)
     if evaluated and answer.decisive is None and not answer.reason:
         (lacking, _), *_ = Counter(map(lacking_evidence, evaluated)).most_common(1)
         answer = replace(answer, reason=lacking)
     return answer
+
+
+def _candidate_on(report: Report, name: str) -> CandidateOnDive:
+    """Return what a result says of a candidate."""
+    candidate = report.filters[name]
+    return CandidateOnDive(
+        log=report.log.name,
+        baseline=report.baseline,
+        vehicle=report.vehicle,
+        verdict=candidate.verdict,
+        reason=candidate.reason,
+        predicted_pct=candidate.mean_improvement_pct,
+        rows=of_filter(name, report.tables.evidence),
+    )
 
 
 def answer_on_dive(report: Report, name: str) -> CandidateAnswer:

@@ -295,7 +295,7 @@ def _in_spite(named: Iterable[tuple[str, str]]) -> str:
 
 # --- The tables that `--table` names: for people, as CSV, as JSON.
 
-TOGETHER: Final = ("pooled", "summary")  # Names of the tables over all dives.
+TOGETHER: Final = ("answers", "pooled", "summary")  # Names of the tables over all dives.
 
 
 def require_tables(names: Sequence[str]) -> None:

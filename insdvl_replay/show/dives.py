@@ -12,7 +12,7 @@ from insdvl_replay.core.errors import counted
 from insdvl_replay.core.path_kinds import SUMMARY
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_whole, label
 from insdvl_replay.core.report import Report
-from insdvl_replay.core.tables import Number, PooledRow
+from insdvl_replay.core.tables import AnswerRow, Number, PooledRow
 from insdvl_replay.core.words import GateStatus, Severity
 from insdvl_replay.document.page import SIGNATURE, page
 from insdvl_replay.document.parts import (
@@ -34,7 +34,7 @@ from insdvl_replay.document.tables import (
     table_csv,
     table_of,
 )
-from insdvl_replay.evaluation.answers import EVERY_DIVE, CandidateAnswer
+from insdvl_replay.evaluation.answers import EVERY_DIVE, CandidateAnswer, answer_row
 from insdvl_replay.evaluation.sentences import answer_lines, grounds, paragraph, ratio_text
 from insdvl_replay.evaluation.verdicts import consistency_of
 from insdvl_replay.show.answers import (
@@ -138,6 +138,11 @@ def summary_rows(outcomes: Sequence[Outcome]) -> Iterator[SummaryRow]:
             )
 
 
+def answer_rows(outcomes: Sequence[Outcome]) -> list[AnswerRow]:
+    """Return the answers of the headlines, a row for each candidate."""
+    return [answer_row(answer) for answer in answers_of(reports_of(outcomes))]
+
+
 def pooled_rows(outcomes: Sequence[Outcome]) -> list[PooledRow]:
     """Return the pooled evidence on all candidates that at least two dives have."""
     return [row for answer in _pooled(outcomes) for row in answer.rows]
@@ -162,6 +167,7 @@ def named_result(
 ) -> Result:
     """Return named tables of all dives, with other parts before those over all dives."""
     rows: dict[str, tuple[type[Struct], Sequence[Struct]]] = {
+        "answers": (AnswerRow, answer_rows(outcomes)),
         "pooled": (PooledRow, pooled_rows(outcomes)),
         "summary": (SummaryRow, list(summary_rows(outcomes))),
     }
@@ -171,6 +177,13 @@ def named_result(
         missing = f"There is no table {name}: {_NEEDED[name]}, and {counted(len(reports), 'dive')} could be replayed."
         shown_tables += list(_TOGETHER[name](outcomes)) or [missing]
     return replay_result(reports, [*parts, *shown_tables], names, rows)
+
+
+def _answer_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
+    """Yield the table of the answers, if there is a candidate."""
+    rows = answer_rows(outcomes)
+    if rows:
+        yield shown(AnswerRow, rows)
 
 
 def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
@@ -204,8 +217,13 @@ def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
             yield DisplayTable(title, header, f"lr{'r' * len(names)}", tuple(rows))
 
 
-_TOGETHER: Final = {"pooled": _pooled_tables, "summary": _summary_tables}
+_TOGETHER: Final = {
+    "answers": _answer_tables,
+    "pooled": _pooled_tables,
+    "summary": _summary_tables,
+}
 _NEEDED: Final = {
+    "answers": "it takes a candidate",
     "pooled": "it takes two dives with the same candidate",
     "summary": "it takes a dive with evidence",
 }
@@ -228,6 +246,10 @@ OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]
     SUMMARY: (
         lambda outcomes: table_csv(Block.of(SummaryRow, summary_rows(outcomes))),
         _first_line(SummaryRow),
+    ),
+    "answers.csv": (
+        lambda outcomes: table_csv(Block.of(AnswerRow, answer_rows(outcomes))),
+        _first_line(AnswerRow),
     ),
     "evidence.csv": (
         lambda outcomes: table_csv(Block.of(PooledRow, pooled_rows(outcomes))),

@@ -14,7 +14,7 @@ from small_results import content, nudged
 from insdvl_replay.changes.cell_gates import gate_findings
 from insdvl_replay.changes.findings import Checked
 from insdvl_replay.changes.gate_file import CellGate, load_gates, require_known_filters
-from insdvl_replay.changes.gates import pooled_dive
+from insdvl_replay.changes.gates import together
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.report import StoredReport
 
@@ -502,9 +502,14 @@ def pooled(
     ratios: Sequence[float],
     *others: str,
     verdicts: Sequence[str] = ("undecided",) * 9,
+    levels: Sequence[float] = (),
+    vehicles: Sequence[str] = ("",) * 9,
     **settings: str,
 ) -> StoredReport:
-    """Several dives together, with these ratios of position and drift; all other candidates have the same."""
+    """Several dives together, with these ratios of position and drift; all other candidates have the same.
+
+    With ``levels``, they have these ratios of the level, too.
+    """
     dives = []
     for number, (ratio, word) in enumerate(zip(ratios, verdicts, strict=False)):
         made = content(f"d{number}", filter_verdict=word)
@@ -514,13 +519,18 @@ def pooled(
             position | {"value": ratio, "ratio": ratio},
             position | drift | {"value": ratio, "ratio": ratio},
         ]
+        if levels:
+            level = {"evidence": "accuracy", "quantity": "level", "unit": "deg"}
+            sizes = {"role": "secondary", "value": levels[number], "ratio": levels[number]}
+            rows.append(position | level | sizes)
+        made["vehicle"] = vehicles[number]
         made["tables"]["evidence"] = [
             row | {"filter": name} for name in ("aided", *others) for row in rows
         ]
         made["filters"] |= dict.fromkeys(others, made["filters"]["aided"])
         made["config"]["evaluation"] = settings
         dives.append(Checked(msgspec.convert(made, StoredReport), Path(f"d{number}")))
-    found = pooled_dive(dives).result
+    found = together(dives).result
     assert isinstance(found, StoredReport)
     return found
 
@@ -548,6 +558,47 @@ def test_all_dives_together_pass_only_with_an_interval(
     assert passes(limit, pooled(ratios)) is passed
     if len(ratios) < 3 and "max" in keys:
         assert "is empty" in why(limit, pooled(ratios))
+
+
+SURELY_LARGER = (1.80, 1.82, 1.79, 1.81)
+GOOD_HEADLINE = {"table": "answers", "column": "verdict", "equals": ["better", "equivalent"]}
+
+
+def test_a_gate_on_the_headline_fails_where_it_is_mixed() -> None:
+    """The row of the position is better all the same, so that a gate on it passes."""
+    mixed = pooled(SURELY_SMALLER, levels=SURELY_LARGER)
+    assert passes(gate(table="pooled", row="position", column="verdict", equals="better"), mixed)
+    for column in ("verdict", "verdict_always"):
+        limit = gate(**GOOD_HEADLINE | {"column": column})
+        assert not passes(limit, mixed)
+        assert "mixed" in why(limit, mixed)
+        assert passes(limit, pooled(SURELY_SMALLER, levels=SURELY_SMALLER)), column
+    assert passes(gate(table="answers", column="reason_code", equals="warning"), mixed)
+
+
+def test_the_headline_of_one_dive_is_a_statement_and_no_verdict() -> None:
+    one = pooled(SURELY_SMALLER[:1])
+    [row] = one.tables["answers"]
+    assert (row["log"], row["verdict"], row["reason_code"]) == ("d0", "undecided", "one dive")
+    assert (row["ratio"], row["low"], row["high"]) == pytest.approx(
+        (0.7, math.nan, math.nan), nan_ok=True
+    )
+    assert not passes(gate(**GOOD_HEADLINE), one)
+
+
+def test_the_headline_counts_dives_and_vehicles_as_the_rule_does() -> None:
+    verdicts = ("undecided",) * 4 + ("not evaluated",)
+    found = pooled((*SURELY_SMALLER, 5.0), verdicts=verdicts, vehicles=("a", "a", "b", "c", "d"))
+    [row] = found.tables["answers"]
+    assert (row["dives"], row["evaluated"], row["vehicles"]) == (5, 4, 3)
+    [untold] = pooled(SURELY_SMALLER).tables["answers"]
+    assert untold["vehicles"] == 0
+
+
+def test_two_vehicles_that_contradict_each_other_are_the_reason() -> None:
+    ratios = (*SURELY_SMALLER, *SURELY_LARGER)
+    [row] = pooled(ratios, vehicles=("a",) * 4 + ("b",) * 4).tables["answers"]
+    assert (row["verdict"], row["reason_code"]) == ("mixed", "vehicles")
 
 
 def test_dives_without_an_evaluation_are_not_pooled() -> None:

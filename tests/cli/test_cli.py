@@ -252,6 +252,7 @@ def test_a_bad_log_does_not_stop_the_others(
     output = tmp_path / "out"
     assert run_command_line(["run", str(bad), str(dive), "-o", str(output)]) == 3
     assert sorted(path.name for path in output.iterdir()) == [
+        "answers.csv",
         "evidence.csv",
         "index.html",
         "straight",

@@ -518,11 +518,17 @@ def test_tables_of_several_dives_are_one_in_every_format(
     assert run_command_line([*run, "--table", "evidence", "--format", "json"]) == 0
     assert {row["log"] for row in json.loads(capsys.readouterr().out)["evidence"]} == {"a", "b"}
     capsys.readouterr()
-    assert (
-        run_command_line([*run, "--table", "pooled", "--table", "summary", "--format", "json"]) == 0
-    )
+    together = ["--table", "answers", "--table", "pooled", "--table", "summary"]
+    assert run_command_line([*run, *together, "--format", "json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert list(found) == ["pooled", "summary"]
+    assert list(found) == ["answers", "pooled", "summary"]
+    [answer] = found["answers"]
+    assert (answer["filter"], answer["dives"]) == ("aided", 2)
+    headline = f"against baseline: {answer['verdict'].upper()}"
+    assert run_command_line(run) == 0
+    assert headline in capsys.readouterr().out
+    assert run_command_line([*run, "--table", "answers", "--format", "csv"]) == 0
+    assert capsys.readouterr().out == Path("replay", "answers.csv").read_text()
     assert {row["log"] for row in found["pooled"]} == {"*"}
     assert [row["log"] for row in found["summary"]] == ["a", "b"]
     assert run_command_line([*run, "--table", "summary", "--format", "csv"]) == 0
@@ -532,10 +538,7 @@ def test_tables_of_several_dives_are_one_in_every_format(
         ("md", "| a | "),
         ("html", "<td class=l>a</td>"),
     ):
-        assert (
-            run_command_line([*run, "--table", "summary", "--table", "pooled", "--format", format_])
-            == 0
-        )
+        assert run_command_line([*run, *together, "--format", format_]) == 0
         printed = capsys.readouterr().out
         assert begin in printed
         assert "track" not in printed.partition("<body>")[2]
@@ -549,8 +552,9 @@ def test_tables_of_several_dives_are_one_in_every_format(
         )
         >= 3
     )
-    assert run_command_line([*run[:2], "--starts", "1", "--table", "pooled"]) == 2
-    assert "pooled: a.mcap is one dive" in capsys.readouterr().err
+    for table in ("answers", "pooled"):
+        assert run_command_line([*run[:2], "--starts", "1", "--table", table]) == 2
+        assert f"{table}: a.mcap is one dive" in capsys.readouterr().err
     for format_, begin in (
         ("md", "## 2 dives"),
         ("latex", "% 2 dives"),
