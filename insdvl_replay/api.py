@@ -508,10 +508,10 @@ def check(
         files = layers.files or settings_of(found)
         layers = SettingsLayers(found.content.preset, files)
     planned = plan_check(found, named, layers.load)
-    done = checked_dives(
+    outcome = checked_dives(
         planned, _path("results", results), Replaying(force=True), fetch_dives, update=update
     )
-    return CommandResult(check_result(done.found))
+    return CommandResult(check_result(outcome))
 
 
 def run_as_program(candidate: type[Candidate]) -> None:

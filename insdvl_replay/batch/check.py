@@ -19,6 +19,12 @@ from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.results.folder import COMPLETE
 
 Fetch = Callable[[Sequence[FoundDive]], Sequence[FoundDive]]
+Changed = tuple[str, Finding]
+"""A dive, and a cell of it with the value that was expected before."""
+
+
+def _unheard(_said: object) -> None:
+    """Say nothing."""
 
 
 @dataclass(frozen=True)
@@ -45,20 +51,16 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Expected:
-    """What was stored as expected."""
+class Listener:
+    """Who is told of a check while it goes on; by default nobody."""
 
-    changes: Sequence[tuple[str, Finding]]  # dive and cell, with the value that was expected before
-    files: Sequence[Path]
-
-
-@dataclass(frozen=True)
-class CheckedDives:
-    """The results of the dives, and what the gates say of them."""
-
-    dives: Sequence[Checked]
-    found: CheckResult
-    expected: Expected | None  # if it was to be stored
+    results: Callable[[Sequence[Checked]], None] = (
+        _unheard  # of all dives, before gates are evaluated
+    )
+    changes: Callable[[Sequence[Changed]], None] = (
+        _unheard  # of expected values, before they are stored
+    )
+    stored: Callable[[Path], None] = _unheard  # a file of expected values
 
 
 def plan_check(
@@ -98,9 +100,10 @@ def checked_dives(
     output: Path,  # of the replays
     how: Replaying,
     fetch: Fetch,  # of remote logs
+    listener: Listener = Listener(),
     *,
     update: bool = False,  # store what is found as expected, before the gates are evaluated
-) -> CheckedDives:
+) -> CheckResult:
     """Replay the logs of a check, and evaluate its gates.
 
     Raises
@@ -112,11 +115,12 @@ def checked_dives(
     if update:
         require_expected(check.gates)
     dives = _results_of(check, output, how, fetch)
-    expected = None
+    listener.results(dives)
     if update:
-        changes = compare_with_expected(check.gates, dives)
-        expected = Expected(changes, write_expected(check.gates, dives))
-    return CheckedDives(dives, evaluate_gates(check.gates, dives), expected)
+        listener.changes(compare_with_expected(check.gates, dives))
+        for file in write_expected(check.gates, dives):
+            listener.stored(file)
+    return evaluate_gates(check.gates, dives)
 
 
 def _results_of(check: Check, output: Path, how: Replaying, fetch: Fetch) -> list[Checked]:

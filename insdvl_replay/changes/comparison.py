@@ -338,8 +338,8 @@ def _lost_dives(comparison: Comparison) -> Iterator[str]:
 
 def described(change: Change) -> str:
     """Return the place and the change of a cell in one line."""
-    old = FORMS["cell"](change.old)
-    new = FORMS["cell"](change.new)
+    old = FORMS[""](change.old)
+    new = FORMS[""](change.new)
     return f"{change.log}, {cell_place(change)} from {old} to {new} ({change.growth})"
 
 

@@ -249,7 +249,7 @@ def check(
       insdvl-replay check gates.toml replay/dive
       insdvl-replay check gates.toml --only "position*" --shard 1/4
     """
-    from insdvl_replay.batch.check import checked_dives, plan_check
+    from insdvl_replay.batch.check import Listener, checked_dives, plan_check
     from insdvl_replay.changes.formats import check_sentence, update_text
     from insdvl_replay.changes.gate_file import chosen_gates, load_gates, settings_of
     from insdvl_replay.cli.screen import fetch_with_progress, replaying
@@ -273,32 +273,36 @@ def check(
         if file is not None:
             with error_context(option):
                 _require_no_input(file, planned.inputs)
-    done = checked_dives(
+    codes = [0]
+
+    def tell_results(checked: "Sequence[Checked]") -> None:
+        for dive in checked:
+            if isinstance(dive.result, Exception):
+                codes.append(log_failure(dive.result, verbose))
+        if not quiet:
+            _log_fitted_noise(checked)
+
+    found = checked_dives(
         planned,
         results,
         replaying(jobs, scheduler, force=True, rerun=rerun, quiet=quiet),
         partial(fetch_with_progress, offline=offline),
+        Listener(
+            results=tell_results,
+            changes=lambda changes: write_stdout(update_text(changes)),
+            stored=lambda file: log_to_stderr(f"wrote {file}"),
+        ),
         update=update,
     )
-    codes = [
-        log_failure(dive.result, verbose)
-        for dive in done.dives
-        if isinstance(dive.result, Exception)
-    ]
-    if not quiet:
-        _log_fitted_noise(done.dives)
-    if done.expected is not None:
-        write_stdout(update_text(done.expected.changes))
-        for file in done.expected.files:
-            log_to_stderr(f"wrote {file}")
-    _print_check(done.found, format_, output, summary, quiet=quiet)
-    codes += [GATE_FAILED] * done.found.count(GateStatus.FAILED)
-    if codes:
-        first = done.found.outcomes[0]
+    _print_check(found, format_, output, summary, quiet=quiet)
+    if found.count(GateStatus.FAILED):
+        codes.append(GATE_FAILED)
+    if max(codes):
+        first = found.outcomes[0]
         reasons = "; ".join(first.explained)
-        sentence = check_sentence(done.found)
+        sentence = check_sentence(found)
         log_to_stderr(f"error: {sentence}; the first: {first.dive}: {first.gate}: {reasons}")
-    return max(codes, default=0)
+    return max(codes)
 
 
 def _part(shard: str) -> "Part":
