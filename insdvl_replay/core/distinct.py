@@ -15,7 +15,7 @@ from insdvl_replay.core.words import Severity
 
 LEAST_EQUAL: Final = 0.5  # share of the samples of a time that both have; rounding changes a few
 LEAST_MOVED: Final = 3  # different readings at one distance in time; two may be equal by chance
-CONTINUED_S: Final = 5.0  # between the end of one file and the beginning of the next
+CONTINUED_S: Final = 60.0  # between the end of one file and the beginning of the next
 
 
 class LoggedDive(Protocol):

@@ -133,7 +133,9 @@ def test_dives_at_the_same_time_are_two(scenario: str) -> None:
     [
         (0.01, "", ["dives_continue"]),
         (3.0, "", ["dives_continue"]),
-        (60.0, "", []),
+        (10.0, "", ["dives_continue"]),
+        (59.0, "", ["dives_continue"]),
+        (61.0, "", []),
         (0.01, "another", []),
     ],
 )
