@@ -144,7 +144,7 @@ def _for_and_against(answer: Answer, primary: PooledRow) -> list[str]:
     pieces = [ratio_with_interval(primary)]
     if answer.dives > 1:
         better = "sooner" if primary.evidence == "convergence" else "smaller"
-        pieces.append(f"{better} on {primary.dives_won} of {counted(primary.dives, 'dive')}")
+        pieces.append(f"{better} on {primary.dives_won} of {_dives_of_vehicles(primary)}")
     drawn = answer.from_drawn_heading
     if answer.is_by_heading and drawn is not None:
         pieces[0] += " from the heading of the reference"
@@ -155,6 +155,14 @@ def _for_and_against(answer: Answer, primary: PooledRow) -> list[str]:
             warning = f"but {warning}"
         pieces.append(warning)
     return pieces
+
+
+def _dives_of_vehicles(row: PooledRow) -> str:
+    """Count the dives of a row, and their vehicles where somebody said which they were."""
+    dives = counted(row.dives, "dive")
+    if row.vehicles:
+        return f"{dives} of {counted(row.vehicles, 'vehicle')}"
+    return dives
 
 
 def _is_measured(answer: Answer) -> bool:

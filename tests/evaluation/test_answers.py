@@ -336,6 +336,28 @@ def test_two_vehicles_that_agree_have_the_common_word() -> None:
     assert found.verdict == "better"
 
 
+@pytest.mark.parametrize(
+    ("vehicles", "said"),
+    [
+        (("a",) * 4 + ("b",) * 2 + ("c",) * 2, "of 8 dives of 3 vehicles"),
+        (("a",) * 8, "of 8 dives of 1 vehicle"),
+        (("a",) * 4 + ("",) * 4, "of 8 dives of 2 vehicles"),
+    ],
+)
+def test_the_headline_counts_the_vehicles_as_the_rule_does(
+    vehicles: Sequence[str], said: str
+) -> None:
+    """Dives of which nobody said the vehicle are those of one more."""
+    found = answer(dives_of({"position": BETTER + BETTER}), vehicles=vehicles)
+    assert headline(found).endswith(said)
+    assert row_of(found, "position").vehicles == len(set(vehicles))
+
+
+def test_the_headline_counts_no_vehicles_where_nobody_said_which_they_were() -> None:
+    found = answer(dives_of({"position": BETTER}), vehicles=[""] * 4)
+    assert headline(found).endswith("of 4 dives")
+
+
 def test_three_vehicles_are_three_samples() -> None:
     """Twelve dives of which those of one vehicle are far better: the vehicles together are undecided."""
     ratios = tuple(
