@@ -3,7 +3,7 @@
 Horizontal vectors are complex numbers: forward or north, plus i times starboard or east.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -33,9 +33,8 @@ from insdvl_replay.geometry.frames import (
 )
 from insdvl_replay.geometry.rotation import wrap_angle
 
-LARGEST_SCALE_ERROR: Final = (
-    0.1  # share of a speed or a rate; sound speed and lever arm explain less
-)
+# Share of a speed or a rate; sound speed and lever arm explain less.
+LARGEST_SCALE_ERROR: Final = 0.1
 COHERENT: Final = 0.97  # only what follows the reference this well can be measured by it
 INCOHERENT: Final = 0.95  # what follows the reference worse than this contradicts it
 
@@ -48,9 +47,7 @@ class Fit:
 
     scale: float  # length of the first over the second
     turn: float  # rad, by which the first is turned from the second, towards starboard
-    coherence: (
-        float  # 1 where the first is the second turned and scaled, 0 where they are unrelated
-    )
+    coherence: float  # 1 where the first is the second turned and scaled, 0 without any relation
 
 
 def fit(measured: Complex, true: Complex) -> Fit:
@@ -60,11 +57,8 @@ def fit(measured: Complex, true: Complex) -> Fit:
     other_power = float(np.vdot(measured, measured).real)
     if not power or not other_power:
         return Fit(0.0, 0.0, 0.0)
-    return Fit(
-        abs(product) / power,
-        float(np.angle(product)),
-        abs(product) / float(np.sqrt(power * other_power)),
-    )
+    coherence = abs(product) / float(np.sqrt(power * other_power))
+    return Fit(abs(product) / power, float(np.angle(product)), coherence)
 
 
 def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Fit | None:
@@ -95,7 +89,8 @@ def velocity_pairs(
     true_b = np.einsum("kji,kj->ki", reference.mat_nb[rows], reference.velocity_n[rows])
     at_s = seconds(reference.time_ns[rows], ping_ns[0])
     ping_s = seconds(ping_ns, ping_ns[0])
-    return np.stack([np.interp(at_s, ping_s, column) for column in measured_b.T], axis=1), true_b
+    columns = [np.interp(at_s, ping_s, column) for column in measured_b.T]
+    return np.stack(columns, axis=1), true_b
 
 
 def velocities_b(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:
@@ -136,58 +131,63 @@ def dvl_remarks(
     """Check the pings of a DVL."""
     speed_mps = median_speed_mps(dvl)
     values = measured_mps(dvl)
-    count = len(dvl.time_ns)
     if speed_mps > FASTEST_MPS:
         yield refusal("dvl_too_fast", place, speed_mps=speed_mps)
     zero = np.flatnonzero((values == 0.0).all(axis=1))
     if zero.size:
-        yield warning(
-            "dvl_zero", int(zero.size), pings=len(values), first_s=since_s(dvl.time_ns, zero[0])
-        )
-    names = (
-        AXES
-        if dvl.velocity_d is not None
-        else [f"along beam {i + 1}" for i in range(values.shape[1])]
-    )
+        first_s = since_s(dvl.time_ns, zero[0])
+        yield warning("dvl_zero", int(zero.size), pings=len(values), first_s=first_s)
+    names: Sequence[str] = AXES
+    if dvl.velocity_d is None:
+        names = [f"along beam {number}" for number in range(1, values.shape[1] + 1)]
     for name, column in zip(names, values.T, strict=True):
         given = column[np.isfinite(column)]
         if len(given) >= ENOUGH and np.all(given == given[0]):
             value = given[0] + 0.0  # never a negative zero
             yield warning("dvl_constant", len(given), name=name, value=value)
-    if reference is None:
-        return
+    if reference is not None:
+        yield from _velocity_remarks(place, dvl, reference, config)
 
+
+def _velocity_remarks(
+    place: str, dvl: DvlColumns, reference: ReferenceColumns, config: Config
+) -> Iterator[Remark]:
+    """Compare the velocity of a DVL with the reference's: its scale, its direction, and its axes."""
+    count = len(dvl.time_ns)
     measured_b, true_b = velocity_pairs(dvl, reference, config)
     found = _horizontal_fit(measured_b, true_b)
-    # Below 0.015 m/s a DVL shows its noise. Sound logs have correlations of more than 0.7.
-    opposite = [
-        axis
-        for axis, measured, true in zip(AXES[1:], measured_b.T[1:], true_b.T[1:], strict=True)
-        if len(true) >= ENOUGH and true.std() > 0.015 and measured.std() > 0.0
-        if np.corrcoef(measured, true)[0, 1] < -0.5
-    ]
+    opposite = _opposite_axes(measured_b, true_b)
+    if found is None or found.coherence < COHERENT:
+        if opposite:
+            yield warning("dvl_axes", count, axes=" and ".join(opposite))
+        elif found is not None and found.coherence < INCOHERENT:
+            yield warning("dvl_contradiction", count, coherence=found.coherence)
+        return
     # By less than 10 deg, lever arm and sideslip turn a velocity on average.
-    follows = found is not None and found.coherence >= COHERENT
-    turned = found is not None and follows and abs(found.turn) > 10.0 * DEG
-    if found is not None and follows and (turned or not opposite):
+    is_turned = abs(found.turn) > 10.0 * DEG
+    if is_turned or not opposite:
         yield from scale_remarks(place, found.scale, dvl, config)
-    if found is not None and turned:
+    if is_turned:
         roll, pitch, heading = config.dvl.mounting_rpy_deg
         right = float(wrap_angle(np.asarray(heading * DEG - found.turn))) / DEG
-        yield Measured(
-            warning(
-                "dvl_direction",
-                count,
-                turn_deg=found.turn / DEG,
-                roll=roll,
-                pitch=pitch,
-                heading=right,
-            )
-        )
+        angles = {"roll": roll, "pitch": pitch, "heading": right}
+        turned = warning("dvl_direction", count, turn_deg=found.turn / DEG, **angles)
+        yield Measured(turned)
     elif opposite:
         yield warning("dvl_axes", count, axes=" and ".join(opposite))
-    elif found is not None and found.coherence < INCOHERENT:
-        yield warning("dvl_contradiction", count, coherence=found.coherence)
+
+
+def _opposite_axes(measured_b: Floats, true_b: Floats) -> list[str]:
+    """Name the axes across which velocities, (k, 3), have the opposite sign of others."""
+    opposite: list[str] = []
+    if len(true_b) < ENOUGH:
+        return opposite
+    for axis, measured, true in zip(AXES[1:], measured_b.T[1:], true_b.T[1:], strict=True):
+        # Below 0.015 m/s a DVL shows its noise. Sound logs have correlations of more than 0.7.
+        is_moving = true.std() > 0.015 and measured.std() > 0.0
+        if is_moving and np.corrcoef(measured, true)[0, 1] < -0.5:
+            opposite.append(axis)
+    return opposite
 
 
 def scale_remarks(place: str, scale: float, dvl: DvlColumns, config: Config) -> Iterator[Remark]:

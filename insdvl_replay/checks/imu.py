@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Final
 
 import numpy as np
@@ -12,6 +13,7 @@ from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Floats,
     ImuColumns,
+    Integers,
     Mask,
     ReferenceColumns,
     TimeNs,
@@ -21,7 +23,8 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.errors import LogError, counted
-from insdvl_replay.core.states import DEG, MG
+from insdvl_replay.core.states import DEG
+from insdvl_replay.core.units import SPECIFIC_FORCE_UNITS
 from insdvl_replay.geometry import earth
 from insdvl_replay.geometry.rotation import vector_from_mat
 
@@ -30,25 +33,16 @@ ENOUGH: Final = 20  # fewer pairs may agree by chance
 LONGEST_STEP_S: Final = 2.5  # longer steps are not used
 FASTEST_HZ: Final = 10_000.0  # no IMU is read more often
 LEAST_DIVE_S: Final = 1.0  # what is shorter is no dive, or its times are in another unit
-SMALLEST: Final = (
-    1e-3  # weight of no rotation at all, where the vectors leave a turn about one axis open
-)
-LEAST_SEEN: Final = (
-    0.2  # second singular value from which vectors determine a rotation; one alone has 0
-)
+# Weight of no rotation at all, where the vectors leave a turn about one axis open.
+SMALLEST: Final = 1e-3
+# Second singular value from which vectors determine a rotation; one alone has 0.
+LEAST_SEEN: Final = 0.2
 NO_PAIRS: Final = (np.empty((0, 3)), np.empty((0, 3)))
 SPIN_RADPS: Final = 1.0  # no vehicle that a DVL can follow turns faster than this half of the time
 
 _LEAST_S: Final = 2.0  # a shorter log is no reason to refuse it
-# Ratio of the readings to gravity where they are in this unit and were taken for another.
-_UNIT_BY_RATIO: Final = (
-    (1.0 / (1000.0 * MG), "g"),
-    (1.0 / MG, "mg"),
-    (1000.0 * MG, "m/s2"),
-    (MG, "m/s2"),
-    (1e-3, "g"),
-    (1e3, "mg"),
-)
+# Units of specific force that are taken for one another.
+_CONFUSED: Final = ("m/s2", "g", "mg")
 
 
 def since_s(time_ns: TimeNs, row: int) -> float:
@@ -73,9 +67,8 @@ def length_refusal(place: str, imu: ImuColumns) -> LogError | None:
     span_s = since_s(imu.time_ns, -1)
     if span_s >= LEAST_DIVE_S:
         return None
-    return refusal(
-        "imu_too_short", place, samples=counted(len(imu.time_ns), "sample"), span_s=span_s
-    )
+    samples = counted(len(imu.time_ns), "sample")
+    return refusal("imu_too_short", place, samples=samples, span_s=span_s)
 
 
 def rate_remark(place: str, imu: ImuColumns, settings: Imu) -> Remark | None:
@@ -113,13 +106,20 @@ def imu_remarks(
     unusual_rate = rate_remark(place, imu, settings)
     if unusual_rate is not None:
         yield unusual_rate
+    if span_s >= 10.0:
+        yield from _constant_remarks(place, imu)
+    yield from _stuck_remarks(imu)
+    yield from _gravity_remarks(place, imu, reference, settings)
 
-    # Axes that never change: none of a vehicle in water is constant to the last bit for ten seconds.
+
+def _constant_remarks(place: str, imu: ImuColumns) -> Iterator[Remark]:
+    """Look for axes that never change: none of a vehicle in water is constant to the last bit for ten seconds."""
+    count = len(imu.time_ns)
     by_name = {
         "specific_force": ("m/s^2", imu.specific_force_b),
         "angular_rate": ("rad/s", imu.angular_rate_b),
     }
-    for name, (unit, readings) in by_name.items() if span_s >= 10.0 else ():
+    for name, (unit, readings) in by_name.items():
         known = {"name": name, "quantity": name.replace("_", " "), "unit": unit}
         # The last reading mostly shows that they are not the same.
         same = readings[-1] == readings[0]
@@ -130,7 +130,9 @@ def imu_remarks(
         for axis in np.flatnonzero(same).tolist():
             yield warning("imu_constant", count, axis=AXES[axis], value=readings[0, axis], **known)
 
-    # Runs of over a second in which all six readings repeat.
+
+def _stuck_remarks(imu: ImuColumns) -> Iterator[Remark]:
+    """Look for runs of over a second in which all six readings repeat."""
     same = imu.specific_force_b[1:, 0] == imu.specific_force_b[:-1, 0]
     rows = np.flatnonzero(same)
     for readings in (imu.specific_force_b, imu.angular_rate_b):
@@ -142,66 +144,82 @@ def imu_remarks(
         repeats = int(np.sum(ends[long] - starts[long]))
         first_s = since_s(imu.time_ns, starts[long[0]])
         yield warning("imu_stuck", repeats, first_s=first_s, longest_s=lengths_s.max())
-    yield from _gravity_remarks(place, imu, reference, settings)
+
+
+@dataclass(frozen=True)
+class _QuietForce:
+    """The specific force in the quieter half of the seconds."""
+
+    mean_b: Floats  # (k, 3) m/s^2
+    starts: Integers  # (k,), rows with which the seconds begin
+
+    @classmethod
+    def of(cls, imu: ImuColumns) -> "_QuietForce":
+        """Look at a thousand seconds of a long dive."""
+        length = min(samples_in(imu, 1.0), len(imu.time_ns))
+        blocks = len(imu.time_ns) // length
+        some = np.arange(0, blocks, 1 + blocks // 1000)
+        force_b = imu.specific_force_b[: blocks * length].reshape(blocks, length, 3)[some]
+        unrest = force_b.var(axis=1).sum(axis=1)
+        quiet = unrest <= np.median(unrest)
+        return cls(force_b[quiet].mean(axis=1), some[quiet] * length)
+
+
+@dataclass(frozen=True)
+class _Cure:
+    """What brings a specific force to gravity."""
+
+    text: str
+    is_measured: bool = False
 
 
 def _gravity_remarks(
     place: str, imu: ImuColumns, reference: ReferenceColumns | None, settings: Imu
 ) -> Iterator[Remark]:
     """Compare the specific force of the quieter half of the seconds with gravity."""
-    length = min(samples_in(imu, 1.0), len(imu.time_ns))
-    blocks = len(imu.time_ns) // length
-    some = np.arange(0, blocks, 1 + blocks // 1000)
-    force_b = imu.specific_force_b[: blocks * length].reshape(blocks, length, 3)[some]
-    unrest = force_b.var(axis=1).sum(axis=1)
-    quiet = unrest <= np.median(unrest)
-    mean_b = force_b[quiet].mean(axis=1)
-    starts = some[quiet] * length
-
-    gravity = 1000.0 * MG
+    quiet = _QuietForce.of(imu)
+    gravity = SPECIFIC_FORCE_UNITS["g"]
     if reference is not None and reference.has_position:
         gravity = float(earth.normal_gravity(float(np.nanmedian(reference.position[:, 0])), 0.0))
-    sizes = np.linalg.norm(mean_b, axis=1)
+    sizes = np.linalg.norm(quiet.mean_b, axis=1)
     size = float(np.median(sizes))
     ratio = size / gravity
-    step_s = imu.usual_step_s if len(imu.time_ns) > ENOUGH else np.inf
-    is_increment = (
-        abs(ratio / step_s - 1.0) < 0.1 and settings.increment_s is None and step_s < 0.09
-    )
-    is_scale = False
-    if not ratio:
-        cure = 'to read another field: imu.specific_force = "field.path"'
-    elif is_increment and settings.specific_force_unit != "mg":
-        cure = f"it is {ratio:.3g} times gravity: increments over {step_s:.4g} s? imu.increment_s = {step_s:.4g}"
-    elif unit := next(
-        (unit for wrong, unit in _UNIT_BY_RATIO if abs(ratio / wrong - 1.0) < 0.1), None
-    ):
-        cure = f'imu.specific_force_unit = "{unit}"'
-    else:
-        is_scale = True
-        cure = f"imu.specific_force_scale = {ratio * settings.specific_force_scale:.4g}"
-    found = {"size": size, "gravity": gravity, "cure": cure}
-    along_down = float(np.median(mean_b[:, 2]))
-    above = mean_b[:, 2] > 0.0
-    if (
-        not 1.0 / 1.5 < ratio < 1.5 and since_s(imu.time_ns, -1) > _LEAST_S
-    ):  # another unit, or another scale
+    cure = _cure(imu, ratio, settings)
+    found = {"size": size, "gravity": gravity, "cure": cure.text}
+    down = quiet.mean_b[:, 2]
+    along_down = float(np.median(down))
+    is_other_unit = not 1.0 / 1.5 < ratio < 1.5  # or another scale
+    if is_other_unit and since_s(imu.time_ns, -1) > _LEAST_S:
         refused = refusal("imu_no_gravity", place, **found)
-        yield marked(refused, is_measured=is_scale)
+        yield marked(refused, is_measured=cure.is_measured)
     elif abs(ratio - 1.0) > 0.05:  # no bias of a working accelerometer reaches 50 mg
         off = np.abs(sizes / gravity - 1.0) > 0.05
-        first_s = since_s(imu.time_ns, starts[off][0])
+        first_s = since_s(imu.time_ns, quiet.starts[off][0])
         warned = warning("imu_gravity", int(off.sum()), first_s=first_s, **found)
-        yield marked(warned, is_measured=is_scale)
+        yield marked(warned, is_measured=cure.is_measured)
     elif along_down > 0.0:
-        first_s = since_s(imu.time_ns, starts[above][0])
-        yield warning(
-            "imu_upside_down",
-            int(above.sum()),
-            along_down=along_down,
-            first_s=first_s,
-            level=-gravity,
-        )
+        above = down > 0.0
+        first_s = since_s(imu.time_ns, quiet.starts[above][0])
+        force = {"along_down": along_down, "level": -gravity}
+        yield warning("imu_upside_down", int(above.sum()), first_s=first_s, **force)
+
+
+def _cure(imu: ImuColumns, ratio: float, settings: Imu) -> _Cure:
+    """Return the setting with which a specific force of so many times gravity is gravity."""
+    if not ratio:
+        return _Cure('to read another field: imu.specific_force = "field.path"')
+    step_s = imu.usual_step_s if len(imu.time_ns) > ENOUGH else np.inf
+    is_increment = abs(ratio / step_s - 1.0) < 0.1 and step_s < 0.09
+    if is_increment and settings.increment_s is None and settings.specific_force_unit != "mg":
+        step = f"{step_s:.4g}"
+        what = f"it is {ratio:.3g} times gravity: increments over {step} s?"
+        return _Cure(f"{what} imu.increment_s = {step}")
+    for unit, taken in permutations(_CONFUSED, 2):
+        wrong = SPECIFIC_FORCE_UNITS[taken] / SPECIFIC_FORCE_UNITS[unit]
+        if abs(ratio / wrong - 1.0) < 0.1:
+            return _Cure(f'imu.specific_force_unit = "{unit}"')
+    scale = ratio * settings.specific_force_scale
+    return _Cure(f"imu.specific_force_scale = {scale:.4g}", is_measured=True)
 
 
 @dataclass(frozen=True)
@@ -216,9 +234,8 @@ class AttitudeFit:
 
 def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFit | None:
     """Compare the summed gyros with the turn between two attitudes; None where the vehicle turned too little."""
-    rows = np.flatnonzero(
-        np.isfinite(reference.mat_nb).all(axis=(1, 2)) & lies_within(reference.time_ns, imu.time_ns)
-    )
+    is_known = np.isfinite(reference.mat_nb).all(axis=(1, 2))
+    rows = np.flatnonzero(is_known & lies_within(reference.time_ns, imu.time_ns))
     if len(rows) < ENOUGH:
         return None
     time_s = seconds(reference.time_ns[rows], imu.time_ns[0])
@@ -233,10 +250,9 @@ def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFi
     good &= ~in_pauses(ends_ns[:-1], ends_ns[1:], imu.time_ns, nanoseconds(LONGEST_STEP_S))
     if np.count_nonzero(good) < ENOUGH:
         return None
-    product, power, summed_power = (
-        np.sum(first[good] * second[good], axis=0)
-        for first, second in ((summed, turned), (turned, turned), (summed, summed))
-    )
+    product = np.sum(summed[good] * turned[good], axis=0)
+    power = np.sum(turned[good] * turned[good], axis=0)
+    summed_power = np.sum(summed[good] * summed[good], axis=0)
     return AttitudeFit(
         scale=float(product.sum() / power.sum()),
         correlation=float(_correlation(product.sum(), power.sum() * summed_power.sum())),
@@ -255,9 +271,8 @@ def turn_to_reference(
     Source: Wahba, "A least squares estimate of satellite attitude", 1965; solved by Markley, "Attitude determination
     using vector observations and the singular value decomposition", 1988.
     """
-    rows = np.flatnonzero(
-        np.isfinite(reference.mat_nb).all(axis=(1, 2)) & lies_within(reference.time_ns, imu.time_ns)
-    )
+    is_known = np.isfinite(reference.mat_nb).all(axis=(1, 2))
+    rows = np.flatnonzero(is_known & lies_within(reference.time_ns, imu.time_ns))
     if len(rows) < ENOUGH:
         return None
     time_s = seconds(reference.time_ns[rows], imu.time_ns[0])
@@ -268,9 +283,8 @@ def turn_to_reference(
     size = np.linalg.norm(turned, axis=1)
     good = (step_s <= LONGEST_STEP_S) & (size > 0.3 * DEG * step_s) & (size < 1.0)
     sample_s = seconds(imu.time_ns, imu.time_ns[0])
-    pushed = np.column_stack(
-        [integrated(sample_s, force, time_s) for force in imu.specific_force_b.T]
-    )
+    columns = [integrated(sample_s, force, time_s) for force in imu.specific_force_b.T]
+    pushed = np.column_stack(columns)
     force = np.diff(pushed, axis=0)[step_s <= LONGEST_STEP_S]
     up = -0.5 * (mat_nb[1:, 2] + mat_nb[:-1, 2])[step_s <= LONGEST_STEP_S]
     pairs = [(summed[good], turned[good]), (force, up), velocities]
@@ -305,19 +319,15 @@ def gyro_by_gravity(imu: ImuColumns) -> float | None:
     if blocks <= 2 * ENOUGH:
         return None
     starts = np.arange(0, blocks * length, length)
-    force_b, rate_b = (
-        np.add.reduceat(readings[: blocks * length], starts, axis=0) / length
-        for readings in (imu.specific_force_b, imu.angular_rate_b)
-    )
+    whole = blocks * length
+    force_b = np.add.reduceat(imu.specific_force_b[:whole], starts, axis=0) / length
+    rate_b = np.add.reduceat(imu.angular_rate_b[:whole], starts, axis=0) / length
     size = np.linalg.norm(force_b, axis=1, keepdims=True)
     direction = np.divide(force_b, size, out=np.zeros_like(force_b), where=size > 0.0)
-    step_s = seconds(
-        imu.time_ns[length : blocks * length : length],
-        imu.time_ns[: (blocks - 1) * length : length],
-    )
-    turned = (
-        -np.cross(rate_b[1:] + rate_b[:-1], direction[1:] + direction[:-1]) / 4.0 * step_s[:, None]
-    )
+    start_ns = imu.time_ns[:whole:length]
+    step_s = seconds(start_ns[1:], start_ns[:-1])
+    rate = rate_b[1:] + rate_b[:-1]
+    turned = -np.cross(rate, direction[1:] + direction[:-1]) / 4.0 * step_s[:, None]
     seen = np.diff(direction, axis=0)
     good = step_s < 0.5
     product = float(np.sum(turned[good] * seen[good]))
@@ -339,9 +349,8 @@ def turned_by(imu: ImuColumns, at_s: Floats, longest_s: float = np.inf) -> Float
     columns = []
     for rate in imu.angular_rate_b.T:
         total = np.zeros(len(rate))
-        turned = np.add(
-            rate[1:], rate[:-1], out=total[1:]
-        )  # in place: of hours of samples each copy is large
+        # In place: of hours of samples each copy is large.
+        turned = np.add(rate[1:], rate[:-1], out=total[1:])
         turned *= 0.5
         turned *= step_s
         np.cumsum(turned, out=turned)

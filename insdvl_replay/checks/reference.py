@@ -47,6 +47,7 @@ from insdvl_replay.core.dive_columns import (
     DvlColumns,
     Floats,
     ImuColumns,
+    Integers,
     Mask,
     ReferenceColumns,
     TimeNs,
@@ -69,18 +70,16 @@ from insdvl_replay.geometry.frames import (
 )
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, vector_from_mat, wrap_angle
 
-UNIT_WRONG: Final = (
-    5.0  # factor of the angular rate at which it is another unit: deg/s are 57 times rad/s
-)
+# Factor of the angular rate at which it is another unit: deg/s are 57 times rad/s.
+UNIT_WRONG: Final = 5.0
 _UNDER_WAY_MPS: Final = 0.1  # beyond the noise of a DVL
 _TURNED_RAD: Final = 5.0 * DEG  # beyond the gyros' bias and Earth's rate in a minute
 _PINGS_LATE: Final = 3  # by which a velocity of the DVL is reported late by another topic
 _MOVING_MPS: Final = 0.05
 _SAME_MPS: Final = 2e-5  # single precision, and digits that are rounded
 _SAME_SHARE: Final = 0.5
-LARGEST_TRACK_ERROR: Final = (
-    0.15  # share by which the gyros may differ from a track, whose DVL and positions err too
-)
+# Share by which the gyros may differ from a track, whose DVL and positions err too.
+LARGEST_TRACK_ERROR: Final = 0.15
 
 
 @dataclass(frozen=True)
@@ -108,9 +107,8 @@ def plausibility_remarks(
     yield from imu_remarks(place, imu, reference, config.imu)
     turn = _turn_that_follows(imu, reference, by_attitude)
     if turn is None:
-        yield from _gyro_remarks(
-            place, imu, by_attitude, _best_scale(imu, by_attitude, track), config.imu
-        )
+        scale = _best_scale(imu, by_attitude, track)
+        yield from _gyro_remarks(place, imu, by_attitude, scale, config.imu)
     else:
         turn = turn @ mat_from_rpy(np.array(config.imu.mounting_rpy_deg) * DEG)
         roll, pitch, heading = (rpy_from_mat(turn) / DEG + 0.0).tolist()
@@ -159,11 +157,8 @@ def _best_scale(
     if by_attitude is not None and abs(by_attitude.correlation) > COHERENT:
         return GyroScale(by_attitude.scale, "the reference's attitude", 1.0 + LARGEST_SCALE_ERROR)
     if track is not None and track.gyro_scale is not None and track.coherence > COHERENT:
-        return GyroScale(
-            track.gyro_scale,
-            "the DVL's track and the reference's positions",
-            1.0 + LARGEST_TRACK_ERROR,
-        )
+        by = "the DVL's track and the reference's positions"
+        return GyroScale(track.gyro_scale, by, 1.0 + LARGEST_TRACK_ERROR)
     # In a moving vehicle, the direction of gravity swings with its own acceleration.
     by_gravity = gyro_by_gravity(imu)
     if by_gravity is not None:
@@ -212,9 +207,8 @@ def _gyro_remarks(
                 yield Measured(refusal("imu_gyro_scale", place, **shown))
             else:
                 yield Measured(warning("imu_gyro_scale", count, **shown))
-    if (
-        by_attitude is None or by_attitude.excursion.max() < 3.0 * DEG
-    ):  # attitudes that swing less say nothing
+    # Attitudes that swing less say nothing.
+    if by_attitude is None or by_attitude.excursion.max() < 3.0 * DEG:
         return
     known = by_attitude.excursion >= 3.0 * DEG
     if abs(by_attitude.correlation) < INCOHERENT:
@@ -222,9 +216,8 @@ def _gyro_remarks(
     elif np.any(known & (by_attitude.by_axis > 0.7)):
         # Axes that turn the other way while another one follows.
         for axis in np.flatnonzero(known & (by_attitude.by_axis < -0.7)).tolist():
-            yield warning(
-                "imu_gyro_axis", count, axis=AXES[axis], correlation=by_attitude.by_axis[axis]
-            )
+            correlation = by_attitude.by_axis[axis]
+            yield warning("imu_gyro_axis", count, axis=AXES[axis], correlation=correlation)
 
 
 def _track_remarks(
@@ -265,9 +258,8 @@ def reference_notes(
     shown = np.diff(turned_by(imu, time_s), axis=0)
     unseen = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:]) - shown
     unlike = np.fmin(np.linalg.norm(unseen, axis=1), least_difference(unseen))
-    unlike[np.diff(time_s) > 1.5] = (
-        np.nan
-    )  # in longer steps a turning vehicle turns unlike in the ones around
+    # In longer steps a turning vehicle turns unlike in the ones around.
+    unlike[np.diff(time_s) > 1.5] = np.nan
     ends_ns = reference.time_ns[rows]
     unlike[in_pauses(ends_ns[:-1], ends_ns[1:], imu.time_ns, nanoseconds(LONGEST_STEP_S))] = np.nan
     smallest = np.maximum(5.0 * DEG, np.linalg.norm(shown, axis=1))
@@ -295,9 +287,9 @@ def without_frozen(
     speed_mps = np.abs(horizontal(velocity_b))
 
     def moves(start_ns: int, end_ns: int) -> bool:
-        inside = speed_mps[
-            np.searchsorted(ping_ns, start_ns) : np.searchsorted(ping_ns, end_ns, "right")
-        ]
+        first = np.searchsorted(ping_ns, start_ns)
+        behind = np.searchsorted(ping_ns, end_ns, "right")
+        inside = speed_mps[first:behind]
         return len(inside) > 1 and float(np.median(inside)) > _UNDER_WAY_MPS
 
     def turns(start_ns: int, end_ns: int) -> bool:
@@ -306,42 +298,32 @@ def without_frozen(
         return bool(np.ptp(turned_by(imu, at_s, LONGEST_STEP_S), axis=0).max() > _TURNED_RAD)
 
     notes = []
-    position = reference.position
-    mat_nb = reference.mat_nb
-    tests = (
-        (
-            "position",
-            reference.position,
-            reference.position[:, :2],
-            moves,
-            "the DVL measures a velocity",
-        ),
-        (
-            "attitude",
-            reference.mat_nb,
-            reference.mat_nb.reshape(-1, 9),
-            turns,
-            "the gyros measure a turn",
-        ),
-    )
-    for quantity, values, rows, is_moving, doing in tests:
-        frozen = _frozen_rows(reference.time_ns, rows, is_moving)
-        if not frozen.any():
-            continue
-        starts, ends = find_runs(frozen)
-        lengths_s = seconds(reference.time_ns[ends - 1], reference.time_ns[starts - 1])
-        found: dict[str, float] = {"first_s": since_s(reference.time_ns, int(starts[0]))}
-        found["longest_s"] = float(lengths_s.max())
-        notes.append(
-            warning("reference_frozen", int(frozen.sum()), quantity=quantity, doing=doing, **found)
-        )
-        kept = values.copy()
-        kept[frozen] = np.nan
-        if quantity == "position":
-            position = kept
-        else:
-            mat_nb = kept
-    return replace(reference, position=position, mat_nb=mat_nb), tuple(notes)
+    frozen = _frozen_rows(reference.time_ns, reference.position[:, :2], moves)
+    if frozen.any():
+        doing = "the DVL measures a velocity"
+        notes.append(_frozen_note("position", doing, reference.time_ns, frozen))
+        reference = replace(reference, position=_without_rows(reference.position, frozen))
+    frozen = _frozen_rows(reference.time_ns, reference.mat_nb.reshape(-1, 9), turns)
+    if frozen.any():
+        doing = "the gyros measure a turn"
+        notes.append(_frozen_note("attitude", doing, reference.time_ns, frozen))
+        reference = replace(reference, mat_nb=_without_rows(reference.mat_nb, frozen))
+    return reference, tuple(notes)
+
+
+def _frozen_note(quantity: str, doing: str, time_ns: TimeNs, frozen: Mask) -> Note:
+    """Note the rows of a quantity that stay the same."""
+    starts, ends = find_runs(frozen)
+    longest_s = float(seconds(time_ns[ends - 1], time_ns[starts - 1]).max())
+    spans = {"first_s": since_s(time_ns, int(starts[0])), "longest_s": longest_s}
+    count = int(frozen.sum())
+    return warning("reference_frozen", count, quantity=quantity, doing=doing, **spans)
+
+
+def _without_rows(values: Floats, rows: Mask) -> Floats:
+    kept = values.copy()
+    kept[rows] = np.nan
+    return kept
 
 
 def _frozen_rows(time_ns: TimeNs, rows: Floats, is_moving: Callable[[int, int], bool]) -> Mask:
@@ -390,10 +372,12 @@ def _constant_notes(
     found = []
     if median_speed_mps(dvl) > 0.1:  # beyond its noise
         doing = "the DVL measures a velocity"
+        if _is_constant(reference.position[:, :2]):
+            found.append(("position", doing))
         # A velocity may be constant, but not zero.
         velocities = reference.velocity_n[reference.known["velocities"]]
-        found += [("position", doing)] if _is_constant(reference.position[:, :2]) else []
-        found += [("velocity", doing)] if len(velocities) and not velocities.any() else []
+        if len(velocities) and not velocities.any():
+            found.append(("velocity", doing))
     if _is_constant(reference.mat_nb.reshape(-1, 9)):
         turned = turned_by(imu, seconds(imu.time_ns, imu.time_ns[0]), LONGEST_STEP_S)
         if np.ptp(turned, axis=0).max() > 30.0 * DEG:  # beyond the gyros' bias and Earth's rate
@@ -418,13 +402,16 @@ def legs_m(steps: Steps) -> tuple[Complex, Complex]:
     legs = np.floor(steps.time_s / 10.0)
     legs[-1] = np.ceil(steps.time_s[-1] / 10.0) - 1.0
     rows = np.append(0, np.flatnonzero(np.diff(legs) > 0.0) + 1)
-    by_position_m, by_velocity_m = (
-        np.diff(np.append(0.0, np.cumsum(moved_m))[rows])
-        for moved_m in (steps.by_position_m, np.nan_to_num(steps.by_velocity_m))
-    )
+    by_position_m = _sums_between(rows, steps.by_position_m)
+    by_velocity_m = _sums_between(rows, np.nan_to_num(steps.by_velocity_m))
     unknown = np.diff(np.append(0, np.cumsum(~np.isfinite(steps.by_velocity_m)))[rows])
     whole = (unknown == 0) & (np.diff(steps.time_s[rows]) < 20.0)
     return by_position_m[whole], by_velocity_m[whole]
+
+
+def _sums_between(rows: Integers, moved_m: Complex) -> Complex:
+    """Sum steps between rows."""
+    return np.asarray(np.diff(np.append(0.0, np.cumsum(moved_m))[rows]))
 
 
 def velocity_misfit(reference: ReferenceColumns) -> float | None:
@@ -432,18 +419,15 @@ def velocity_misfit(reference: ReferenceColumns) -> float | None:
     by_position_m, by_velocity_m = legs_m(steps_of(reference))
     if len(by_position_m) < 4 or np.abs(by_position_m).sum() < 20.0:
         return None
-    return float(np.linalg.norm(by_velocity_m - by_position_m)) / float(
-        np.linalg.norm(by_position_m)
-    )
+    apart_m = float(np.linalg.norm(by_velocity_m - by_position_m))
+    return apart_m / float(np.linalg.norm(by_position_m))
 
 
 def _scale_notes(reference: ReferenceColumns) -> Iterator[Note]:
     """Compare displacements by positions with those by velocity, over legs."""
     by_position_m, by_velocity_m = legs_m(steps_of(reference))
-    if (
-        len(by_position_m) < 4
-        or min(np.abs(by_position_m).sum(), np.abs(by_velocity_m).sum()) < 20.0
-    ):
+    shorter_m = min(np.abs(by_position_m).sum(), np.abs(by_velocity_m).sum())
+    if len(by_position_m) < 4 or shorter_m < 20.0:
         return
     power = float(np.vdot(by_velocity_m, by_velocity_m).real)
     product = np.vdot(by_velocity_m, by_position_m).real
@@ -456,10 +440,8 @@ def _scale_notes(reference: ReferenceColumns) -> Iterator[Note]:
     scale = float(product / power)
     at_most = float(np.vdot(by_position_m, by_position_m).real / product)
     # Each leg's own residual stands for its noise, whatever its length.
-    scale_sd = (
-        float(np.linalg.norm((by_velocity_m.conj() * (by_position_m - scale * by_velocity_m)).real))
-        / power
-    )
+    left = by_velocity_m.conj() * (by_position_m - scale * by_velocity_m)
+    scale_sd = float(np.linalg.norm(left.real)) / power
     # Fewer than ten legs do not tell how they scatter.
     if len(by_position_m) >= 10 and max(scale - 1.0, 1.0 - at_most) >= max(0.003, 3.0 * scale_sd):
         off_pct = 100.0 * abs(scale - 1.0)

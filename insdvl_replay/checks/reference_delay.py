@@ -143,14 +143,13 @@ def reference_delay(imu: ImuColumns, reference: ReferenceColumns | None) -> Refe
     if len(imu.time_ns) < FEWEST_LEGS:
         return ReferenceDelay(None, None, DelayStatus.LITTLE_MOTION)
     integrals = _Integrals.of(imu)
-    of_step_s = (
-        _UNIFORM * imu.usual_step_s
-    )  # readings may be averages before their stamps, or around them
+    # Readings may be averages before their stamps, or around them.
+    of_step_s = _UNIFORM * imu.usual_step_s
     by_turns, is_aligned = _by_turns(imu, reference, integrals)
-    attitude_s = by_turns.delay_s if by_turns is not None else 0.0
-    by_accelerations = (
-        _by_accelerations(imu, reference, integrals, attitude_s) if is_aligned else None
-    )
+    by_accelerations = None
+    if is_aligned:
+        attitude_s = 0.0 if by_turns is None else by_turns.delay_s
+        by_accelerations = _by_accelerations(imu, reference, integrals, attitude_s)
     return _together(_widened(by_turns, of_step_s), _widened(by_accelerations, of_step_s))
 
 
@@ -166,11 +165,8 @@ def _delay_notes(found: ReferenceDelay, count: int, latency_s: float) -> tuple[N
     """Warn of a late or early reference; the latency is the one that its stamps are without already."""
     turns = found.by_turns
     accelerations = found.by_accelerations
-    if (
-        found.status == DelayStatus.CONTRADICTORY
-        and turns is not None
-        and accelerations is not None
-    ):
+    is_contradictory = found.status == DelayStatus.CONTRADICTORY
+    if is_contradictory and turns is not None and accelerations is not None:
         both = {"turns_s": turns.delay_s, "accelerations_s": accelerations.delay_s}
         return (warning("reference_late in part", count, **both),)
     if not is_late(found) or found.delay_s is None:
@@ -197,9 +193,8 @@ def _widened(found: Delay | None, of_step_s: float) -> Delay | None:
 def _together(by_turns: Delay | None, by_accelerations: Delay | None) -> ReferenceDelay:
     """Return the mean of both by their weights, or the larger of two that exclude each other."""
     if by_accelerations is not None and by_accelerations.sd_s > SURE_S:
-        by_accelerations = (
-            None  # noise of the attitude turns gravity, and an unsure fit takes that for a delay
-        )
+        # Noise of the attitude turns gravity, and an unsure fit takes that for a delay.
+        by_accelerations = None
     known = [found for found in (by_turns, by_accelerations) if found is not None]
     if not known:
         return ReferenceDelay(None, None, DelayStatus.LITTLE_MOTION)
@@ -236,11 +231,8 @@ def _legs(imu: ImuColumns, time_s: Floats, known: Mask) -> _Legs:
     from_s = row_s[begin]
     to_s = row_s[end]
     end_of_imu_s = float(imu.time_ns[-1] - imu.time_ns[0]) * 1e-9
-    seen = (
-        (to_s - from_s <= LONGEST_LEG_S)
-        & (from_s > FARTHEST_S)
-        & (to_s < end_of_imu_s - FARTHEST_S)
-    )
+    seen = (from_s > FARTHEST_S) & (to_s < end_of_imu_s - FARTHEST_S)
+    seen &= to_s - from_s <= LONGEST_LEG_S
     margin_ns = nanoseconds(FARTHEST_S)
     from_ns = imu.time_ns[0] + np.rint(from_s * 1e9).astype(np.int64)
     to_ns = imu.time_ns[0] + np.rint(to_s * 1e9).astype(np.int64)
@@ -266,10 +258,9 @@ def _by_turns(
     searched = legs.some(_COARSE_LEGS)
     turns_searched = turns[:: -(-len(turns) // _COARSE_LEGS)]
     coarse_s = np.arange(-FARTHEST_S + COARSE_S, FARTHEST_S, COARSE_S)
-    misfits = [
-        _misfit(_turns(searched, turns_searched, mat_nb, integrals, delay_s))
-        for delay_s in coarse_s.tolist()
-    ]
+    misfits = []
+    for delay_s in coarse_s.tolist():
+        misfits.append(_misfit(_turns(searched, turns_searched, mat_nb, integrals, delay_s)))
     best = int(np.argmin(misfits))
     if not 0 < best < len(coarse_s) - 1:
         return None, True

@@ -15,6 +15,7 @@ from insdvl_replay.core.config import Config, Depth
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Floats,
+    Mask,
     ReferenceColumns,
     SensorColumns,
     SolutionColumns,
@@ -57,9 +58,9 @@ def _nearest(ours_ns: TimeNs, theirs_ns: TimeNs) -> NDArray[np.intp]:
     """Return the row of theirs that is nearest to each of our times."""
     after = np.minimum(np.searchsorted(theirs_ns, ours_ns), len(theirs_ns) - 1)
     before = np.maximum(after - 1, 0)
-    return np.where(
-        np.abs(theirs_ns[before] - ours_ns) < np.abs(theirs_ns[after] - ours_ns), before, after
-    )
+    since_before_ns = np.abs(theirs_ns[before] - ours_ns)
+    until_after_ns = np.abs(theirs_ns[after] - ours_ns)
+    return np.where(since_before_ns < until_after_ns, before, after)
 
 
 def sensor_notes(
@@ -69,36 +70,41 @@ def sensor_notes(
     stuck = []
     shared = []
     for name, columns in sensors.items():
-        values = columns.values
         all_count = len(columns.time_ns)
         span_s = (int(columns.time_ns[-1]) - int(columns.time_ns[0])) / NS_PER_S
         # No working sensor repeats a reading for so long.
-        if (
-            all_count >= ENOUGH
-            and span_s >= 30.0
-            and np.array_equal(values, np.broadcast_to(values[0], values.shape), equal_nan=True)
-        ):
+        if all_count >= ENOUGH and span_s >= 30.0 and _are_all_same(columns.values):
             stuck.append(warning("{name}_stuck", all_count, name=name, span_s=span_s))
         if reference is None or name not in ("depth", "heading", "position"):
             continue
         latency_s = getattr(config, name).latency_s - config.reference.latency_s
         ours, theirs = same_instants(columns.time_ns, reference.time_ns, latency_s)
-        values = values[ours]
-        position = reference.position[theirs]
         with np.errstate(invalid="ignore"):
-            if name == "depth":  # the changes, since its zero is its own
-                change_m = np.diff(values[:, 0])
-                same = (np.abs(change_m + np.diff(position[:, 2])) < 1e-3) & (
-                    np.abs(change_m) > 1e-3
-                )
-            elif name == "heading":
-                heading = rpy_from_mat(reference.mat_nb[theirs])[:, 2]
-                same = np.asarray(np.abs(wrap_angle(values[:, 0] - heading)) < _SAME_RAD)
-            else:
-                same = np.asarray((np.abs(values[:, :2] - position[:, :2]) < _SAME_RAD).all(axis=1))
-        if (count := int(same.sum())) > _SHARED * all_count:
+            same = _are_shared(name, columns.values[ours], reference, theirs)
+        count = int(same.sum())
+        if count > _SHARED * all_count:
             shared.append(warning("{name}_is_reference", count, name=name, readings=all_count))
     return (*stuck, *shared)
+
+
+def _are_all_same(values: Floats) -> bool:
+    alike = np.broadcast_to(values[0], values.shape)
+    return np.array_equal(values, alike, equal_nan=True)
+
+
+def _are_shared(
+    name: str, values: Floats, reference: ReferenceColumns, rows: NDArray[np.intp]
+) -> Mask:
+    """Find which readings of a sensor are those of some rows of the reference."""
+    position = reference.position[rows]
+    if name == "depth":  # the changes, since its zero is its own
+        change_m = np.diff(values[:, 0])
+        is_same = np.abs(change_m + np.diff(position[:, 2])) < 1e-3
+        return np.asarray(is_same & (np.abs(change_m) > 1e-3))
+    if name == "heading":
+        heading = rpy_from_mat(reference.mat_nb[rows])[:, 2]
+        return np.asarray(np.abs(wrap_angle(values[:, 0] - heading)) < _SAME_RAD)
+    return np.asarray((np.abs(values[:, :2] - position[:, :2]) < _SAME_RAD).all(axis=1))
 
 
 def solution_notes(
@@ -111,26 +117,19 @@ def solution_notes(
     for name, solution in solutions.items():
         latency_s = config.solutions[name].latency_s - config.reference.latency_s
         ours, theirs = same_instants(solution.motion.time_ns, reference.time_ns, latency_s)
-        found = {}
-        # At rest all velocities are zero, and all displacements: these do not count.
-        for quantity, field, least in (
-            ("attitudes", "mat_nb", 1e-7),
-            ("velocities", "velocity_n", 1e-7),
-            ("positions", "position", _SAME_RAD),
-        ):
-            rows = getattr(solution.motion, field)[ours]
-            other = getattr(reference, field)[theirs]
-            if field == "position":
-                rows = rows[:, :2]
-                other = other[:, :2]
-            apart, size = (
-                np.abs(part).max(axis=tuple(range(1, part.ndim)), initial=0.0)
-                for part in (rows - other, rows)
-            )
-            found[quantity] = int(np.count_nonzero((apart < least) & (size > least)))
+        motion = solution.motion
+        found = {
+            "attitudes": _count_shared(motion.mat_nb[ours], reference.mat_nb[theirs], 1e-7),
+            "velocities": _count_shared(
+                motion.velocity_n[ours], reference.velocity_n[theirs], 1e-7
+            ),
+            "positions": _count_shared(
+                motion.position[ours, :2], reference.position[theirs, :2], _SAME_RAD
+            ),
+        }
         if solution.moved_n is not None:
             # Of positions in metres, whose origin is not known, displacements of ten seconds.
-            time_ns = solution.motion.time_ns[ours]
+            time_ns = motion.time_ns[ours]
             moved_n = solution.moved_n[ours]
             position = reference.position[theirs]
             later = np.searchsorted(time_ns, time_ns + 10 * NS_PER_S)
@@ -138,9 +137,8 @@ def solution_notes(
             later = later[earlier]
             ours_m = (moved_n[later] - moved_n[earlier])[:, :2]
             theirs_m = north_east_down_m(position[later], position[earlier])[:, :2]
-            apart_m, far_m = (
-                np.linalg.norm(rows, axis=1) for rows in (ours_m - theirs_m, theirs_m)
-            )
+            apart_m = np.linalg.norm(ours_m - theirs_m, axis=1)
+            far_m = np.linalg.norm(theirs_m, axis=1)
             found["ways"] = int(np.count_nonzero((apart_m < 1e-3) & (far_m > 0.1)))
         quantity, count = max(found.items(), key=lambda item: item[1])
         all_count = len(solution.motion.time_ns)
@@ -148,6 +146,14 @@ def solution_notes(
             known = {"name": name, "rows": all_count, "quantity": quantity}
             notes.append(warning("solution_{name}_is_reference", count, **known))
     return tuple(notes)
+
+
+def _count_shared(ours: Floats, theirs: Floats, least: float) -> int:
+    """Count the rows that are the same; at rest all velocities are zero, and such rows do not count."""
+    axes = tuple(range(1, ours.ndim))
+    apart = np.abs(ours - theirs).max(axis=axes, initial=0.0)
+    size = np.abs(ours).max(axis=axes, initial=0.0)
+    return int(np.count_nonzero((apart < least) & (size > least)))
 
 
 # --- Sensors that contradict a solution, which is at the IMU: in units, axes, or a zero.
@@ -159,10 +165,11 @@ def contradiction_notes(
     """Note the sensors that contradict the reference."""
     if reference is None or not len(reference.time_ns):
         return ()
-    compared = [name for name in ("depth", "heading") if name in sensors]
-    return tuple(
-        note for name in compared for note in _contradictions(name, sensors[name], reference, depth)
-    )
+    notes: list[Note] = []
+    for name in ("depth", "heading"):
+        if name in sensors:
+            notes += _contradictions(name, sensors[name], reference, depth)
+    return tuple(notes)
 
 
 def contradiction_of_filter(
@@ -171,14 +178,14 @@ def contradiction_of_filter(
     """Note the sensors that do not follow a filter that is not aided by them, where the reference cannot tell."""
     compared = {innovations.measurement for innovations in baseline.innovations} | {"position"}
     if reference is not None:
-        compared |= {"heading"} if reference.has_attitude else set()
-        compared |= {"depth"} if np.isfinite(reference.position[:, 2]).any() else set()
-    others = sorted(sensors.keys() - compared)
-    return tuple(
-        note
-        for name in others
-        for note in _contradictions(name, sensors[name], baseline.motion(), None)
-    )
+        if reference.has_attitude:
+            compared.add("heading")
+        if np.isfinite(reference.position[:, 2]).any():
+            compared.add("depth")
+    notes: list[Note] = []
+    for name in sorted(sensors.keys() - compared):
+        notes += _contradictions(name, sensors[name], baseline.motion(), None)
+    return tuple(notes)
 
 
 def _contradictions(
@@ -189,47 +196,67 @@ def _contradictions(
     near = np.abs(known.time_ns[row] - columns.time_ns) <= NS_PER_S // 2
     values = columns.values[near]
     row = row[near]
-    whose = "baseline" if zero is None else "reference"
     if name == "heading":
         off = wrap_angle(values[:, 0] - rpy_from_mat(known.mat_nb[row])[:, 2])
-        off = off[np.isfinite(off)]
-        if len(off) < ENOUGH:
-            return
-        mean = float(np.angle(np.mean(np.exp(1j * off))))
-        spread = float(np.median(np.abs(wrap_angle(off - mean))))
-        if spread > 20.0 * DEG:  # no compass that is turned to true north scatters so
-            spreads = {"mean_deg": mean / DEG, "spread_deg": spread / DEG}
-            yield warning("heading_contradiction", len(off), whose=whose, **spreads)
-        elif zero is not None and abs(mean) > 5.0 * DEG:  # no AHRS errs by more in the mean
-            yield warning("heading_contradiction in the mean", len(off), mean_deg=mean / DEG)
-        return
+        yield from _heading_contradictions(off[np.isfinite(off)], zero)
+    else:
+        both = np.isfinite(known.position[row, 2]) & np.isfinite(values[:, 0])
+        row = row[both]
+        yield from _depth_contradictions(values[both], known.mat_nb[row], known.position[row], zero)
 
-    # Changes of depth, where the solution goes down far enough: the height of a baseline drifts. No density makes a
-    # factor of more than the largest; feet are 3.3 times metres.
-    range_m, largest = (2.0, 2.0) if zero is None else (1.0, 1.25)
-    both = np.isfinite(known.position[row, 2]) & np.isfinite(values[:, 0])
-    values = values[both]
-    row = row[both]
+
+def _whose(zero: Depth | None) -> str:
+    return "baseline" if zero is None else "reference"
+
+
+def _heading_contradictions(off: Floats, zero: Depth | None) -> Iterator[Note]:
+    """Note differences between headings, rad, that are too large, or scatter too much."""
+    if len(off) < ENOUGH:
+        return
+    mean = float(np.angle(np.mean(np.exp(1j * off))))
+    spread = float(np.median(np.abs(wrap_angle(off - mean))))
+    if spread > 20.0 * DEG:  # no compass that is turned to true north scatters so
+        spreads = {"mean_deg": mean / DEG, "spread_deg": spread / DEG}
+        yield warning("heading_contradiction", len(off), whose=_whose(zero), **spreads)
+    elif zero is not None and abs(mean) > 5.0 * DEG:  # no AHRS errs by more in the mean
+        yield warning("heading_contradiction in the mean", len(off), mean_deg=mean / DEG)
+
+
+def _depth_contradictions(
+    values: Floats, mat_nb: Floats, position: Floats, zero: Depth | None
+) -> Iterator[Note]:
+    """Note depths that change unlike the height of a solution, or have another zero."""
     ours_m = values[:, 0]
-    theirs_m = -known.position[row, 2]
     if len(ours_m) < ENOUGH:
         return
-    if np.ptp(np.percentile(theirs_m, [5.0, 95.0])) >= range_m:
-        down_m = ours_m - ours_m.mean()
-        theirs_m = theirs_m - theirs_m.mean()
-        product = float(down_m @ theirs_m)
-        power = float(theirs_m @ theirs_m)
-        scale = product / power
-        follows = abs(product) >= 0.9 * np.sqrt(power * float(down_m @ down_m))
-        if follows and not 1.0 / largest < scale < largest:
-            yield warning("depth_contradiction", len(ours_m), scale=scale, whose=whose)
-            return
+    scale = _scale_of_depth(ours_m, -position[:, 2], zero)
+    if scale is not None:
+        yield warning("depth_contradiction", len(ours_m), scale=scale, whose=_whose(zero))
+        return
     if zero is None or zero.surface_height_m is None:
         return
-    off_m = float(np.median(_deeper_m(values, known.mat_nb[row], known.position[row], zero)))
+    off_m = float(np.median(_deeper_m(values, mat_nb, position, zero)))
     # Swell and air pressure, and what fresh water makes of a depth.
     if abs(off_m) > 2.0 + 0.03 * float(np.median(np.abs(ours_m))):
         yield warning("depth_contradiction of its zero", len(ours_m), below=_below(off_m))
+
+
+def _scale_of_depth(ours_m: Floats, theirs_m: Floats, zero: Depth | None) -> float | None:
+    """Return the scale of changes of depth, where it is none that a density can make; else None."""
+    # Where the solution goes down far enough: the height of a baseline drifts. Feet are 3.3 times metres.
+    range_m = 2.0 if zero is None else 1.0
+    largest = 2.0 if zero is None else 1.25
+    if np.ptp(np.percentile(theirs_m, [5.0, 95.0])) < range_m:
+        return None
+    down_m = ours_m - ours_m.mean()
+    theirs_m = theirs_m - theirs_m.mean()
+    product = float(down_m @ theirs_m)
+    power = float(theirs_m @ theirs_m)
+    scale = product / power
+    follows = abs(product) >= 0.9 * np.sqrt(power * float(down_m @ down_m))
+    if follows and not 1.0 / largest < scale < largest:
+        return scale
+    return None
 
 
 def depth_at_start_notes(

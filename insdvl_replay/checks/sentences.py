@@ -213,8 +213,10 @@ def ignore_hint(*, by_reference: bool) -> str:
 
 def warning(key: str, count: int, **values: Any) -> Note:
     """Return a warning with its hint."""
-    text, hint = (part.format(count=count, **values) for part in _SENTENCES[key])
-    return Note(key.partition(" ")[0].format(**values), text, count, Severity.WARNING, hint)
+    text, hint = _SENTENCES[key]
+    known = {"count": count, **values}
+    code = key.partition(" ")[0].format(**values)
+    return Note(code, text.format(**known), count, Severity.WARNING, hint.format(**known))
 
 
 def marked(remark: Note | LogError, *, is_measured: bool) -> Remark:
@@ -233,5 +235,5 @@ def without_mark(remark: Remark) -> Note | LogError:
 
 def refusal(key: str, place: str, **values: Any) -> LogError:
     """Return an error in a file (the place)."""
-    text, hint = (part.format(**values) for part in _SENTENCES[key])
-    return LogError(text, hint, place)
+    text, hint = _SENTENCES[key]
+    return LogError(text.format(**values), hint.format(**values), place)
