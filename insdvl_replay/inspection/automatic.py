@@ -5,7 +5,7 @@ the noise and the geometry of the DVL are found, and what cannot be found gets a
 a note. The same settings as a file repeat the replay.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,16 +13,11 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.calibration.calibration import Calibration
-from insdvl_replay.calibration.dives import answer_of, calibrate_dives
 from insdvl_replay.calibration.fitted_noise import (
     MOST_DIVES,
-    halves,
     levelled_to_dives,
-    middle,
     of_class,
     with_biases_of_class,
-    with_noise,
 )
 from insdvl_replay.calibration.found import (
     FoundSettings,
@@ -33,7 +28,6 @@ from insdvl_replay.calibration.found import (
     with_values,
 )
 from insdvl_replay.calibration.free_mounting import angle_between
-from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
 from insdvl_replay.calibration.noise import imu_class
 from insdvl_replay.checks.reference_delay import is_late, with_reference_delay
 from insdvl_replay.core.config import Config, Initial
@@ -44,6 +38,7 @@ from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import mat_from_rpy
+from insdvl_replay.inspection.found_geometry import GROUPS, calibrated, pings_later, with_noise_of
 from insdvl_replay.inspection.proposal import propose_settings
 from insdvl_replay.inspection.roles import UNKNOWN_LATITUDE_DEG, read_roles, with_roles
 from insdvl_replay.inspection.settings import Setting, settings_toml
@@ -57,13 +52,6 @@ from insdvl_replay.preparation.prepared import (
 from insdvl_replay.preparation.run import FIT, MISREAD, fitted_start
 from insdvl_replay.results.folder import VEHICLE_FILE
 
-# What a calibration finds, by the settings that it replaces.
-GROUPS: Final = {
-    "arm": "lever_arm_m",
-    "mounting": "mounting_rpy_deg",
-    "delay": "latency_s",
-    "scale": "scale",
-}
 # Notes on a reference that does not move as DVL and gyros say.
 CONTRADICTIONS: Final = frozenset(
     {"dvl_contradiction", "track_contradiction", "imu_gyro_contradiction", "reference_constant"}
@@ -75,6 +63,8 @@ _NOT_NEEDED: Final = (
     "dvl.valid",
 )  # keys of a proposal without a value with which a replay works all the same
 MOST_DIFFERENCES: Final = 4  # that are named
+# Settings of the DVL that a calibration changes a little.
+_CALIBRATED: Final = (*GROUPS.values(), "velocity_sd_mps", "beam_sd_mps")
 CALIBRATED_RAD: Final = 5.0 * DEG  # turns of the DVL up to which are a calibration's
 SCALES: Final = {"specific_force_scale": "accelerometers", "angular_rate_scale": "gyros"}
 Paths = Sequence[Path]
@@ -111,42 +101,26 @@ def find_settings(
     dive, config = _read_with_reference(
         first, config, given, cost, notes, allow_damaged=allow_damaged
     )
-    read = [dive]
-    for paths in dives:
-        if paths != first:
-            with suppress(UserError):  # its own replay reports it
-                other = read_checked_dive(paths, config, allow_damaged=allow_damaged)
-                # What the settings of the first misread needs settings of its own, and would spoil these.
-                if _misread(other) <= _misread(dive):
-                    read.append(other)
+    others = [paths for paths in dives if paths != first]
+    read = [dive, *_read_alike(others, dive, config, allow_damaged=allow_damaged)]
     read = _without_short(read, notes)
     read, config = _with_reference_latency(read, config, given, proposed_s, notes)
     config = _with_start(read[0], config)
     preset = imu_class(read[0].imu)
     config = as_given(of_class(preset, config), given)
     read_with_s = config.dvl.latency_s
-    config = _calibrated(
-        [with_reference_at_imu(dive, config) for dive in read], config, given, notes
-    )
-    read = [_later(dive, config.dvl.latency_s - read_with_s) for dive in read]
+    config = calibrated(_at_imu(read, config), config, given, notes)
+    read = [pings_later(dive, config.dvl.latency_s - read_with_s) for dive in read]
     config, better = with_biases_of_class(config, given, preset)
     if better != preset and not given.has("noise"):
-        known = [middle(ReadDive(with_reference_at_imu(dive, config), config)) for dive in read]
-        again = calibrate_dives(known, config, [NOISE]).found
-        config = with_noise(config, answer_of(again).applied(again), given)
         preset = better
-    config, started = _with_heading(
-        [with_reference_at_imu(dive, config) for dive in read], config, given, notes
-    )
+        config = with_noise_of(_at_imu(read, config), config, given)
+    config, started = _with_heading(_at_imu(read, config), config, given, notes)
     config = levelled_to_dives(read[:1], config, given, started, preset, notes)
     if len(read) > 1:
         names = listed([dive.name for dive in read])
-        notes.append(
-            found_note(
-                "found_dives",
-                f"settings of one vehicle, found from {len(read)} dives together: {names}",
-            )
-        )
+        text = f"settings of one vehicle, found from {len(read)} dives together: {names}"
+        notes.append(found_note("found_dives", text))
     if whole.keys:
         notes.append(found_note("found_given", f"as given: {listed(whole.keys)}"))
     return FoundSettings(
@@ -154,6 +128,24 @@ def find_settings(
         tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING)),
         tuple(whole.keys),
     )
+
+
+def _at_imu(dives: Sequence[Dive], config: Config) -> list[Dive]:
+    return [with_reference_at_imu(dive, config) for dive in dives]
+
+
+def _read_alike(
+    others: Sequence[Paths], first: Dive, config: Config, *, allow_damaged: bool
+) -> Iterator[Dive]:
+    """Read other dives that the settings of the first do not misread.
+
+    What they misread needs settings of its own, and would spoil these.
+    """
+    for paths in others:
+        with suppress(UserError):  # its own replay reports it
+            other = read_checked_dive(paths, config, allow_damaged=allow_damaged)
+            if _misread(other) <= _misread(first):
+                yield other
 
 
 def _first_with_roles(
@@ -181,14 +173,15 @@ def _first_with_roles(
 def _is_short(paths: Paths) -> bool:
     """Return whether a log is too short, or cannot be read, to find settings by it."""
     try:
-        spans_ns = [part.span_ns for part in open_recording(paths, allow_damaged=True).parts]
+        parts = open_recording(paths, allow_damaged=True).parts
     except UserError:
         return True
-    known_ns = [span_ns for span_ns in spans_ns if span_ns]
-    length_ns = max((last for _, last in known_ns), default=0) - min(
-        (first for first, _ in known_ns), default=0
-    )
-    return length_ns < SHORT_S * NS_PER_S
+    known_ns = [part.span_ns for part in parts if part.span_ns]
+    if not known_ns:
+        return True
+    begin_ns = min(first_ns for first_ns, _ in known_ns)
+    end_ns = max(last_ns for _, last_ns in known_ns)
+    return end_ns - begin_ns < SHORT_S * NS_PER_S
 
 
 def _without_short(read: Sequence[Dive], notes: list[Note]) -> list[Dive]:
@@ -273,8 +266,12 @@ def _with_reference_latency(
     first_s = config.reference.latency_s
     found = [dive.reference_delay for dive in dives]
     known = [one for one in found if one is not None and one.is_checked]
-    delays_s = [one.delay_s for one in known if one.delay_s is not None]
-    weights = [one.sd_s**-2.0 for one in known if one.sd_s is not None]
+    delays_s = []
+    weights = []
+    for one in known:
+        if one.delay_s is not None and one.sd_s is not None:
+            delays_s.append(one.delay_s)
+            weights.append(one.sd_s**-2.0)
     if given.has(REFERENCE_LATENCY) or not weights:
         return list(dives), config
     rest_s = float(np.average(delays_s, weights=weights))
@@ -327,27 +324,30 @@ def settings_file(
         found = find_settings(dives, given, allow_damaged=allow_damaged)
         return SettingsFile(found.text, found.notes)
     except UserError as failure:
-        proposal = propose_settings(dives[0], given.config, allow_damaged=allow_damaged)
-        config = given.config
-        keys = (key.split(".") for key in given.keys if key.count(".") == 1)
-        settings = [*proposal.settings]
-        settings += [
-            Setting(f"{section}.{key}", getattr(getattr(config, section), key))
-            for section, key in keys
-        ]
-        comments = comment_lines(f"blocker: {failure.message}; {failure.hint}")
-        text = "".join(f"{line}\n" for line in comments) + f"\n{settings_toml(settings)}"
-        if given.has("filters", "topics"):
-            kept = render_toml(
-                Config(filters=config.filters, topics=config.topics), changed_only=True
-            )
-            text += f"\n{kept}"
-        missing = [
-            setting.key
-            for setting in settings
-            if setting.value is None and setting.key not in _NOT_NEEDED
-        ]
-        return SettingsFile(text, proposal.notes, tuple(dict.fromkeys(missing)), failure)
+        return _proposed_file(dives[0], given, failure, allow_damaged=allow_damaged)
+
+
+def _proposed_file(
+    paths: Paths, given: Given, failure: UserError, *, allow_damaged: bool
+) -> SettingsFile:
+    """Propose what names, types and sizes show, beside what is given."""
+    config = given.config
+    proposal = propose_settings(paths, config, allow_damaged=allow_damaged)
+    settings = list(proposal.settings)
+    for key in given.keys:
+        if key.count(".") == 1:
+            section, name = key.split(".")
+            settings.append(Setting(key, getattr(getattr(config, section), name)))
+    comments = comment_lines(f"blocker: {failure.message}; {failure.hint}")
+    text = "".join(f"{line}\n" for line in comments) + f"\n{settings_toml(settings)}"
+    if given.has("filters", "topics"):
+        kept = Config(filters=config.filters, topics=config.topics)
+        text += f"\n{render_toml(kept, changed_only=True)}"
+    missing: dict[str, None] = {}  # each key once
+    for setting in settings:
+        if setting.value is None and setting.key not in _NOT_NEEDED:
+            missing[setting.key] = None
+    return SettingsFile(text, proposal.notes, tuple(missing), failure)
 
 
 def _misread(dive: Dive) -> frozenset[str]:
@@ -367,23 +367,15 @@ def _differences(own: Config, others: Config) -> list[str]:
         now = getattr(own, section)
         then = getattr(others, section)
         for key in now.__struct_fields__:
-            is_calibrated = section == "dvl" and key in (
-                *GROUPS.values(),
-                "velocity_sd_mps",
-                "beam_sd_mps",
-            )
-            if getattr(now, key) != getattr(then, key) and key not in SCALES and not is_calibrated:
+            is_calibrated = section == "dvl" and key in _CALIBRATED
+            is_other = getattr(now, key) != getattr(then, key)
+            if is_other and not is_calibrated and key not in SCALES:
                 words.append(f"{section}.{key} = {getattr(now, key)}")
-    turns = (mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG) for config in (own, others))
-    if angle_between(*turns) > CALIBRATED_RAD:
+    turn = mat_from_rpy(np.array(own.dvl.mounting_rpy_deg) * DEG)
+    of_others = mat_from_rpy(np.array(others.dvl.mounting_rpy_deg) * DEG)
+    if angle_between(turn, of_others) > CALIBRATED_RAD:
         words.append(f"dvl.mounting_rpy_deg = {list(own.dvl.mounting_rpy_deg)}")
     return words[:MOST_DIFFERENCES]
-
-
-def _later(dive: Dive, latency_s: float) -> Dive:
-    """Return a dive with the pings of another latency, which is subtracted from stamps as a log is read."""
-    time_ns = dive.dvl.time_ns - nanoseconds(latency_s)
-    return replace(dive, dvl=replace(dive.dvl, time_ns=time_ns))
 
 
 def stored_settings(folder: Path, given: Given) -> Config | None:
@@ -459,95 +451,3 @@ def _with_heading(
     text = "start heading 0, since nothing in the log gives it: tracks and headings are relative to the start"
     notes.append(found_note("found_heading", text, "to set it: initial.heading_deg", warn=True))
     return config, config.initial
-
-
-# --- Geometry and noise.
-
-
-def _calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list[Note]) -> Config:
-    """Apply the calibration that is better on the held-out part; what is given is not calibrated."""
-    read = [middle(ReadDive(dive, config)) for dive in dives]
-    groups = [group for group, key in GROUPS.items() if not given.has(f"dvl.{key}")]
-    groups += [] if given.has("noise") else [NOISE]
-    if not groups:
-        return config
-    try:
-        # The noise is fitted once the geometry is known.
-        geometry = [group for group in groups if group != NOISE] or groups
-        found = calibrate_dives(
-            halves(read), config, geometry, hold_out=["0.3"], windows_s=("60", "30")
-        ).found
-    except UserError as error:
-        notes.append(
-            found_note(
-                "found_calibration",
-                f"the geometry of the DVL was not calibrated: {error.what}",
-                warn=True,
-            )
-        )
-        return config
-    answer = answer_of(found)
-    if not any(row.windows for row in found.held_out):
-        # Nothing shows the drift: the innovations of the rest decide, of each part of a dive alone by the other.
-        if len(read) == 1:
-            other = calibrate_dives(
-                halves(read)[::-1], config, geometry, hold_out=["0.3"], windows_s=("60",)
-            ).found
-            found = replace(found, held_out=(*found.held_out, *other.held_out))
-        before, after = _mean_nis(found)
-        answer = replace(answer, keeps_geometry=bool(found.estimated) and after > before)
-    better = answer.applied(found)
-    if found.estimated and not answer.keeps_geometry:
-        # What was held out has shown that it helps; all together know it best.
-        better = calibrate_dives(read, config, geometry).found
-    changes = [
-        f"{LABELS[row.parameter]} {row.change:+.3g} {row.unit}"
-        for row in better.estimated
-        if row.change is not None
-    ]
-    tested = _drift_sentence(found)
-    if answer.keeps_geometry:
-        notes.append(
-            found_note(
-                "found_calibration", f"calibration of the DVL not applied: {tested}", warn=True
-            )
-        )
-    elif changes:
-        notes.append(found_note("found_calibration", f"calibrated: {', '.join(changes)}; {tested}"))
-        config = with_dvl(config, better.after.rounded())
-    elif geometry != groups or NOISE not in groups:
-        text = "the DVL's lever arm, mounting and delay cannot be determined: taken as 0"
-        notes.append(
-            found_note(
-                "found_calibration",
-                text,
-                "a dive with turns and changes of speed shows them",
-                warn=True,
-            )
-        )
-    if NOISE in groups:
-        # A noise belongs to the geometry with which it is fitted.
-        shift_s = config.dvl.latency_s - read[0].config.dvl.latency_s
-        known = [middle(ReadDive(_later(dive, shift_s), config)) for dive in dives]
-        if answer.keeps_geometry or not changes:
-            found = calibrate_dives(halves(known), config, [NOISE], hold_out=["0.3"]).found
-        else:
-            found = calibrate_dives(known, config, [NOISE]).found
-        config = with_noise(config, answer_of(found).applied(found), given)
-    return config
-
-
-def _drift_sentence(found: Calibration) -> str:
-    """Say what the calibration does to the drift of what was held out, else to its NIS."""
-    pairs = [(row.drift_before_m, row.drift_after_m) for row in found.held_out]
-    if pairs and all(before and after for before, after in pairs):
-        before_m, after_m = np.exp(np.mean(np.log(np.array(pairs, float)), axis=0)).tolist()
-        return f"drift without DVL on what was held out {before_m:.3g} -> {after_m:.3g} m"
-    before, after = _mean_nis(found)
-    return f"NIS/dof on what was held out {before:.2g} -> {after:.2g}"
-
-
-def _mean_nis(found: Calibration) -> tuple[float, float]:
-    rows = [(row.nis_per_dof_before, row.nis_per_dof_after) for row in found.held_out]
-    before, after = np.exp(np.mean(np.log(np.array(rows, float)), axis=0)).tolist()
-    return before, after

@@ -19,6 +19,11 @@ def is_other_clock(clock: Clock) -> bool:
     return abs(clock.log_minus_stamp_s) > SAME_CLOCK_S + clock.spread_s
 
 
+def apart(clock: Clock) -> str:
+    """State how far stamps are from the recorder's clock."""
+    return f"log time minus stamp is {clock.log_minus_stamp_s:.3f} s (median)"
+
+
 def clock_words(clock: Clock) -> str:
     """State how far a clock is ahead of the recorder's or behind it, and what it may count."""
     ahead_s = -clock.log_minus_stamp_s

@@ -5,6 +5,7 @@ The trials know quarter turns only. The free fit judges these, and replaces them
 windows that it was not fitted to.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -113,27 +114,43 @@ def turn_freely(trials: Trials, pings: DvlColumns) -> FreeTurn | None:
     own = _free_turn(trials, best.relation, pings)
     if own is not None and not own.excludes(best):
         return own
-    others = dict.fromkeys(one.relation for one in trials.found if one.relation != best.relation)
-    tried = [own, *(_free_turn(trials, relation, pings) for relation in [*others][:MOST_OTHERS])]
-    fits = [free for free in tried if free is not None]
+    fits = [] if own is None else [own]
+    for relation in _other_relations(trials, best)[:MOST_OTHERS]:
+        other = _free_turn(trials, relation, pings)
+        if other is not None:
+            fits.append(other)
     if not fits:
         return None
-    least = min(free.fit.cost for free in fits)
-    similar = [free for free in fits if free.fit.cost < CLEARLY * least]
-    free = next(
-        (free for free in similar if free.first.relation == trials.as_read.relation), similar[0]
-    )
+    free = _likeliest(fits, trials.as_read)
     turned = with_cost(replace(free.first, rpy_deg=rpy_of(free.mat)), trials.dive, trials.config)
-    # What excludes a quarter turn of the same IMU on windows of its own needs no trial that is better, too.
-    most = NO_WORSE * trials.cost if free is own else trials.cost
+    most = trials.cost
+    if free is own:
+        # What excludes a quarter turn of the same IMU on windows of its own needs no trial that is better, too.
+        most *= NO_WORSE
     if turned.cost < most:
         trials.found = [turned]
     return free
 
 
+def _other_relations(trials: Trials, best: Hypothesis) -> list[object]:
+    """Return other relations of axes and scale than that of the best, the likelier first."""
+    relations = dict.fromkeys(one.relation for one in trials.found)
+    return [relation for relation in relations if relation != best.relation]
+
+
+def _likeliest(fits: Sequence[FreeTurn], as_read: Hypothesis) -> FreeTurn:
+    """Return the fit that is as read if it is about as good as the best, else the first that is."""
+    least = min(free.fit.cost for free in fits)
+    similar = [free for free in fits if free.fit.cost < CLEARLY * least]
+    for free in similar:
+        if free.first.relation == as_read.relation:
+            return free
+    return similar[0]
+
+
 def _free_turn(trials: Trials, relation: object, pings: DvlColumns) -> FreeTurn | None:
     """Fit the DVL in the axes of the first hypothesis with such a relation, the nearest to what is as read."""
-    first = next((one for one in trials.order if one.relation == relation), None)
+    first = _first_with(relation, trials.order)
     if first is None:
         return None
     imu = first.applied(trials.dive.imu)
@@ -142,6 +159,13 @@ def _free_turn(trials: Trials, relation: object, pings: DvlColumns) -> FreeTurn 
     if fit is None:
         return None
     return FreeTurn(first, LevelDvl(fit, down_of(imu), dvl.look_d))
+
+
+def _first_with(relation: object, hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
+    for one in hypotheses:
+        if one.relation == relation:
+            return one
+    return None
 
 
 # --- The IMU in the body.

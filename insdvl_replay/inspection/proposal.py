@@ -7,9 +7,7 @@ Each setting has the observation behind it, the alternatives, and whether a pers
 a person can know is a comment. Every other key has the likeliest value, so the proposal can be used as it is.
 """
 
-import re
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -19,463 +17,33 @@ import numpy as np
 
 from insdvl_replay.checks.imu import SPIN_RADPS
 from insdvl_replay.checks.reference import velocity_misfit
-from insdvl_replay.core.config import Config, Imu, Initial
+from insdvl_replay.core.config import Config, Imu, Initial, Reference
 from insdvl_replay.core.config_file import toml_value
-from insdvl_replay.core.dive_columns import Floats, ImuColumns
+from insdvl_replay.core.dive_columns import ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed
-from insdvl_replay.core.states import (
-    BY_SENSOR,
-    SENSORS,
-)
-from insdvl_replay.core.units import (
-    ANGULAR_RATE_UNITS,
-    SPECIFIC_FORCE_BY_SIZE,
-    SPECIFIC_FORCE_UNITS,
-    VELOCITY_BY_SIZE,
-    VELOCITY_UNITS,
-)
-from insdvl_replay.inspection.dry_run import (
+from insdvl_replay.core.states import BY_SENSOR, SENSORS
+from insdvl_replay.core.units import SPECIFIC_FORCE_BY_SIZE, SPECIFIC_FORCE_UNITS
+from insdvl_replay.inspection.clock_words import apart
+from insdvl_replay.inspection.dry_run import DryRun
+from insdvl_replay.inspection.inventory import Blocker
+from insdvl_replay.inspection.named_fields import dvl_settings, imu_settings, reference_settings
+from insdvl_replay.inspection.probed_topics import (
     AS_GRAVITY_MPS2,
-    DryRun,
-    FieldMatch,
     ProbedTopic,
     fitting_units,
     probe_topics,
-    time_paths,
 )
-from insdvl_replay.inspection.inventory import Blocker
-from insdvl_replay.inspection.ping_flags import flag_senses
 from insdvl_replay.inspection.settings import Alternative, Setting, not_yet_set, with_settings
 from insdvl_replay.inspection.table_clocks import table_clock_settings
-from insdvl_replay.logs.columns.flags import flag_columns
 from insdvl_replay.logs.columns.reference import decode_reference
-from insdvl_replay.logs.columns.tables import (
-    LARGEST_JITTER_S,
-    clock_notes,
-    read_sample,
-    read_tables,
-    stamp_path,
-    stamp_unit,
-)
+from insdvl_replay.logs.columns.tables import Table, clock_notes, read_tables
 from insdvl_replay.logs.columns.topics import PROPOSED, Source
 from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.read import Finding, find_roles
 
-
-def _fields(key: str, candidates: Sequence[FieldMatch], to_decide: str = "") -> Setting:
-    """Propose the first of some fields, with the others as alternatives."""
-    first, *others = candidates
-    name = key.partition(".")[2]
-    return Setting(
-        key,
-        first.path,
-        str(first),
-        to_decide,
-        tuple(_instead(name, other) for other in others),
-    )
-
-
-def _instead(name: str, field: FieldMatch) -> Alternative:
-    return Alternative(f'{name} = "{field.path}"', str(field))
-
-
-# --- The clocks.
-
-_ENOUGH: Final = 1000
-_HEADER: Final = "header.stamp"
-_CLOCK_NAMES: Final = re.compile(
-    r"time|stamp|clock|epoch|utc|tick|^t$|(^|_)(t_|ts$)|_([mun]s|sec)$"
-)
-# Share of the sample's length by which a clock may wander; what counts from the message before does not run at all.
-_MOST_SPREAD: Final = 0.05
-
-
-def _apart(clock: Clock) -> str:
-    return f"log time minus stamp is {clock.log_minus_stamp_s:.3f} s (median)"
-
-
-def _stamp(log: Recording, seen: ProbedTopic, role: str) -> Iterator[Setting]:
-    """Propose the stamp of a topic: a field that agrees with the recorder's clock. Tables need none."""
-    if seen.is_table:
-        return
-    clocks: list[tuple[Clock, str]] = []
-    times = sorted(time_paths(seen.known), key=lambda path: path != _HEADER)
-    named = [path for path in seen.scalars if _CLOCK_NAMES.search(path.rpartition(".")[2].lower())]
-    for path in (*times, *named):
-        stamp = "header" if path == _HEADER else path
-        source = Source("", seen.topic, seen.channel.type_name, (seen.channel,), {}, stamp, 0.0)
-        with suppress(LogError):
-            table = read_sample(log, source, _ENOUGH)
-            clock = table.clock()
-            recorded = table.columns["log_time"][:, 0]
-            spread_s = min(
-                LARGEST_JITTER_S, _MOST_SPREAD * float(recorded[-1] - recorded[0]) * 1e-9
-            )
-            if clock.messages < 2 or clock.spread_s < spread_s:
-                numbers = table.stamp_numbers
-                clocks.append(
-                    (
-                        clock,
-                        "" if numbers is None else f", read as {stamp_unit(numbers, recorded)[1]},",
-                    )
-                )
-    if not clocks:
-        text = "no field of the messages agrees with the recorder's clock"
-        yield Setting(f"{role}.stamp", "log_time", text)
-        return
-    (clock, unit), *others = clocks
-    text = f"'{stamp_path(clock.stamp)}'{unit} agrees with the recorder's clock: {_apart(clock)}"
-    stamps = tuple(Alternative(f'stamp = "{other.stamp}"') for other, _ in others)
-    yield Setting(f"{role}.stamp", clock.stamp, text, others=stamps)
-
-
-def _recorder_stamps(
-    log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config
-) -> Iterator[Setting]:
-    """Stamp all roles by the recorder where their own clocks do not belong together."""
-    stamps = {
-        (source.role, source.topic): source.stamp
-        for finding in findings
-        for source in finding.sources
-    }
-    why = ""
-    if any(clock.stamp != stamps.get((clock.role, clock.topic), clock.stamp) for clock in clocks):
-        why = "not all stamps of the roles are times"
-    elif clocks and clocks[0].role == "imu":
-        try:
-            clock_notes(str(log.path), clocks, config.clocks.max_disagreement_s)
-        except LogError:
-            why = "the clocks of the roles are unrelated"
-    own = {clock.role: clock for clock in clocks if clock.role in (*PROPOSED, *SENSORS)}
-    for role, clock in own.items() if why else ():
-        yield Setting(f"{role}.stamp", "log_time", f"{why}; {clock.topic}: {_apart(clock)}")
-
-
-# --- The IMU: topic and fields by their names, units and axes by gravity and the reference.
-
-_STATED: Final = "the titles of the columns have this unit"
-_AXES_NAMES: Final = {"+x+y+z": "frd", "+x-y-z": "flu"}
-_AXES_OPEN: Final = 'frd, flu (y to port, z up) or a signed permutation such as "+x-z+y"; `run` and --propose find them'
-
-
-def _imu_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
-    """Propose a topic with a specific force; an angular rate beside it and the size of gravity speak for it."""
-    candidates = []
-    for topic in topics:
-        forces = topic.likely("specific_force")
-        named = [candidate for candidate in topic.likely("angular_rate") if candidate not in forces]
-        rates = named or [
-            candidate for candidate in topic.likely("vector") if candidate not in forces
-        ]
-        if forces and rates:
-            candidates.append((topic, forces, rates, bool(named)))
-    if not candidates:
-        return
-    topic, forces, rates, is_named = max(
-        candidates, key=lambda found: (found[3], bool(found[1][0].force_unit))
-    )
-    force = forces[0]
-    yield Setting("imu.topic", topic.topic)
-    yield _fields("imu.specific_force", forces)
-    if force.force_unit:
-        yield Setting(
-            "imu.specific_force_unit", force.force_unit, "gravity has this size in this unit"
-        )
-    elif (unit := topic.stated_unit(force.path)) in SPECIFIC_FORCE_UNITS:
-        yield Setting("imu.specific_force_unit", unit, _STATED)
-    else:
-        text = f"{', '.join(SPECIFIC_FORCE_BY_SIZE)}; gravity is 9.81, 1 or 1000, but the size is {force.size:.3g}"
-        yield Setting("imu.specific_force_unit", "m/s2", open=text)
-    yield _fields(
-        "imu.angular_rate",
-        rates,
-        "" if is_named else "no field is named as an angular rate; check this one",
-    )
-    if (unit := topic.stated_unit(rates[0].path)) in ANGULAR_RATE_UNITS:
-        yield Setting("imu.angular_rate_unit", unit, _STATED)
-    yield Setting("imu.axes", "frd", open=_AXES_OPEN)
-    yield from _stamp(log, topic, "imu")
-
-
-def _measured_units(imu: ImuColumns, settings: Imu) -> Iterator[Setting]:
-    """Propose units by the size of gravity, and by how fast a vehicle can turn."""
-    read_in = settings.specific_force_unit or "m/s2"
-    size = (
-        float(np.median(np.linalg.norm(imu.specific_force_b, axis=1)))
-        / SPECIFIC_FORCE_UNITS[read_in]
-    )
-    units = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
-    if units and read_in not in units:
-        yield Setting(
-            "imu.specific_force_unit",
-            units[0],
-            f"the size is {size:.3g}, which is gravity in this unit",
-        )
-    if settings.angular_rate_unit is not None:
-        return
-    sizes = np.linalg.norm(imu.angular_rate_b, axis=1)
-    median = float(np.median(sizes))
-    largest = float(sizes.max())
-    if median > SPIN_RADPS:
-        text = f"the median is {median:.3g}, too fast for a vehicle in rad/s"
-        yield Setting("imu.angular_rate_unit", "deg/s", text)
-    else:
-        text = f"the largest value is {largest:.3g}, possible in both units"
-        yield Setting("imu.angular_rate_unit", "rad/s", text, "rad/s or deg/s, see the data sheet")
-
-
-def level_axes(force: Floats) -> list[Floats]:
-    """List the right-handed axes in which gravity is felt upwards, as a level vehicle feels it, the likeliest first."""
-    strongest = int(np.argmax(np.abs(force)))
-    down = np.zeros(3)
-    down[strongest] = -np.sign(force[strongest])
-    forward = [axis for axis in (*np.eye(3), *-np.eye(3)) if not axis[strongest]]
-    return [np.stack([axis, np.cross(down, axis), down]) for axis in forward]
-
-
-def axes_text(rows: Floats) -> str:
-    """Write axes as a signed permutation: forward, starboard and down in those of the instrument, (3, 3)."""
-    parts = [(int(np.argmax(np.abs(row))), float(row.sum())) for row in rows]
-    text = "".join(f"{'+' if sign > 0.0 else '-'}{'xyz'[axis]}" for axis, sign in parts)
-    return _AXES_NAMES.get(text, text)
-
-
-# --- The DVL: topic and fields by their names, unit and axes by its size and the reference.
-
-_DVL_WORDS: Final = re.compile(r"dvl|doppler|bottom")
-_FLAGS: Final = re.compile(r"valid|lock|good")
-# speeds over ground of a vehicle under way
-_SLOWEST_MPS = 0.1
-_QUICKEST_MPS = 5.0
-
-
-def _flag_settings(log: Recording, topic: ProbedTopic, velocity: str) -> Iterator[Setting]:
-    """Propose the flags of valid or invalid pings."""
-    names = flag_columns(topic.scalars).names
-    likely = [path for path in topic.scalars if _FLAGS.search(path.lower()) and path not in names]
-    senses = flag_senses(log, topic, velocity, names) if names else {}
-    for key in ("valid", "invalid"):
-        chosen = {name: why for name, (sense, why) in senses.items() if sense == key}
-        if chosen:
-            why = "; ".join(f"'{name}' {text}" for name, text in chosen.items())
-            yield Setting(f"dvl.{key}", ", ".join(chosen), why)
-    open_names = [*(name for name, (sense, _) in senses.items() if not sense), *likely]
-    if open_names and not any(sense for sense, _ in senses.values()):
-        flags = " or ".join(f'"{name}" (median {topic.scalars[name]:g})' for name in open_names)
-        yield Setting(
-            "dvl.valid", None, open=f"is {flags} 0 for an invalid ping? If 0 is valid: dvl.invalid"
-        )
-
-
-def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
-    """Propose a topic with a velocity, best with a name that is a DVL's."""
-    named = [
-        topic
-        for topic in topics
-        if _DVL_WORDS.search(f"{topic.topic} {topic.channel.type_name}".lower())
-    ]
-    moving = [
-        topic for topic in topics if topic.likely("velocity") or topic.likely("beam_velocity")
-    ]
-    both = [topic for topic in named if topic in moving]
-    candidates = [*both, *moving, *(topic for topic in named if topic.likely("vector"))]
-    if not candidates:
-        return
-    topic = candidates[0]
-    beams, velocities, valid = (
-        topic.likely(quantity) for quantity in ("beam_velocity", "velocity", "beam_valid")
-    )
-    velocities = velocities if beams or velocities else topic.likely("vector")
-    yield Setting("dvl.topic", topic.topic)
-    if velocities:
-        yield _fields("dvl.velocity", velocities)
-        yield Setting("dvl.kind", "velocity")
-        yield Setting("dvl.axes", "frd", open=_AXES_OPEN)
-    for velocity in [*velocities, *beams][:1]:
-        if (stated := topic.stated_unit(velocity.path)) in VELOCITY_UNITS:
-            yield Setting("dvl.velocity_unit", stated, _STATED)
-            continue
-        units = fitting_units(velocity.size, VELOCITY_BY_SIZE, _SLOWEST_MPS, _QUICKEST_MPS)
-        best = units[0] if units else "m/s"
-        what = "length of all beams' velocities" if velocity.is_beams else "speed"
-        seen = f"in this unit the median {what} is {velocity.size * VELOCITY_UNITS[best]:.3g} m/s"
-        if len(units) == 1:
-            yield Setting("dvl.velocity_unit", best, f"{seen}; in any other it is not a vehicle's")
-        else:
-            yield Setting(
-                "dvl.velocity_unit",
-                best,
-                seen,
-                f"the size fits several units: {', '.join(VELOCITY_BY_SIZE)}",
-            )
-    if velocities:
-        yield from _flag_settings(log, topic, velocities[0].path)
-    if beams and velocities:
-        # Until a person knows where the beams point, the velocity is the safer source.
-        ways = [Alternative('kind = "beams"')]
-        ways += [_instead("beam_velocity", beam) for beam in beams]
-        ways += [Alternative(f'beam_valid = "{flag.path}"') for flag in valid]
-        text = "beams give more, if you know their angles: set kind, beam_velocity, beam_valid, beam_tilt_deg"
-        yield Setting("dvl.kind", "velocity", text, others=tuple(ways))
-    elif beams:
-        count = beams[0].median.size
-        azimuths = tuple(45.0 + 360.0 * beam / count for beam in range(count))
-        yield _fields("dvl.beam_velocity", beams)
-        yield from (Setting("dvl.beam_valid", flag.path) for flag in valid[:1])
-        yield Setting(
-            "dvl.beam_tilt_deg", 30.0, open="angle from the instrument's z axis, see the data sheet"
-        )
-        yield Setting(
-            "dvl.beam_azimuth_deg",
-            azimuths,
-            open="angles from forward towards starboard, one for each beam",
-        )
-    yield from _stamp(log, topic, "dvl")
-    yield Setting(
-        "dvl.lever_arm_m",
-        (0.0, 0.0, 0.0),
-        open="from IMU to DVL: forward, starboard, down; measure it",
-    )
-    yield Setting(
-        "dvl.mounting_rpy_deg",
-        (0.0, 0.0, 0.0),
-        open="DVL axes to body: roll, pitch, heading; measure them",
-    )
-
-
-# --- The reference: topic and fields by their names, and in which frame its velocity is.
-
-# An altitude is no height here: most vehicles mean that above the bottom.
-_REFERENCE_WORDS: Final = {
-    "latitude": re.compile(r"(^|[._])lat(itude)?([._]|$)"),
-    "longitude": re.compile(r"(^|[._])(lon|lng|long|longitude)([._]|$)"),
-    "depth": re.compile(r"(^|[._])depth([._]|$)"),
-    "roll": re.compile(r"(^|[._])roll([._]|$)"),
-    "pitch": re.compile(r"(^|[._])pitch([._]|$)"),
-    "heading": re.compile(r"(^|[._])(heading|hdg|yaw)([._]|$)"),
-}
-_ALTITUDE: Final = re.compile(r"(^|[._])(alt(itude)?|height)([._]|$)")
-_PLACE: Final = ("latitude", "longitude")
-_ATTITUDE: Final = ("roll", "pitch", "heading")
-_NORTH: Final = re.compile(r"(?i)(.*(?:v|vel|velocity)_?)(n|north)")
-_EAST_AND_DOWN: Final = {"n": ("e", "d"), "north": ("east", "down")}
-_FULL_CIRCLE: Final = 6.3  # no angle in radians is larger
-_FITS: Final = 0.1  # share of the distance by which velocity and positions may differ
-_FITS_CLEARLY: Final = 0.3
-_MEANT: Final = (
-    "is this a solution to start from and to compare with? Roll must be positive starboard side down, pitch bow up, "
-    "heading from north over east"
-)
-
-
-def _reference_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
-    """Propose the topic with the most of a position, a velocity and an attitude."""
-    found = [(topic, _reference_fields(topic)) for topic in topics]
-    topic, fields = max(found, key=lambda pair: len(pair[1]), default=(None, {}))
-    if topic is None or not fields:
-        return
-    yield Setting("reference.topic", topic.topic, open=_MEANT)
-    yield from (Setting(f"reference.{quantity}", path) for quantity, path in fields.items())
-    angles = (*_PLACE, *_ATTITUDE)
-    largest = max(
-        abs(topic.scalars[path]) for quantity, path in fields.items() if quantity in angles
-    )
-    stated = {topic.stated_unit(path) for quantity, path in fields.items() if quantity in angles}
-    key = "reference.angle_unit"
-    if len(stated) == 1 and stated <= {"deg", "rad"}:
-        yield Setting(key, stated.pop(), _STATED)
-    elif largest > _FULL_CIRCLE:
-        yield Setting(key, "deg", f"an angle of {largest:.3g} cannot be in radians")
-    else:
-        yield Setting(key, "deg", open=f"deg or rad; the largest angle is {largest:.3g}")
-    yield from _stamp(log, topic, "reference")
-
-
-def _reference_fields(topic: ProbedTopic) -> dict[str, str]:
-    """Find the fields of a solution; angles only where none is missing."""
-    found: dict[str, str] = {}
-    for quantity, words in _REFERENCE_WORDS.items():
-        if paths := [path for path in topic.scalars if words.search(path.lower())]:
-            found[quantity] = paths[0]
-    for together in (_PLACE, _ATTITUDE):
-        if not found.keys() >= set(together):
-            found = {quantity: path for quantity, path in found.items() if quantity not in together}
-    if not found.keys() & {*_PLACE, *_ATTITUDE}:
-        return {}
-    below = [
-        path
-        for path, median in topic.scalars.items()
-        if _ALTITUDE.search(path.lower()) and median < 0.0
-    ]
-    if below and "latitude" in found and "depth" not in found:
-        found["height"] = below[0]  # no altitude above the bottom is negative
-    # Fields such as ``vn``, ``ve``, ``vd`` or ``vel_north``, ``vel_east``, ``vel_down``.
-    for path in topic.scalars:
-        match = _NORTH.fullmatch(path)
-        names = (
-            [path, *(f"{match[1]}{other}" for other in _EAST_AND_DOWN.get(match[2], ()))]
-            if match
-            else []
-        )
-        if len(names) == 3 and topic.scalars.keys() >= set(names):
-            return found | {"velocity_n": ", ".join(names)}
-    return found
-
-
-def _measured_reference(log: Recording, source: Source, config: Config) -> Iterator[Setting]:
-    """Propose that a velocity is in the axes of the world, if only that fits the positions of the topic.
-
-    `nav_msgs/Odometry` has it in the body by definition, but Gazebo writes it in the world.
-    """
-    if (
-        config.reference.velocity_n is not None
-        or not {"velocity_b", "local_position"} <= source.fields.keys()
-    ):
-        return
-    path = source.fields["velocity_b"]
-    # The place on Earth does not matter for displacements.
-    place = msgspec.structs.replace(config.initial, latitude_deg=config.initial.latitude_deg or 0.0)
-    misfits = []
-    try:
-        table = read_tables(log, [source])[0]
-        for fields in ({}, {"velocity_n": path}):
-            settings = msgspec.structs.replace(
-                config.reference, velocity_n=fields.get("velocity_n")
-            )
-            read = replace(table, source=replace(source, fields={**source.fields, **fields}))
-            columns, _ = decode_reference([read], settings, place)
-            misfits.append(None if columns is None else velocity_misfit(columns))
-    except LogError:  # a reference that cannot be read is reported where it is used
-        return
-    in_body, in_world = misfits
-    if (
-        in_body is not None
-        and in_world is not None
-        and in_world <= min(_FITS, _FITS_CLEARLY * in_body)
-    ):
-        text = (
-            f"in the axes of the world it differs by {in_world:.1%} from the displacements of the positions; in the "
-            f"axes of the body, as its type defines it, by {in_body:.0%}"
-        )
-        yield Setting("reference.velocity_n", path, text)
-
-
-# --- The whole.
-
-# What is proposed for each role, its topic first, and what a person must name where none is found.
-_ROLES: Final = (
-    ("imu", _imu_settings, ("specific_force", "angular_rate")),
-    ("dvl", _dvl_settings, ("velocity",)),
-    ("reference", _reference_settings, ()),
-)
-_REFERENCE: Final = 2  # its place among the findings
 _LONGEST: Final = 12  # topics that are listed at most
-_DEFAULTS: Final = (
-    "frd",
-    "rad/s",
-)  # what a known type is taken to give; only something else is worth a setting
 
 
 @dataclass(frozen=True)
@@ -522,24 +90,18 @@ def propose(
     It takes the whole reference to find in which frame its velocity is.
     """
     if not seen.blockers and not list(_start(findings, config.initial)):
-        contradicted = any(note.code == "reference_contradiction" for note in seen.notes)
-        sources = findings[_REFERENCE].sources if contradicted or whole_reference else ()
-        return Proposal(
-            tuple(
-                setting
-                for source in sources
-                for setting in _measured_reference(log, source, config)
-            )
-        )
+        if whole_reference or any(note.code == "reference_contradiction" for note in seen.notes):
+            return Proposal(tuple(_measured_reference(log, findings, config)))
+        return Proposal(())
     fields, unseen = _unknown_topics(log, findings, config)
     settings = [*_choices(findings, seen), *not_yet_set(fields, config)]
     clocks: list[Setting] = []
     if any(channel.encoding == TABLE for channel in log.channels):
         clocks = not_yet_set(table_clock_settings(log, with_settings(config, settings)), config)
         settings += clocks
-    whole_reference = whole_reference or seen.deep
+    draft = with_settings(config, settings)
     settings += _measured(
-        log, with_settings(config, settings), settings, seen.deep, whole_reference
+        log, draft, settings, deep=seen.deep, whole_reference=whole_reference or seen.deep
     )
     draft = with_settings(config, settings)
     found = find_roles(str(log.path), log.channels, draft)
@@ -556,69 +118,91 @@ def propose(
     )
 
 
-def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:
-    """Choose between topics that could each play a role, those without warnings first; one alone that can is chosen.
+# --- Topics: one of several of a known type, or one of an unknown type.
 
-    As far as settings can: none names that of the true biases.
-    """
+
+def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:
+    """Choose between topics that could each play a role, as far as settings can: none names that of the true biases."""
     for finding in findings:
         if finding.error and finding.candidates and finding.role in Config.__struct_fields__:
-            topics = [source.topic for source in finding.candidates]
-            # Those that cannot be it last, before them those with warnings.
-            first, *others = sorted(
-                topics, key=lambda topic: (topic in seen.refused, topic in seen.warned)
-            )
-            key = f"{finding.role}.topic"
-            if first not in seen.refused and all(topic in seen.refused for topic in others):
-                yield Setting(
-                    key, first, "; ".join(f"not {topic}: {seen.refused[topic]}" for topic in others)
-                )
-            else:
-                lines = (f"topic = {toml_value(topic)}" for topic in others)
-                ways = tuple(map(Alternative, lines))
-                yield Setting(key, first, open="each of these is possible", others=ways)
+            yield _choice(finding, seen)
+
+
+def _choice(finding: Finding, seen: DryRun) -> Setting:
+    """Choose a topic without warnings, if there is one; one alone with which a replay would not stop is chosen."""
+    topics = [source.topic for source in finding.candidates]
+    # Those that cannot be it last, before them those with warnings.
+    first, *others = sorted(topics, key=lambda topic: (topic in seen.refused, topic in seen.warned))
+    key = f"{finding.role}.topic"
+    if first not in seen.refused and all(topic in seen.refused for topic in others):
+        why = "; ".join(f"not {topic}: {seen.refused[topic]}" for topic in others)
+        return Setting(key, first, why)
+    ways = tuple(Alternative(f"topic = {toml_value(topic)}") for topic in others)
+    return Setting(key, first, open="each of these is possible", others=ways)
+
+
+@dataclass(frozen=True)
+class _Proposed:
+    """A role for which topics of unknown types are proposed."""
+
+    role: str
+    settings: Callable[[Recording, Sequence[ProbedTopic]], Iterator[Setting]]  # its topic first
+    needed: tuple[str, ...] = ()  # what a person must name where no topic is found
+
+
+_PROPOSED: Final = (
+    _Proposed("imu", imu_settings, ("specific_force", "angular_rate")),
+    _Proposed("dvl", dvl_settings, ("velocity",)),
+    _Proposed("reference", reference_settings),
+)
 
 
 def _unknown_topics(
     log: Recording, findings: Sequence[Finding], config: Config
 ) -> tuple[list[Setting], Sequence[str]]:
     """Find topics of unknown types for the roles that no topic of a known type plays; name those not looked at."""
-    wanted = {
-        finding.role for finding in findings if not finding.sources and not finding.candidates
-    }
-    if config.initial.source != "reference":
-        wanted -= {"reference"}
+    wanted = _roles_without_topic(findings, config)
     if not wanted:
         return [], ()
-    taken = {
-        source.topic
-        for finding in findings
-        for source in finding.sources
-        if source.role != "reference"
-    }
-    seen, unseen = probe_topics(
-        log, [channel for channel in log.channels if channel.topic not in taken]
-    )
+    taken: set[str] = set()
+    for finding in findings:
+        if finding.role != "reference":
+            taken.update(source.topic for source in finding.sources)
+    free = [channel for channel in log.channels if channel.topic not in taken]
+    seen, unseen = probe_topics(log, free)
     settings: list[Setting] = []
-    for role, settings_of, needed in _ROLES:
-        if role in wanted:
-            named = getattr(config, role).topic
-            free = [
-                topic
-                for topic in seen
-                if role != "imu" or topic.is_table or topic.topic != config.dvl.topic
-            ]
-            # The topic alone that the configuration names, if the log has it. The topic of one role is no other's, but
-            # a table may have the columns of several.
-            candidates = [topic for topic in free if topic.topic == named] or free
-            proposed = list(settings_of(log, candidates))
-            settings += proposed or _listed(role, needed, candidates)
-            seen = [
-                topic
-                for topic in seen
-                if topic.is_table or not proposed or topic.topic != proposed[0].value
-            ]
+    for proposed in _PROPOSED:
+        if proposed.role not in wanted:
+            continue
+        candidates = _topics_for(proposed.role, seen, config)
+        found = list(proposed.settings(log, candidates))
+        if not found:
+            settings += _listed(proposed.role, proposed.needed, candidates)
+            continue
+        settings += found
+        # The topic of one role is no other's, but a table may have the columns of several.
+        chosen = found[0].value
+        seen = [topic for topic in seen if topic.is_table or topic.topic != chosen]
     return settings, unseen
+
+
+def _roles_without_topic(findings: Sequence[Finding], config: Config) -> set[str]:
+    """Name the roles that no topic of a known type can play; a reference only where the start needs one."""
+    roles = set()
+    for finding in findings:
+        if not finding.sources and not finding.candidates:
+            roles.add(finding.role)
+    if config.initial.source != "reference":
+        roles.discard("reference")
+    return roles
+
+
+def _topics_for(role: str, seen: Sequence[ProbedTopic], config: Config) -> Sequence[ProbedTopic]:
+    """Return the topics that may play a role: the one that the configuration names, if the log has it, else all."""
+    if role == "imu":
+        seen = [topic for topic in seen if topic.is_table or topic.topic != config.dvl.topic]
+    named = getattr(config, role).topic
+    return [topic for topic in seen if topic.topic == named] or seen
 
 
 def _listed(role: str, needed: Sequence[str], seen: Sequence[ProbedTopic]) -> Iterator[Setting]:
@@ -644,50 +228,167 @@ def _listed(role: str, needed: Sequence[str], seen: Sequence[ProbedTopic]) -> It
         yield Setting(f"{role}.{quantity}", None, open=text, others=others)
 
 
+# --- Units, clocks and frames, by what the messages show.
+
+# What a known type is taken to give; only something else is worth a setting.
+_DEFAULTS: Final = ("frd", "rad/s")
+_FITS: Final = 0.1  # share of the distance by which velocity and positions may differ
+_FITS_CLEARLY: Final = 0.3
+
+
 def _measured(
-    log: Recording, config: Config, settings: Sequence[Setting], deep: bool, whole_reference: bool
+    log: Recording,
+    config: Config,
+    settings: Sequence[Setting],
+    *,
+    deep: bool,
+    whole_reference: bool,
 ) -> list[Setting]:
     """Evaluate units and clocks by what the messages show, read as proposed so far."""
     findings = find_roles(str(log.path), log.channels, config)
     seen = DryRun(log, config, deep)
     seen.examine(findings)
-    imu = seen.columns.imu
-    named = {setting.key for setting in settings}
     measured = not_yet_set(_recorder_stamps(log, findings, seen.clocks, config), config)
-    if imu is not None:
-        (source,) = findings[0].sources
-        found = list(_measured_units(imu, source.completed(config.imu)))
-        if "imu.angular_rate" not in named:
-            # Of a known type only what is unlike it, and of which topic it holds.
-            unlike = [setting for setting in found if setting.value not in _DEFAULTS]
-            found = [replace(setting, seen=f"{source.topic}: {setting.seen}") for setting in unlike]
-        measured += found
-    for source in findings[_REFERENCE].sources if whole_reference else ():
-        measured += _measured_reference(log, source, config)
+    if seen.columns.imu is not None:
+        (source,) = _finding_of("imu", findings).sources
+        found = _measured_units(seen.columns.imu, source.completed(config.imu))
+        if any(setting.key == "imu.angular_rate" for setting in settings):
+            measured += found
+        else:  # of a known type only what is unlike it, and of which topic it holds
+            measured += [
+                replace(setting, seen=f"{source.topic}: {setting.seen}")
+                for setting in found
+                if setting.value not in _DEFAULTS
+            ]
+    if whole_reference:
+        measured += _measured_reference(log, findings, config)
     return measured
+
+
+def _finding_of(role: str, findings: Sequence[Finding]) -> Finding:
+    by_role = {finding.role: finding for finding in findings}
+    return by_role[role]
+
+
+def _recorder_stamps(
+    log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config
+) -> Iterator[Setting]:
+    """Stamp all roles by the recorder where their own clocks do not belong together."""
+    why = _why_not_own_clocks(log, findings, clocks, config)
+    if not why:
+        return
+    own = {clock.role: clock for clock in clocks if clock.role in (*PROPOSED, *SENSORS)}
+    for role, clock in own.items():
+        yield Setting(f"{role}.stamp", "log_time", f"{why}; {clock.topic}: {apart(clock)}")
+
+
+def _why_not_own_clocks(
+    log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config
+) -> str:
+    """Return why the clocks of the roles do not belong together; empty if they do."""
+    stamps: dict[tuple[str, str], str] = {}
+    for finding in findings:
+        for source in finding.sources:
+            stamps[source.role, source.topic] = source.stamp
+    for clock in clocks:
+        if clock.stamp != stamps.get((clock.role, clock.topic), clock.stamp):
+            return "not all stamps of the roles are times"
+    if clocks and clocks[0].role == "imu":
+        try:
+            clock_notes(str(log.path), clocks, config.clocks.max_disagreement_s)
+        except LogError:
+            return "the clocks of the roles are unrelated"
+    return ""
+
+
+def _measured_units(imu: ImuColumns, settings: Imu) -> Iterator[Setting]:
+    """Propose units by the size of gravity, and by how fast a vehicle can turn."""
+    read_in = settings.specific_force_unit or "m/s2"
+    size_mps2 = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1)))
+    size = size_mps2 / SPECIFIC_FORCE_UNITS[read_in]
+    units = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
+    if units and read_in not in units:
+        text = f"the size is {size:.3g}, which is gravity in this unit"
+        yield Setting("imu.specific_force_unit", units[0], text)
+    if settings.angular_rate_unit is not None:
+        return
+    sizes = np.linalg.norm(imu.angular_rate_b, axis=1)
+    median = float(np.median(sizes))
+    largest = float(sizes.max())
+    if median > SPIN_RADPS:
+        text = f"the median is {median:.3g}, too fast for a vehicle in rad/s"
+        yield Setting("imu.angular_rate_unit", "deg/s", text)
+    else:
+        text = f"the largest value is {largest:.3g}, possible in both units"
+        yield Setting("imu.angular_rate_unit", "rad/s", text, "rad/s or deg/s, see the data sheet")
+
+
+def _measured_reference(
+    log: Recording, findings: Sequence[Finding], config: Config
+) -> Iterator[Setting]:
+    """Propose that the velocity of a reference is in the axes of the world, if only that fits its positions.
+
+    `nav_msgs/Odometry` has it in the body by definition, but Gazebo writes it in the world.
+    """
+    if config.reference.velocity_n is not None:
+        return
+    for source in _finding_of("reference", findings).sources:
+        if source.fields.keys() >= {"velocity_b", "local_position"}:
+            yield from _velocity_frame(log, source, config)
+
+
+def _velocity_frame(log: Recording, source: Source, config: Config) -> Iterator[Setting]:
+    """Compare the velocity of a topic with its positions, in the axes of the body and of the world."""
+    path = source.fields["velocity_b"]
+    # The place on Earth does not matter for displacements.
+    place = msgspec.structs.replace(config.initial, latitude_deg=config.initial.latitude_deg or 0.0)
+    try:
+        (table,) = read_tables(log, [source])
+        in_body = _misfit(table, config.reference, place)
+        fields = {**source.fields, "velocity_n": path}
+        as_world = replace(table, source=replace(source, fields=fields))
+        settings = msgspec.structs.replace(config.reference, velocity_n=path)
+        in_world = _misfit(as_world, settings, place)
+    except LogError:  # a reference that cannot be read is reported where it is used
+        return
+    if in_body is None or in_world is None:
+        return
+    if in_world <= min(_FITS, _FITS_CLEARLY * in_body):
+        text = (
+            f"in the axes of the world it differs by {in_world:.1%} from the displacements of the positions; in the "
+            f"axes of the body, as its type defines it, by {in_body:.0%}"
+        )
+        yield Setting("reference.velocity_n", path, text)
+
+
+def _misfit(table: Table, settings: Reference, place: Initial) -> float | None:
+    """Return the share by which velocity and positions differ; None where one of them is missing."""
+    columns, _ = decode_reference([table], settings, place)
+    if columns is None:
+        return None
+    return velocity_misfit(columns)
+
+
+# --- The start.
 
 
 def _start(findings: Sequence[Finding], initial: Initial) -> Iterator[Setting]:
     """Name the keys without which a replay has no start, by what the type of the reference can give."""
-    reference = next(finding for finding in findings if finding.role == "reference")
+    reference = _finding_of("reference", findings)
     if reference.candidates:
         return
-    given = {quantity for source in reference.sources for quantity in source.fields}
-    if not given and initial.source == "reference":
-        yield Setting(
-            "initial.source",
-            "level",
-            "no reference to start from; roll and pitch come from gravity",
-        )
-    posed = initial.source == BY_SENSOR or (
-        initial.source == "reference" and given & {"quaternion", "roll"}
-    )
-    if initial.heading_deg is None and not posed:
+    given: set[str] = set()
+    for source in reference.sources:
+        given.update(source.fields)
+    from_reference = initial.source == "reference"
+    if not given and from_reference:
+        text = "no reference to start from; roll and pitch come from gravity"
+        yield Setting("initial.source", "level", text)
+    has_attitude = bool(given & {"quaternion", "roll"})
+    is_posed = initial.source == BY_SENSOR or (from_reference and has_attitude)
+    if initial.heading_deg is None and not is_posed:
         text = f'heading at the start, from north over east; "{BY_SENSOR}" if the log has an AHRS or a compass'
         yield Setting("initial.heading_deg", None, open=text)
     if initial.latitude_deg is None and "latitude" not in given:
-        yield Setting(
-            "initial.latitude_deg",
-            None,
-            open="for gravity and Earth rate; half a degree is accurate enough",
-        )
+        text = "for gravity and Earth rate; half a degree is accurate enough"
+        yield Setting("initial.latitude_deg", None, open=text)

@@ -34,10 +34,11 @@ from insdvl_replay.core.units import (
 from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
-from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
 from insdvl_replay.inspection.free_turns import in_body, turn_freely
-from insdvl_replay.inspection.proposal import Proposal, axes_text, propose_settings
+from insdvl_replay.inspection.probed_topics import AS_GRAVITY_MPS2, fitting_units
+from insdvl_replay.inspection.proposal import Proposal, propose_settings
 from insdvl_replay.inspection.settings import Setting, with_settings
+from insdvl_replay.inspection.signed_axes import axes_text
 from insdvl_replay.inspection.trials import (
     CLEARLY,
     CONSISTENT,
@@ -87,16 +88,25 @@ class _ImuTopic:
 
 
 @dataclass(frozen=True)
+class _DvlTopic:
+    """A topic that could be the DVL."""
+
+    topic: str
+    pings: DvlColumns
+    velocities: DvlColumns  # those that the instrument computed; the pings where there are none
+    unit: str = ""  # of its velocities, where it is not as proposed
+
+
+@dataclass(frozen=True)
 class RoleReadings:
     """What could play the roles of a log."""
 
     place: str
     draft: Config  # as proposed by names, types and sizes
-    imus: list[_ImuTopic]
-    pings: dict[str, DvlColumns]  # by topic
-    velocity_units: dict[str, str]  # by topic, where they are not as proposed
+    imus: Sequence[_ImuTopic]
+    dvls: Sequence[_DvlTopic]
     reference: ReferenceColumns | None
-    clocks: tuple[Setting, ...]  # that correct the times of tables
+    clocks: tuple[Setting, ...] = ()  # that correct the times of tables
     notes: tuple[Note, ...] = ()  # topics that were left out, with the reason
     is_alone: frozenset[str] = frozenset()  # roles for which the log has one topic
 
@@ -134,44 +144,55 @@ def read_roles(paths: Path | Sequence[Path], given: Config, *, allow_damaged: bo
         proposed = {finding.role: finding for finding in find_roles(place, log.channels, draft)}
         by_type = {finding.role: finding for finding in find_roles(place, log.channels, given)}
         for role in ("dvl", "imu"):
-            if (error := proposed[role].error) is not None:
+            error = proposed[role].error
+            if error is not None:
                 raise error
         imu_sources = by_type["imu"].candidates or proposed["imu"].sources
-        imus = list(_imu_topics(log, imu_sources, draft, left_out))
-        if not imus:
-            raise next(
-                iter(left_out.errors.values()), LogError("has no readings of an IMU", "", place)
-            )
-        references = [
-            proposed["reference"].sources,
-            *([source] for source in by_type["reference"].candidates),
-        ]
-        reference, draft = _first_reference(log, references, draft, given, left_out)
         dvl_sources = by_type["dvl"].candidates or proposed["dvl"].sources
-        pings, units, own_velocities = _dvl_topics(
-            log, dvl_sources, draft, given, reference, left_out
-        )
-    if (speed_mps := max(map(median_speed_mps, pings.values()))) < LEAST_MPS:
-        text = f"the median speed of the DVL is {speed_mps:.2g} m/s, too slow to find settings"
-        raise LogError(
-            text, "use a dive with turns and changes of speed, or give the settings with -c", place
-        )
+        imus = _imu_topics(log, imu_sources, draft, left_out)
+        references = [proposed["reference"].sources]
+        references += [(source,) for source in by_type["reference"].candidates]
+        reference, draft = _first_reference(log, references, draft, given, left_out)
+        dvls = _dvl_topics(log, dvl_sources, draft, given, reference, left_out)
+    _require_motion(place, dvls)
     if reference is not None and not given.reference.topic:
-        for topic, dvl in own_velocities.items():
-            if is_of_dvl(reference, dvl):
-                text = f"the reference is not used: its velocities are those of {topic}, so that it is no other source"
-                left_out.notes.append(
-                    found_note("found_reference", text, _USE_REFERENCE, warn=True)
-                )
-                reference = None
-                draft = with_values(draft, "reference", ignore=True)
-                break
-    alone = {"imu": len(imu_sources) == 1, "dvl": len(dvl_sources) == 1}
-    is_alone = frozenset(role for role, is_single in alone.items() if is_single)
-    notes = (*left_out.notes, *_stamp_notes(proposal))
+        topic = _topic_of_reference(reference, dvls)
+        if topic is not None:
+            text = f"the reference is not used: its velocities are those of {topic}, so that it is no other source"
+            left_out.notes.append(found_note("found_reference", text, _USE_REFERENCE, warn=True))
+            reference = None
+            draft = with_values(draft, "reference", ignore=True)
+    is_alone = set()
+    if len(imu_sources) == 1:
+        is_alone.add("imu")
+    if len(dvl_sources) == 1:
+        is_alone.add("dvl")
     return RoleReadings(
-        place, draft, imus, pings, units, reference, proposal.table_clocks, notes, is_alone
+        place=place,
+        draft=draft,
+        imus=imus,
+        dvls=dvls,
+        reference=reference,
+        clocks=proposal.table_clocks,
+        notes=(*left_out.notes, *_stamp_notes(proposal)),
+        is_alone=frozenset(is_alone),
     )
+
+
+def _require_motion(place: str, dvls: Sequence[_DvlTopic]) -> None:
+    speed_mps = max(median_speed_mps(dvl.pings) for dvl in dvls)
+    if speed_mps < LEAST_MPS:
+        text = f"the median speed of the DVL is {speed_mps:.2g} m/s, too slow to find settings"
+        hint = "use a dive with turns and changes of speed, or give the settings with -c"
+        raise LogError(text, hint, place)
+
+
+def _topic_of_reference(reference: ReferenceColumns, dvls: Sequence[_DvlTopic]) -> str | None:
+    """Return the topic of a DVL whose velocities a reference repeats; None if it is another source."""
+    for dvl in dvls:
+        if is_of_dvl(reference, dvl.velocities):
+            return dvl.topic
+    return None
 
 
 def _first_reference(
@@ -197,12 +218,9 @@ def _first_reference(
             draft = with_values(draft, "reference", topic=sources[0].topic)
         return columns.reference, draft
     is_chosen = given.reference.topic is not None or given.reference.fix is not None
-    if (
-        tried[0]
-        and not is_chosen
-        and not draft.reference.ignore
-        and left_out.errors.keys() & {tried[0][0].topic}
-    ):
+    is_free = not is_chosen and not draft.reference.ignore
+    by_proposal = tried[0]
+    if is_free and by_proposal and by_proposal[0].topic in left_out.errors:
         draft = with_values(draft, "reference", ignore=True)
     return None, draft
 
@@ -214,36 +232,40 @@ def _dvl_topics(
     given: Config,
     reference: ReferenceColumns | None,
     left_out: _LeftOut,
-) -> tuple[dict[str, DvlColumns], dict[str, str], dict[str, DvlColumns]]:
-    """Read the topics that could be the DVL: their pings, the units that are not as proposed, and their velocities."""
-    pings: dict[str, DvlColumns] = {}
-    units: dict[str, str] = {}
-    own_velocities: dict[
-        str, DvlColumns
-    ] = {}  # those that the instruments computed, where there are any
+) -> list[_DvlTopic]:
+    """Read the topics that could be the DVL; those that cannot are left out, and the first error is that of all."""
+    dvls = []
     for source in sources:
         try:
-            (table,) = read_tables(log, [source])
-            dvl = _decoded(log, table, draft)
-            unit = _velocity_unit(median_speed_mps(dvl), reference, draft)
-            read_in = draft
-            if unit != (draft.dvl.velocity_unit or "m/s") and given.dvl.velocity_unit is None:
-                read_in = with_values(draft, "dvl", velocity_unit=unit)
-                dvl = _decoded(log, table, read_in)
-                units[source.topic] = unit
+            dvls.append(_dvl_topic(log, source, draft, given, reference))
         except UserError as error:
             left_out.add("dvl", source.topic, error)
-            continue
-        pings[source.topic] = dvl
-        own_velocities[source.topic] = dvl
-        if dvl.velocity_d is None and "velocity" in table:
-            with suppress(UserError):
-                own_velocities[source.topic] = _decoded(
-                    log, table, with_values(read_in, "dvl", kind="velocity")
-                )
-    if not pings:
+    if not dvls:
         raise left_out.errors[sources[0].topic]
-    return pings, units, own_velocities
+    return dvls
+
+
+def _dvl_topic(
+    log: Recording,
+    source: Source,
+    draft: Config,
+    given: Config,
+    reference: ReferenceColumns | None,
+) -> _DvlTopic:
+    """Read a topic in the unit in which its speeds are those of the reference, or of a vehicle."""
+    (table,) = read_tables(log, [source])
+    pings = _decoded(log, table, draft)
+    own_unit = ""
+    unit = _velocity_unit(median_speed_mps(pings), reference, draft)
+    if unit != (draft.dvl.velocity_unit or "m/s") and given.dvl.velocity_unit is None:
+        own_unit = unit
+        draft = with_values(draft, "dvl", velocity_unit=unit)
+        pings = _decoded(log, table, draft)
+    velocities = pings
+    if pings.velocity_d is None and "velocity" in table:
+        with suppress(UserError):
+            velocities = _decoded(log, table, with_values(draft, "dvl", kind="velocity"))
+    return _DvlTopic(source.topic, pings, velocities, own_unit)
 
 
 def _decoded(log: Recording, table: Table, config: Config) -> DvlColumns:
@@ -254,11 +276,10 @@ def _decoded(log: Recording, table: Table, config: Config) -> DvlColumns:
 
 def _stamp_notes(proposal: Proposal) -> Iterator[Note]:
     """Report the roles whose clocks are not the recorder's, so that the log times are used."""
-    by_recorder = [
-        setting.section
-        for setting in proposal.settings
-        if setting.key.endswith(".stamp") and setting.value == "log_time"
-    ]
+    by_recorder = set()
+    for setting in proposal.settings:
+        if setting.name == "stamp" and setting.value == "log_time":
+            by_recorder.add(setting.section)
     apart = [
         clock for clock in proposal.clocks if clock.role in by_recorder and is_other_clock(clock)
     ]
@@ -273,12 +294,7 @@ def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: 
     """Return the unit in which a median speed, read as in the draft, is that of the reference, else of a vehicle."""
     read_in = draft.dvl.velocity_unit or "m/s"
     size = speed_mps / VELOCITY_UNITS[read_in]
-    speeds_mps = np.zeros(0) if reference is None else np.linalg.norm(reference.velocity_n, axis=1)
-    known_mps = (
-        float(np.median(speeds_mps[np.isfinite(speeds_mps)]))
-        if np.isfinite(speeds_mps).any()
-        else 0.0
-    )
+    known_mps = 0.0 if reference is None else _reference_speed_mps(reference)
     if known_mps / SAME_SPEED < speed_mps < known_mps * SAME_SPEED:
         return read_in
     fitting = fitting_units(size, VELOCITY_BY_SIZE, known_mps / SAME_SPEED, known_mps * SAME_SPEED)
@@ -289,99 +305,116 @@ def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: 
     return read_in
 
 
-_Tried = tuple[Trials, _ImuTopic, str]  # an IMU and the topic of a DVL that were tried together
+def _reference_speed_mps(reference: ReferenceColumns) -> float:
+    """Return the median speed; 0 where no velocity is known."""
+    speeds_mps = np.linalg.norm(reference.velocity_n, axis=1)
+    known_mps = speeds_mps[np.isfinite(speeds_mps)]
+    if not len(known_mps):
+        return 0.0
+    return float(np.median(known_mps))
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Topics of an IMU and a DVL that were tried together."""
+
+    trials: Trials
+    imu: _ImuTopic
+    dvl: _DvlTopic
 
 
 def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Config, float]:
     """Choose the topics of IMU and DVL by trial runs, with their units, axes and signs; return the cost of the best."""
-    place = read.place
     draft = read.draft
-    imus = read.imus
-    pings = read.pings
-    tried = _trials_of_pairs(read, given)
-    first, _, first_topic = tried[0]
-    free = turn_freely(first, pings[first_topic])
-    _vary_likely(tried)
-    trials, imu, dvl_topic = tried[0]
+    pairs = _tried_pairs(read, given)
+    first = pairs[0]
+    free = turn_freely(first.trials, first.dvl.pings)
+    _vary_likely(pairs)
+    pair = pairs[0]
+    trials = pair.trials
     if not np.isfinite(trials.cost):
-        raise LogError(
-            "IMU and DVL have no common time, or too few pings to try settings",
-            "compare their times: insdvl-replay inspect",
-            place,
-        )
-    dive = Dive("", imu.columns, pings[dvl_topic], reference=read.reference)
+        what = "IMU and DVL have no common time, or too few pings to try settings"
+        raise LogError(what, "compare their times: insdvl-replay inspect", read.place)
+    dive = Dive("", pair.imu.columns, pair.dvl.pings, reference=read.reference)
     best = as_reference_moves(trials.close, dive, draft)
-    best = best if trials.allows(best) else trials.close[0]
-    others = _rivals_of(best, trials.close)
-    chosen = best
+    if not trials.allows(best):
+        best = trials.close[0]
+    in_vehicle = best
     if not given.has(*BODY_KEYS):
-        best, sideways = in_body(best, dive, draft, is_as_read=best.axes == imu.as_read.axes)
-        notes += [] if sideways is None else [_forward_note(best, sideways)]
-    alike = {
-        one.rpy_deg[2]
-        for one in trials.close
-        if (one.axes, one.force_axes) == (chosen.axes, chosen.force_axes)
-    }
-    if alike >= QUARTERS_DEG and not given.has("dvl.mounting_rpy_deg"):
-        raise LogError(
-            "the vehicle moves too little to find the mounting of the DVL: all headings fit as well",
-            "use a dive with turns and changes of speed, or give the settings with -c",
-            place,
-        )
+        is_as_read = best.axes == pair.imu.as_read.axes
+        in_vehicle, sideways = in_body(best, dive, draft, is_as_read=is_as_read)
+        if sideways is not None:
+            notes.append(_forward_note(in_vehicle, sideways))
+    if not given.has("dvl.mounting_rpy_deg"):
+        _require_heading(read.place, best, trials.close)
     notes += read.notes
-    others = [_turned_with(chosen, best, rpy_deg) for rpy_deg in others]
-    others += [] if free is None or trials is not first else free.alternatives(best)
-    notes += _role_notes(tried, best, imus, others)
+    others = [_turned_with(best, in_vehicle, rpy_deg) for rpy_deg in _rivals_of(best, trials.close)]
+    if free is not None and pair is first:
+        others += free.alternatives(in_vehicle)
+    notes.append(_imu_note(pairs, in_vehicle, read.imus))
+    notes.append(_dvl_note(pair.dvl.topic, in_vehicle, others))
     if read.clocks:
         times = "; ".join(
             f"{setting.key} {setting.value}, {setting.seen}" for setting in read.clocks
         )
         notes.append(found_note("found_clocks", f"times of the tables: {times}", warn=True))
-    draft = msgspec.structs.replace(
-        draft, imu=_as_configured(imu, best, given.config.imu, is_alone="imu" in read.is_alone)
-    )
-    return _with_dvl(draft, read, dvl_topic, best), trials.cost
+    imu = _as_configured(pair.imu, in_vehicle, given.config.imu, is_alone="imu" in read.is_alone)
+    draft = msgspec.structs.replace(draft, imu=imu)
+    return _with_dvl(draft, read, pair.dvl, in_vehicle), trials.cost
 
 
-def _trials_of_pairs(read: RoleReadings, given: Given) -> list[_Tried]:
+def _tried_pairs(read: RoleReadings, given: Given) -> list[_Pair]:
     """Try each IMU with each DVL, the best pair first; LogError if none has enough readings."""
-    tried: list[_Tried] = []
+    pairs: list[_Pair] = []
     too_few: list[LogError] = []
+    config = trial_config(read.draft, UNKNOWN_LATITUDE_DEG)
     for imu in track_progress("trying IMUs and DVLs", read.imus):
-        for topic, dvl in read.pings.items():
+        for dvl in read.dvls:
             try:
-                stretch = thinned(Dive("", imu.columns, dvl, reference=read.reference))
+                stretch = thinned(Dive("", imu.columns, dvl.pings, reference=read.reference))
             except LogError as error:
                 too_few.append(error)
                 continue
-            trials = Trials(
-                stretch, trial_config(read.draft, UNKNOWN_LATITUDE_DEG), imu.as_read, given
-            )
-            tried.append((trials, imu, topic))
-    if not tried:
+            pairs.append(_Pair(Trials(stretch, config, imu.as_read, given), imu, dvl))
+    if not pairs:
         with error_context(read.place):
             raise too_few[0]
-    tried.sort(key=lambda found: found[0].cost)
-    return tried
+    pairs.sort(key=lambda pair: pair.trials.cost)
+    return pairs
 
 
-def _vary_likely(tried: list[_Tried]) -> None:
+def _vary_likely(pairs: list[_Pair]) -> None:
     """Vary the trials of the pairs that may be the best; the best is the first then."""
-    best = tried[0][0]
-    for trials, _, _ in tried:
-        least = min(found.cost for found, _, _ in tried)
-        if trials.cost <= NOT_FAR_OFF * least and (trials is best or least > CONSISTENT):
-            trials.vary()
-    tried.sort(key=lambda found: found[0].cost)
+    best = pairs[0]
+    for pair in pairs:
+        least = min(other.trials.cost for other in pairs)
+        is_near = pair.trials.cost <= NOT_FAR_OFF * least
+        if is_near and (pair is best or least > CONSISTENT):
+            pair.trials.vary()
+    pairs.sort(key=lambda pair: pair.trials.cost)
 
 
-def _with_dvl(draft: Config, read: RoleReadings, topic: str, best: Hypothesis) -> Config:
+def _require_heading(place: str, best: Hypothesis, close: Sequence[Hypothesis]) -> None:
+    """Raise a LogError where the DVL fits the IMU as well with any heading."""
+    headings_deg = set()
+    for one in close:
+        if (one.axes, one.force_axes) == (best.axes, best.force_axes):
+            headings_deg.add(one.rpy_deg[2])
+    if headings_deg >= QUARTERS_DEG:
+        what = (
+            "the vehicle moves too little to find the mounting of the DVL: all headings fit as well"
+        )
+        hint = "use a dive with turns and changes of speed, or give the settings with -c"
+        raise LogError(what, hint, place)
+
+
+def _with_dvl(draft: Config, read: RoleReadings, dvl: _DvlTopic, best: Hypothesis) -> Config:
     """Write the topic, the unit and the mounting of the DVL as settings."""
     if "dvl" not in read.is_alone:
-        draft = with_values(draft, "dvl", topic=topic)
-    if topic in read.velocity_units:
-        draft = with_values(draft, "dvl", velocity_unit=read.velocity_units[topic])
-    looks = read.pings[topic].look_d
+        draft = with_values(draft, "dvl", topic=dvl.topic)
+    if dvl.unit:
+        draft = with_values(draft, "dvl", velocity_unit=dvl.unit)
+    looks = dvl.pings.look_d
     if looks is None or look_down(looks) or any(angle % 90.0 for angle in best.rpy_deg):
         return with_values(draft, "dvl", mounting_rpy_deg=best.rpy_deg)
     # The beams point down in other axes.
@@ -432,28 +465,27 @@ def _rate_unit(best: Hypothesis) -> tuple[str, float]:
 
 def _imu_topics(
     log: Recording, sources: Sequence[Source], draft: Config, left_out: _LeftOut
-) -> Iterator[_ImuTopic]:
-    """Read the topics that could be the IMU; those that cannot are left out."""
+) -> list[_ImuTopic]:
+    """Read the topics that could be the IMU; those that cannot are left out, and the first error is that of all."""
+    imus = []
     for source in sources:
         try:
-            yield _imu_topic(log, source, draft)
+            imus.append(_imu_topic(log, source, draft))
         except UserError as error:
             left_out.add("imu", source.topic, error)
+    if not imus and sources:
+        raise left_out.errors[sources[0].topic]
+    if not imus:
+        raise LogError("has no readings of an IMU", "", left_out.place)
+    return imus
 
 
 def _increment_s(table: Table, size: float, known: Imu) -> float | None:
     """Return the step of the samples where readings of a size are increments of gravity over it; None for others."""
-    step_s = (
-        float(np.median(np.diff(np.sort(table.time_ns())))) / NS_PER_S
-        if len(table) > ENOUGH
-        else 0.0
-    )
-    is_increment = (
-        known.increment_s is None
-        and step_s > 0.0
-        and abs(size / (GRAVITY_MPS2 * step_s) - 1.0) < _NEAR
-    )
-    if is_increment:
+    if known.increment_s is not None or len(table) <= ENOUGH:
+        return None
+    step_s = float(np.median(np.diff(np.sort(table.time_ns())))) / NS_PER_S
+    if step_s > 0.0 and abs(size / (GRAVITY_MPS2 * step_s) - 1.0) < _NEAR:
         return float(f"{step_s:.4g}")
     return None
 
@@ -527,65 +559,94 @@ def _force_scale(table: Table, size: float, known: Imu) -> dict[str, Any]:
     return {"specific_force_unit": near, **scale}
 
 
-def _role_notes(
-    tried: Sequence[_Tried],
-    best: Hypothesis,
-    imus: Sequence[_ImuTopic],
-    others_deg: Sequence[tuple[float, float, float]],
-) -> Iterator[Note]:
-    """Report the topics and axes that were chosen, and which others are as good."""
-    trials, imu, dvl_topic = tried[0]
+def _imu_note(pairs: Sequence[_Pair], best: Hypothesis, imus: Sequence[_ImuTopic]) -> Note:
+    """Report the topic of the IMU, its axes, units and scales, and which others are as good."""
+    imu = pairs[0].imu
     parts = [f"IMU {imu.topic}"]
-    warn = False
-    others = {
-        found.topic: run.cost / trials.cost
-        for run, found, _ in reversed(tried[1:])
-        if found is not imu
-    }
-    if others:
-        parts.append(
-            "innovations of others: "
-            + ", ".join(f"{topic} {ratio:.3g} times" for topic, ratio in others.items())
-        )
-        warn = min(others.values()) * CLEARLY < 1.0
-    if (best.axes, best.force_axes) != (imu.as_read.axes, imu.as_read.force_axes):
-        parts.append(
-            f"axes {best.axes}"
-            + (f", of forces {best.force_axes}" if best.force_axes != best.axes else "")
-        )
-    if any(best.imu_rpy_deg):
-        parts.append(f"built in with roll, pitch, heading {_rpy(best.imu_rpy_deg)} deg")
-    settings, (unit, scale) = imu.settings, _rate_unit(best)
-    scale *= settings.angular_rate_scale
-    if unit or settings.angular_rate_unit == "deg/s":
-        parts.append("rates in deg/s")
-    if scale != 1.0:
-        parts.append(f"gyros read {scale:.3g} times the true rate")
-        warn = True
-    if settings.specific_force_unit is not None:
-        parts.append(f"forces in {settings.specific_force_unit}")
-    if settings.increment_s is not None:
-        parts.append(f"readings are increments over {settings.increment_s} s")
-        warn = True
-    if settings.specific_force_scale != 1.0:
-        parts.append(f"accelerometers read {settings.specific_force_scale:.3g} times gravity")
-        warn = True
+    rivals = _costs_of_others(pairs)
+    if rivals:
+        ratios = ", ".join(f"{topic} {ratio:.3g} times" for topic, ratio in rivals.items())
+        parts.append(f"innovations of others: {ratios}")
+    parts += _axes_words(imu, best)
+    parts += _unit_words(imu.settings, best)
     for other in imus:
-        ratio, correlation = (
-            (1.0, 0.0) if other is imu else rates_compared(imu.columns, other.columns)
-        )
-        ratio *= other.settings.angular_rate_scale / settings.angular_rate_scale
-        if correlation > SAME_MOTION and abs(ratio - 1.0) > LARGEST_APART:
-            parts.append(f"the gyros of {other.topic} read {ratio:.3g} times as much")
-    yield found_note(
+        if other is not imu:
+            parts += _other_rates(imu, other)
+    is_rivalled = any(ratio * CLEARLY < 1.0 for ratio in rivals.values())
+    warn = is_rivalled or _is_unusual(imu.settings, best)
+    return found_note(
         "found_imu", "; ".join(parts), 'to use another: imu.topic = "/topic"', warn=warn
     )
-    apart = set(others_deg)
-    text = f"DVL {dvl_topic}, mounting {_rpy(best.rpy_deg)} deg"
-    if apart:
-        fitting = " or ".join(map(_rpy, sorted(apart)))
-        text = f"the mounting of DVL {dvl_topic} cannot be determined: {_rpy(best.rpy_deg)} deg is used, {fitting} fits"
-    yield found_note("found_dvl", text, "to change it: dvl.mounting_rpy_deg", warn=bool(apart))
+
+
+def _costs_of_others(pairs: Sequence[_Pair]) -> dict[str, float]:
+    """Return by topic of each other IMU the least cost of its trials, over that of the best."""
+    best = pairs[0]
+    ratios: dict[str, float] = {}
+    for pair in reversed(pairs):
+        if pair.imu is not best.imu:
+            ratios[pair.imu.topic] = pair.trials.cost / best.trials.cost
+    return ratios
+
+
+def _axes_words(imu: _ImuTopic, best: Hypothesis) -> Iterator[str]:
+    """State the axes of an IMU, where they are not as read."""
+    as_read = imu.as_read
+    if (best.axes, best.force_axes) != (as_read.axes, as_read.force_axes):
+        of_forces = ""
+        if best.force_axes != best.axes:
+            of_forces = f", of forces {best.force_axes}"
+        yield f"axes {best.axes}{of_forces}"
+    if any(best.imu_rpy_deg):
+        yield f"built in with roll, pitch, heading {_rpy(best.imu_rpy_deg)} deg"
+
+
+def _unit_words(settings: Imu, best: Hypothesis) -> Iterator[str]:
+    """State in which units an IMU reads, and its scales."""
+    unit, _ = _rate_unit(best)
+    if unit or settings.angular_rate_unit == "deg/s":
+        yield "rates in deg/s"
+    scale = _gyro_scale(settings, best)
+    if scale != 1.0:
+        yield f"gyros read {scale:.3g} times the true rate"
+    if settings.specific_force_unit is not None:
+        yield f"forces in {settings.specific_force_unit}"
+    if settings.increment_s is not None:
+        yield f"readings are increments over {settings.increment_s} s"
+    if settings.specific_force_scale != 1.0:
+        yield f"accelerometers read {settings.specific_force_scale:.3g} times gravity"
+
+
+def _is_unusual(settings: Imu, best: Hypothesis) -> bool:
+    """Return whether an IMU reads increments, or something else than the truth."""
+    is_scaled = _gyro_scale(settings, best) != 1.0 or settings.specific_force_scale != 1.0
+    return is_scaled or settings.increment_s is not None
+
+
+def _gyro_scale(settings: Imu, best: Hypothesis) -> float:
+    """Return what the gyros read over the true rate, in their unit."""
+    _, scale = _rate_unit(best)
+    return scale * settings.angular_rate_scale
+
+
+def _other_rates(imu: _ImuTopic, other: _ImuTopic) -> Iterator[str]:
+    """State how much more the gyros of another IMU of the same vehicle read, where that differs."""
+    ratio, correlation = rates_compared(imu.columns, other.columns)
+    ratio *= other.settings.angular_rate_scale / imu.settings.angular_rate_scale
+    if correlation > SAME_MOTION and abs(ratio - 1.0) > LARGEST_APART:
+        yield f"the gyros of {other.topic} read {ratio:.3g} times as much"
+
+
+def _dvl_note(
+    topic: str, best: Hypothesis, others_deg: Sequence[tuple[float, float, float]]
+) -> Note:
+    """Report the mounting of the DVL, and which others are as good."""
+    text = f"DVL {topic}, mounting {_rpy(best.rpy_deg)} deg"
+    if others_deg:
+        fitting = " or ".join(map(_rpy, sorted(set(others_deg))))
+        text = f"the mounting of DVL {topic} cannot be determined: {_rpy(best.rpy_deg)} deg is used, {fitting} fits"
+    warn = bool(others_deg)
+    return found_note("found_dvl", text, "to change it: dvl.mounting_rpy_deg", warn=warn)
 
 
 def _forward_note(best: Hypothesis, other: Hypothesis) -> Note:

@@ -59,11 +59,15 @@ def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
     kept = []
     default = Config()
     for setting in settings:
-        now, before = (
-            getattr(getattr(given, setting.section), setting.name) for given in (config, default)
-        )
-        kept += [setting] if setting.value is None or now == before else []
+        is_set = _value(config, setting) != _value(default, setting)
+        if setting.value is None or not is_set:
+            kept.append(setting)
     return kept
+
+
+def _value(config: Config, setting: Setting) -> object:
+    section = getattr(config, setting.section)
+    return getattr(section, setting.name)
 
 
 def ordered(settings: Iterable[Setting]) -> list[Setting]:
@@ -86,16 +90,22 @@ def settings_toml(settings: Iterable[Setting]) -> str:
     for section, group in groupby(ordered(settings), lambda setting: setting.section):
         lines = [f"[{section}]"]
         for setting in group:
-            lines += comment_lines(setting.seen)
-            lines += comment_lines(f"decide: {setting.open}" if setting.open else "")
-            lines += [f"#   {visible(line)}" for line in setting.listed]
-            is_known = setting.value is not None
-            lines.append(
-                f"{setting.name} = {toml_value(setting.value)}"
-                if is_known
-                else f"# {setting.name} ="
-            )
-            for other in setting.others:
-                lines += [*comment_lines(other.seen), f"# or {visible(other.line)}"]
+            lines += _lines_of(setting)
         sections.append("".join(f"{line}\n" for line in lines))
     return "\n".join(sections)
+
+
+def _lines_of(setting: Setting) -> list[str]:
+    """Write a setting, with what was seen and what there is to decide in comments."""
+    lines = comment_lines(setting.seen)
+    if setting.open:
+        lines += comment_lines(f"decide: {setting.open}")
+    lines += [f"#   {visible(line)}" for line in setting.listed]
+    if setting.value is None:
+        lines.append(f"# {setting.name} =")
+    else:
+        lines.append(f"{setting.name} = {toml_value(setting.value)}")
+    for other in setting.others:
+        lines += comment_lines(other.seen)
+        lines.append(f"# or {visible(other.line)}")
+    return lines

@@ -6,7 +6,7 @@ offset from the gyros, and then the velocities of the DVL show theirs: by linear
 or mounting need to be known. Offsets are settings that a replay subtracts from the times.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Final
 
@@ -27,7 +27,7 @@ from insdvl_replay.core.errors import UserError
 from insdvl_replay.geometry.rotation import vector_from_mat
 from insdvl_replay.inspection.settings import Setting, with_settings
 from insdvl_replay.logs.columns.tables import read_tables
-from insdvl_replay.logs.columns.topics import LOG_TIME, PROPOSED
+from insdvl_replay.logs.columns.topics import LOG_TIME, PROPOSED, Source
 from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.recording import Recording
 from insdvl_replay.logs.read import RoleColumns, find_roles
@@ -50,51 +50,75 @@ def stretched_rate_hz(time_ns: TimeNs) -> float | None:
         return None
     rate_hz = count / span_s
     written_hz = (count - 1) / span_s
-    is_round = [
-        any(abs(x - float(f"{x:.2g}")) < 1e-8 * x for x in (hz, 1.0 / hz))
-        for hz in (rate_hz, written_hz)
-    ]
-    # of two digits, as rate or as period
-    if is_round == [True, False]:
+    if _is_round(rate_hz) and not _is_round(written_hz):
         return float(f"{rate_hz:.9g}")
     return None
 
 
+def _is_round(rate_hz: float) -> bool:
+    """Return whether a rate has two digits at most, or its period has."""
+    return _has_two_digits(rate_hz) or _has_two_digits(1.0 / rate_hz)
+
+
+def _has_two_digits(number: float) -> bool:
+    return abs(number - float(f"{number:.2g}")) < 1e-8 * number
+
+
 def table_clock_settings(log: Recording, config: Config) -> Iterator[Setting]:
     """Propose rates and offsets for the roles that tables play."""
-    place = str(log.path)
     times = log.log_times()
-    rates = list[Setting]()
-    sources = {
-        finding.role: finding.sources[0]
-        for finding in find_roles(place, log.channels, config)
-        if finding.role in PROPOSED
-        and finding.sources
-        and finding.sources[0].channels[0].encoding == TABLE
-    }
+    sources = _tables_of_roles(log, config)
+    topics: set[str] = set()
+    starts_s = []
+    rates: list[Setting] = []
     for role, source in sources.items():
         time_ns = times[source.channels[0].id]
-        rate_hz = stretched_rate_hz(time_ns) if source.stamp == LOG_TIME else None
-        if rate_hz is not None:
-            count = len(time_ns)
-            end_s = float(time_ns[-1]) / NS_PER_S
-            text = (
-                f"{source.topic}: its clock is {100.0 / (count - 1):.2g} % too slow: {count} rows in equal steps end "
-                f"at {end_s:g} s; at {rate_hz:g} Hz they end a step earlier"
-            )
-            rates.append(Setting(f"{role}.stamp", f"{rate_hz:g} Hz", text))
+        topics.add(source.topic)
+        starts_s.append(float(time_ns[0]) / NS_PER_S)
+        rates += _rate_setting(role, source, time_ns)
     yield from rates
-    starts_s = [float(times[source.channels[0].id][0]) / NS_PER_S for source in sources.values()]
-    if len({source.topic for source in sources.values()}) < 2 or max(starts_s) > _SINCE_1970_S:
+    has_common_clock = len(topics) < 2 or max(starts_s) > _SINCE_1970_S
+    if not has_common_clock:
+        yield from _offset_settings(log, sources, with_settings(config, rates))
+
+
+def _tables_of_roles(log: Recording, config: Config) -> dict[str, Source]:
+    """Return the tables that play roles, by role."""
+    sources: dict[str, Source] = {}
+    for finding in find_roles(str(log.path), log.channels, config):
+        if finding.role in PROPOSED and finding.sources:
+            first = finding.sources[0]
+            if first.channels[0].encoding == TABLE:
+                sources[finding.role] = first
+    return sources
+
+
+def _rate_setting(role: str, source: Source, time_ns: TimeNs) -> Iterator[Setting]:
+    """Propose the rate of a table whose times are stretched."""
+    if source.stamp != LOG_TIME:
         return
-    config = with_settings(config, rates)
-    columns = RoleColumns(place, config)
-    for finding in find_roles(place, log.channels, config):
+    rate_hz = stretched_rate_hz(time_ns)
+    if rate_hz is None:
+        return
+    count = len(time_ns)
+    end_s = float(time_ns[-1]) / NS_PER_S
+    text = (
+        f"{source.topic}: its clock is {100.0 / (count - 1):.2g} % too slow: {count} rows in equal steps end "
+        f"at {end_s:g} s; at {rate_hz:g} Hz they end a step earlier"
+    )
+    yield Setting(f"{role}.stamp", f"{rate_hz:g} Hz", text)
+
+
+def _offset_settings(
+    log: Recording, sources: Mapping[str, Source], config: Config
+) -> Iterator[Setting]:
+    """Propose the offsets of reference and DVL from the IMU: the attitude shows one, the velocities the other."""
+    columns = RoleColumns(str(log.path), config)
+    for finding in find_roles(str(log.path), log.channels, config):
         if finding.role in sources:
             with suppress(UserError):  # whoever replays reports it
                 columns.decode(finding.role, read_tables(log, finding.sources))
     imu = columns.imu
-    dvl = columns.dvl
     reference = columns.reference
     if imu is None or reference is None or "reference" not in sources:
         return
@@ -104,18 +128,24 @@ def table_clock_settings(log: Recording, config: Config) -> Iterator[Setting]:
     why = "the tables have no common clock"
     if abs(by_attitude_s) > LEAST_S:
         text = f"{sources['reference'].topic}: {why}; its attitude fits the gyros {by_attitude_s:+.2f} s later"
-        yield Setting(
-            "reference.latency_s", round(config.reference.latency_s - by_attitude_s, 3), text
-        )
-    if "dvl" in sources and len(dvl.time_ns) and reference.has_attitude:
-        at_s = seconds(reference.time_ns, imu.time_ns[0]) + by_attitude_s
-        velocity_b = np.einsum("kji,kj->ki", reference.mat_nb, reference.velocity_n)
-        by_velocity_s = _best_offset_s(
-            lambda offset_s: _velocity_misfit(imu, dvl, at_s, velocity_b, offset_s)
-        )
-        if by_velocity_s is not None and abs(by_velocity_s) > LEAST_S:
-            text = f"{sources['dvl'].topic}: {why}; its velocities fit reference and gyros {by_velocity_s:+.2f} s later"
-            yield Setting("dvl.latency_s", round(config.dvl.latency_s - by_velocity_s, 3), text)
+        latency_s = round(config.reference.latency_s - by_attitude_s, 3)
+        yield Setting("reference.latency_s", latency_s, text)
+    if "dvl" not in sources or not len(columns.dvl.time_ns) or not reference.has_attitude:
+        return
+    by_velocity_s = _velocity_offset_s(imu, columns.dvl, reference, by_attitude_s)
+    if by_velocity_s is not None and abs(by_velocity_s) > LEAST_S:
+        text = f"{sources['dvl'].topic}: {why}; its velocities fit reference and gyros {by_velocity_s:+.2f} s later"
+        latency_s = round(config.dvl.latency_s - by_velocity_s, 3)
+        yield Setting("dvl.latency_s", latency_s, text)
+
+
+def _velocity_offset_s(
+    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns, reference_later_s: float
+) -> float | None:
+    """Return how much later the pings fit the velocities of the reference; None where nothing shows it."""
+    at_s = seconds(reference.time_ns, imu.time_ns[0]) + reference_later_s
+    velocity_b = np.einsum("kji,kj->ki", reference.mat_nb, reference.velocity_n)
+    return _best_offset_s(lambda offset_s: _velocity_misfit(imu, dvl, at_s, velocity_b, offset_s))
 
 
 def _best_offset_s(misfit: Callable[[float], float]) -> float | None:
@@ -129,9 +159,10 @@ def _best_offset_s(misfit: Callable[[float], float]) -> float | None:
         return None
     before, least, after = misfits[best - 1 : best + 2]
     curve = before - 2.0 * least + after
-    return float(
-        offsets_s[best] + (0.5 * STEP_S * (before - after) / curve if curve > 0.0 else 0.0)
-    )
+    offset_s = float(offsets_s[best])
+    if curve > 0.0:
+        offset_s += float(0.5 * STEP_S * (before - after) / curve)
+    return offset_s
 
 
 def _attitude_misfit(imu: ImuColumns, reference: ReferenceColumns, offset_s: float) -> float:

@@ -20,13 +20,13 @@ from insdvl_replay.calibration.innovations import NO_CHANGE, ReadDive
 from insdvl_replay.checks.dvl import fit, velocity_pairs
 from insdvl_replay.checks.imu import ENOUGH, gyro_by_attitude
 from insdvl_replay.core.config import Config, Dvl, Filter, Initial, Noise
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ImuColumns, seconds
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ImuColumns, TimeNs, seconds
 from insdvl_replay.core.errors import LogError, UserError, counted
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import horizontal
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
-from insdvl_replay.inspection.proposal import axes_text, level_axes
+from insdvl_replay.inspection.signed_axes import axes_text, level_axes, map_of
 from insdvl_replay.logs.columns.imu import FRD, in_frd, turned_to_body
 
 STRETCH_S: Final = 240.0
@@ -116,29 +116,30 @@ def thinned(dive: Dive) -> Dive:
     )
     imu = averaged_imu(imu)
     dvl = dvl.rows(apart)
-    middle_ns = imu.time_ns
-    force = imu.specific_force_b
-    rate = imu.angular_rate_b
-    first_ns = max(middle_ns[0], dvl.time_ns[0])
-    last_ns = min(middle_ns[-1], dvl.time_ns[-1])
+    first_ns = max(imu.time_ns[0], dvl.time_ns[0])
+    last_ns = min(imu.time_ns[-1], dvl.time_ns[-1])
     length_ns = int(STRETCH_S * NS_PER_S)
     if last_ns - first_ns > length_ns:
-        # Where the vehicle turns and surges most.
-        turning = np.linalg.norm(rate - np.median(rate, axis=0), axis=1)
-        surging = np.linalg.norm(force - np.median(force, axis=0), axis=1)
-        lively = np.cumsum(
-            turning / max(np.mean(turning), 1e-9) + surging / max(np.mean(surging), 1e-9)
-        )
-        starts_ns = np.arange(first_ns, last_ns - length_ns, length_ns // 4)
-        gained = [
-            np.diff(lively[np.searchsorted(middle_ns, [at, at + length_ns]) - 1])[0]
-            for at in starts_ns
-        ]
-        first_ns = int(starts_ns[int(np.argmax(gained))])
+        first_ns = _liveliest_ns(imu, np.arange(first_ns, last_ns - length_ns, length_ns // 4))
         last_ns = first_ns + length_ns
     return replace(
         dive, imu=imu.within(first_ns, last_ns), dvl=dvl.within(first_ns, last_ns), reference=None
     )
+
+
+def _liveliest_ns(imu: ImuColumns, starts_ns: TimeNs) -> int:
+    """Return the start of the stretch in which the vehicle turns and surges most."""
+    force = imu.specific_force_b
+    rate = imu.angular_rate_b
+    turning = np.linalg.norm(rate - np.median(rate, axis=0), axis=1)
+    surging = np.linalg.norm(force - np.median(force, axis=0), axis=1)
+    lively = np.cumsum(
+        turning / max(np.mean(turning), 1e-9) + surging / max(np.mean(surging), 1e-9)
+    )
+    ends_ns = starts_ns + int(STRETCH_S * NS_PER_S)
+    before = lively[np.searchsorted(imu.time_ns, starts_ns) - 1]
+    after = lively[np.searchsorted(imu.time_ns, ends_ns) - 1]
+    return int(starts_ns[np.argmax(after - before)])
 
 
 def trial_config(config: Config, latitude_deg: float) -> Config:
@@ -184,16 +185,16 @@ class Trials:
         self.found = [as_read]
         # Of hypotheses that are one vehicle turned about down, the first is nearest to what is as read.
         self.order: list[Hypothesis] = [as_read]
-        given_rpy_deg = (
-            given.config.dvl.mounting_rpy_deg if given.has("dvl.mounting_rpy_deg") else None
-        )
-        self.mountings = None if given_rpy_deg is None else [given_rpy_deg]
+        self.mountings: list[tuple[float, float, float]] | None = None
+        if given.has("dvl.mounting_rpy_deg"):
+            self.mountings = [given.config.dvl.mounting_rpy_deg]
         if not (len(dive.imu.time_ns) and len(dive.dvl.time_ns)):
             return
         fastest_radps = float(np.quantile(np.linalg.norm(dive.imu.angular_rate_b, axis=1), 0.99))
-        scales = [1.0, DEG_PER_S] if fastest_radps > FAST_RADPS else [1.0]
         ways = list(mounted(dive, as_read, self.mountings))
-        self.order = [replace(one, rate_scale=scale) for scale in scales for one in ways]
+        self.order = ways
+        if fastest_radps > FAST_RADPS:
+            self.order = [*ways, *(replace(one, rate_scale=DEG_PER_S) for one in ways)]
         self.found = self._tried(self.order) or self.found
 
     @property
@@ -211,34 +212,33 @@ class Trials:
         vehicles = [_vehicle(one) for one in self.found]
         for vehicle, one in zip(vehicles, self.found, strict=True):
             costs[vehicle] = min(one.cost, costs.get(vehicle, np.inf))
-        close = [
-            one
-            for vehicle, one in zip(vehicles, self.found, strict=True)
-            if costs[vehicle] * CLEARLY <= self.cost
-        ]
+        close = []
+        for vehicle, one in zip(vehicles, self.found, strict=True):
+            if costs[vehicle] * CLEARLY <= self.cost:
+                close.append(one)
         return sorted(close or self.found[:1], key=self._oddity)
 
     def _oddity(self, one: Hypothesis) -> tuple[bool, ...]:
         """Return how far a hypothesis is from what is as read, the strangest difference first."""
-        as_read, (roll_deg, _, heading_deg) = self.as_read, one.rpy_deg
+        as_read = self.as_read
+        roll_deg, _, heading_deg = one.rpy_deg
         is_opposite = (one.axes == one.force_axes) != (as_read.axes == as_read.force_axes)
         return is_opposite, one.axes != as_read.axes, roll_deg != 0.0, heading_deg != 0.0
 
     def allows(self, one: Hypothesis) -> bool:
         """Return whether a hypothesis agrees with the axes, the scale and the mounting that are given."""
         imu = self.given.config.imu
-        dvl = self.given.config.dvl
         force_axes = imu.specific_force_axes or imu.axes
+        if imu.axes is not None and one.axes != axes_text(map_of(imu.axes)):
+            return False
+        if force_axes is not None and one.force_axes != axes_text(map_of(force_axes)):
+            return False
         is_scaled = self.given.has("imu.angular_rate_unit", "imu.angular_rate_scale")
-        return (
-            (imu.axes is None or one.axes == axes_text(map_of(imu.axes)))
-            and (force_axes is None or one.force_axes == axes_text(map_of(force_axes)))
-            and (not is_scaled or one.rate_scale == 1.0)
-            and (
-                not self.given.has("dvl.mounting_rpy_deg")
-                or _turn(one.rpy_deg) == _turn(dvl.mounting_rpy_deg)
-            )
-        )
+        if is_scaled and one.rate_scale != 1.0:
+            return False
+        if not self.given.has("dvl.mounting_rpy_deg"):
+            return True
+        return _turn(one.rpy_deg) == _turn(self.given.config.dvl.mounting_rpy_deg)
 
     def _tried(self, hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
         allowed = list(filter(self.allows, hypotheses))
@@ -275,33 +275,34 @@ class Trials:
             return
         others: list[Hypothesis] = []
         if self.cost > CONSISTENT:
-            others = [
-                other
-                for scale in {one.rate_scale for one in self.found}
-                for other in self._signed(scale)
-            ]
-        others += [other for one in self._distinct(BEST) for other in scaled(one)]
+            for scale in {one.rate_scale for one in self.found}:
+                others += self._signed(scale)
+        for one in self._distinct(BEST):
+            others += scaled(one)
         self._accept(others)
         best = self.found[0]
         self._accept([*signed_rates(best), *signed_forces(best), *scaled(best)])
-        # Refine the scale of the gyros, where another than that as read was better; then it may show the axes.
-        if self.found[0].rate_scale in (1.0, DEG_PER_S):
-            return
+        if self.found[0].rate_scale not in (1.0, DEG_PER_S):
+            self._refine_scale()
+
+    def _refine_scale(self) -> None:
+        """Refine the scale of the gyros, where another than that as read was better; then it may show the axes."""
         step = 0.1
         for _ in range(3):
             best = self.found[0]
             factors = np.exp(np.array([-1.5, -0.75, 0.75, 1.5]) * step)
-            near = [replace(best, rate_scale=float(best.rate_scale * factor)) for factor in factors]
-            self.found = sorted(
-                [*self._tried(near), *self.found], key=lambda hypothesis: hypothesis.cost
+            self._keep(
+                replace(best, rate_scale=float(best.rate_scale * factor)) for factor in factors
             )
             step /= 3.0
         scale = self.found[0].rate_scale
-        again = self._tried(
-            replace(one, rate_scale=scale)
-            for one in mounted(self.dive, self.as_read, self.mountings)
-        )
-        self.found = sorted([*again, *self.found], key=lambda hypothesis: hypothesis.cost)
+        ways = mounted(self.dive, self.as_read, self.mountings)
+        self._keep(replace(one, rate_scale=scale) for one in ways)
+
+    def _keep(self, others: Iterable[Hypothesis]) -> None:
+        """Try hypotheses, and keep all."""
+        found = [*self._tried(others), *self.found]
+        self.found = sorted(found, key=lambda hypothesis: hypothesis.cost)
 
 
 def mounted(
@@ -313,19 +314,14 @@ def mounted(
     """
     force = np.median(dive.imu.specific_force_b, axis=0)
     if mountings is None:
-        turns = [
-            turn for turn in possible_axes(dive.dvl) if dive.dvl.look_d is not None or turn[2, 2]
-        ]
+        looks_known = dive.dvl.look_d is not None
+        turns = [turn for turn in possible_axes(dive.dvl) if looks_known or turn[2, 2]]
         mountings = sorted(map(rpy_of, turns), key=lambda rpy_deg: (rpy_deg[0], abs(rpy_deg[2])))
-    ways = [
-        (axes_text(axes), axes_text(sign * axes))
-        for sign in (1.0, -1.0)
-        for axes in level_axes(sign * force)
-    ]
-    if np.linalg.det(map_of(as_read.axes)) < 0.0:
-        ways.append(
-            (as_read.axes, as_read.force_axes)
-        )  # left-handed axes, which a reference has shown
+    ways: list[tuple[str, str]] = []
+    for sign in (1.0, -1.0):
+        ways += [(axes_text(axes), axes_text(sign * axes)) for axes in level_axes(sign * force)]
+    if np.linalg.det(map_of(as_read.axes)) < 0.0:  # left-handed, which a reference has shown
+        ways.append((as_read.axes, as_read.force_axes))
     # Together with the mountings, one turn about down says the same as another: as read comes first.
     ways.sort(key=lambda way: way != (as_read.axes, as_read.force_axes))
     for axes, force_axes in ways:
@@ -356,11 +352,6 @@ def scaled(one: Hypothesis) -> Iterator[Hypothesis]:
     yield from (replace(one, rate_scale=one.rate_scale * scale) for scale in SCALES)
 
 
-def map_of(axes: str) -> Floats:
-    """Return the map from readings to forward-starboard-down, (3, 3)."""
-    return in_frd(np.eye(3), axes, "imu.axes").T
-
-
 def _turn(rpy_deg: Sequence[float]) -> tuple[int, ...]:
     """Return a rotation that can be compared, row by row, in hundredths."""
     return tuple(
@@ -371,7 +362,8 @@ def _turn(rpy_deg: Sequence[float]) -> tuple[int, ...]:
 def _vehicle(hypothesis: Hypothesis) -> tuple[object, ...]:
     """Return the same for hypotheses that differ by a turn about down."""
     keys = []
-    for one in (turned_about_down(hypothesis, quarters) for quarters in range(4)):
+    for quarters in range(4):
+        one = turned_about_down(hypothesis, quarters)
         keys.append((one.axes, one.force_axes, one.rate_scale, _turn(one.rpy_deg)))
     return min(keys)
 

@@ -24,8 +24,8 @@ from insdvl_replay.core.report import as_json
 from insdvl_replay.core.states import DEG
 from insdvl_replay.document.render import document
 from insdvl_replay.document.text import for_terminal
-from insdvl_replay.inspection.dry_run import vector_paths
 from insdvl_replay.inspection.inventory import Inventory, inspection_result
+from insdvl_replay.inspection.probed_topics import vector_paths
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.preparation.replay import replay_log

@@ -16,7 +16,7 @@ from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.inspection import automatic
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
-from insdvl_replay.inspection.dry_run import without_marks
+from insdvl_replay.inspection.probed_topics import without_marks
 from insdvl_replay.inspection.roles import RoleReadings, read_roles
 from insdvl_replay.inspection.trials import thinned
 
@@ -99,7 +99,7 @@ def left_out(found: RoleReadings) -> str:
 
 def test_a_dvl_that_cannot_be_read_is_left_out_and_named(tmp_path: Path) -> None:
     found = read(tmp_path, imu(), dvl("/bottom"), dvl("/a_water_track", velocity_mode=2))
-    assert list(found.pings) == ["/bottom"]
+    assert [dvl.topic for dvl in found.dvls] == ["/bottom"]
     assert "dvl" not in found.is_alone
     assert "/a_water_track" in left_out(found)
     assert "water track" in left_out(found)
@@ -195,7 +195,7 @@ def test_short_dives_and_those_that_fail_do_not_decide_for_the_others(
         tried.append(paths[0].stem)
         if paths[0].stem == "bad":
             raise LogError("no velocities")
-        return RoleReadings("", given, [SimpleNamespace(columns=None)], {}, {}, None, ())  # type: ignore[list-item]
+        return RoleReadings("", given, [SimpleNamespace(columns=None)], [], None)  # type: ignore[list-item]
 
     def chosen(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Config, float]:
         return Config(imu=Imu(axes="flu")), 0.5

@@ -19,7 +19,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.tables import Tables
 from insdvl_replay.inspection.automatic import find_settings
-from insdvl_replay.inspection.dry_run import FieldMatch
+from insdvl_replay.inspection.probed_topics import FieldMatch
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.formats.fields import check_path

@@ -246,9 +246,9 @@ def test_a_field_that_no_message_has_is_looked_for_in_a_limited_number_of_them()
 def test_topics_beyond_what_is_looked_at_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from insdvl_replay.inspection import dry_run
+    from insdvl_replay.inspection import probed_topics
 
-    monkeypatch.setattr(dry_run, "_MOST_WORK_OF_ALL", 1)
+    monkeypatch.setattr(probed_topics, "_MOST_WORK_OF_ALL", 1)
     channels = b"".join(channel(number, 1, f"/topic{number}", "json") for number in (1, 2))
     messages = b"".join(message(number, json.dumps({"depth": 1.5}).encode()) for number in (1, 2))
     inventory = inspect_log(

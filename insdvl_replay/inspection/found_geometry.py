@@ -1,0 +1,143 @@
+"""Geometry and noise of the DVL in dives whose roles are found: calibrated, and tested on what was held out."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.calibration.calibration import Calibration
+from insdvl_replay.calibration.dives import Answer, answer_of, calibrate_dives
+from insdvl_replay.calibration.fitted_noise import halves, middle, with_noise
+from insdvl_replay.calibration.found import Given, found_note
+from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, nanoseconds
+from insdvl_replay.core.errors import Note, UserError
+
+# What a calibration finds, by the settings that it replaces.
+GROUPS: Final = {
+    "arm": "lever_arm_m",
+    "mounting": "mounting_rpy_deg",
+    "delay": "latency_s",
+    "scale": "scale",
+}
+_HELD_OUT: Final = ["0.3"]
+
+
+def calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list[Note]) -> Config:
+    """Apply the calibration that is better on the held-out part; what is given is not calibrated."""
+    geometry = [group for group, key in GROUPS.items() if not given.has(f"dvl.{key}")]
+    fits_noise = not given.has("noise")
+    if not geometry and not fits_noise:
+        return config
+    read = [middle(ReadDive(dive, config)) for dive in dives]
+    read_with_s = read[0].config.dvl.latency_s
+    groups = geometry or [NOISE]  # the noise is fitted once the geometry is known
+    try:
+        windows_s = ("60", "30")
+        found = calibrate_dives(
+            halves(read), config, groups, hold_out=_HELD_OUT, windows_s=windows_s
+        ).found
+    except UserError as error:
+        text = f"the geometry of the DVL was not calibrated: {error.what}"
+        notes.append(found_note("found_calibration", text, warn=True))
+        return config
+    better = _with_geometry(found, read, config, groups, notes)
+    if better is not None:
+        config = better
+    if not fits_noise:
+        return config
+    # A noise belongs to the geometry with which it is fitted.
+    late_s = config.dvl.latency_s - read_with_s
+    later = [pings_later(dive, late_s) for dive in dives]
+    return with_noise_of(later, config, given, is_tested=better is None)
+
+
+def _with_geometry(
+    found: Calibration,
+    read: Sequence[ReadDive],
+    config: Config,
+    groups: Sequence[str],
+    notes: list[Note],
+) -> Config | None:
+    """Return the settings with a better geometry, with a note on it; None where they stay as they are."""
+    found, answer = _judged(found, read, config, groups)
+    tested = _drift_sentence(found)
+    if answer.keeps_geometry:
+        text = f"calibration of the DVL not applied: {tested}"
+        notes.append(found_note("found_calibration", text, warn=True))
+        return None
+    better = answer.applied(found)
+    if found.estimated:
+        # What was held out has shown that it helps; all together know it best.
+        better = calibrate_dives(read, config, groups).found
+    changes = _changes(better)
+    if changes:
+        text = f"calibrated: {', '.join(changes)}; {tested}"
+        notes.append(found_note("found_calibration", text))
+        return with_dvl(config, better.after.rounded())
+    if groups != [NOISE]:
+        text = "the DVL's lever arm, mounting and delay cannot be determined: taken as 0"
+        hint = "a dive with turns and changes of speed shows them"
+        notes.append(found_note("found_calibration", text, hint, warn=True))
+    return None
+
+
+def _judged(
+    found: Calibration, read: Sequence[ReadDive], config: Config, groups: Sequence[str]
+) -> tuple[Calibration, Answer]:
+    """Judge a calibration by the drift of what was held out, else by its innovations."""
+    answer = answer_of(found)
+    if any(row.windows for row in found.held_out):
+        return found, answer
+    if len(read) == 1:  # each part of the dive alone by the other
+        other = calibrate_dives(
+            halves(read)[::-1], config, groups, hold_out=_HELD_OUT, windows_s=("60",)
+        ).found
+        found = replace(found, held_out=(*found.held_out, *other.held_out))
+    before, after = _mean_nis(found)
+    return found, replace(answer, keeps_geometry=bool(found.estimated) and after > before)
+
+
+def _changes(found: Calibration) -> list[str]:
+    """State by how much each parameter that is estimated has changed."""
+    changes = []
+    for row in found.estimated:
+        if row.change is not None:
+            changes.append(f"{LABELS[row.parameter]} {row.change:+.3g} {row.unit}")
+    return changes
+
+
+def with_noise_of(
+    dives: Sequence[Dive], config: Config, given: Given, *, is_tested: bool = False
+) -> Config:
+    """Fit the noise to dives; one that is tested is applied only where it is better on what was held out."""
+    read = [middle(ReadDive(dive, config)) for dive in dives]
+    if is_tested:
+        found = calibrate_dives(halves(read), config, [NOISE], hold_out=_HELD_OUT).found
+    else:
+        found = calibrate_dives(read, config, [NOISE]).found
+    return with_noise(config, answer_of(found).applied(found), given)
+
+
+def pings_later(dive: Dive, latency_s: float) -> Dive:
+    """Return a dive with the pings of another latency, which is subtracted from stamps as a log is read."""
+    time_ns = dive.dvl.time_ns - nanoseconds(latency_s)
+    return replace(dive, dvl=replace(dive.dvl, time_ns=time_ns))
+
+
+def _drift_sentence(found: Calibration) -> str:
+    """Say what the calibration does to the drift of what was held out, else to its NIS."""
+    pairs = [(row.drift_before_m, row.drift_after_m) for row in found.held_out]
+    if pairs and all(before and after for before, after in pairs):
+        before_m, after_m = np.exp(np.mean(np.log(np.array(pairs, float)), axis=0)).tolist()
+        return f"drift without DVL on what was held out {before_m:.3g} -> {after_m:.3g} m"
+    before, after = _mean_nis(found)
+    return f"NIS/dof on what was held out {before:.2g} -> {after:.2g}"
+
+
+def _mean_nis(found: Calibration) -> tuple[float, float]:
+    rows = [(row.nis_per_dof_before, row.nis_per_dof_after) for row in found.held_out]
+    before, after = np.exp(np.mean(np.log(np.array(rows, float)), axis=0)).tolist()
+    return before, after
