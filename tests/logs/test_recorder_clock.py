@@ -47,6 +47,16 @@ def test_the_longest_side_of_a_step_is_found(
     assert f"was set {set_s:.1f} s in" in found.note.text
 
 
+def test_the_dive_is_found_between_damaged_times_at_both_ends_of_what_a_number_holds() -> None:
+    ends = np.iinfo(np.int64)
+    times = 10**18 + steps((0, 90, 0))
+    found = one_clock([np.concatenate([times, [ends.min, ends.min + 5, ends.max]])])
+    assert found is not None
+    assert (found.first_ns, found.last_ns) == (times[0], times[-1])
+    assert found.set_s == pytest.approx(89.9)
+    assert found.unused == 3
+
+
 def test_a_pause_of_hours_is_no_step() -> None:
     assert one_clock([steps((0, 90, 0), (90, 300, 7200))]) is None
     assert one_clock([np.empty(0, np.int64)]) is None

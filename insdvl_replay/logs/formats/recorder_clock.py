@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Mask, TimeNs
 from insdvl_replay.core.errors import Note
@@ -57,12 +58,13 @@ def one_clock(log_times: Sequence[TimeNs]) -> OneClock | None:
     if not known:
         return None
     ordered = np.sort(np.concatenate(known))
-    steps = np.flatnonzero(np.diff(ordered) > _LONGEST_PAUSE_NS)
+    steps = np.flatnonzero(_between_ns(ordered[:-1], ordered[1:]) > _LONGEST_PAUSE_NS)
     if not steps.size:
         return None
     firsts = ordered[np.append(0, steps + 1)]
     lasts = ordered[np.append(steps, ordered.size - 1)]
-    longest = int(np.argmax(lasts - firsts))
+    lengths_ns = _between_ns(firsts, lasts)
+    longest = int(np.argmax(lengths_ns))
     # Of the channel with the most messages, the part of its first message was recorded first.
     often = max(known, key=len)
     part_of = np.searchsorted(firsts, often, "right") - 1
@@ -77,8 +79,13 @@ def one_clock(log_times: Sequence[TimeNs]) -> OneClock | None:
     return OneClock(
         first_ns=first_ns,
         last_ns=last_ns,
-        set_s=float(lasts[begun] - firsts[begun]) / NS_PER_S,
+        set_s=float(lengths_ns[begun]) / NS_PER_S,
         from_ns=int(lasts[begun]),
         to_ns=int(firsts[next_part]),
         unused=ordered.size - used,
     )
+
+
+def _between_ns(earlier_ns: TimeNs, later_ns: TimeNs) -> NDArray[np.uint64]:
+    """Return what lies between times. Damaged ones may be 600 years apart, which a signed number does not hold."""
+    return np.asarray(later_ns.astype(np.uint64) - earlier_ns.astype(np.uint64))
