@@ -154,7 +154,8 @@ def tables_of_filters(
         convergence=convergence,
         prediction=predictions(histories, outages, user_outages, settled_s),
         crps=_crps_pairs(histories, errors),
-        drawn=max((len(found.error) for found in drawn), default=0),
+        # The dive's own start is the first, and no convergence is from it.
+        drawn=max((len(found.error) - 1 for found in drawn), default=0),
         partial=[history.filter for history in candidates if history.is_partial],
         late_mps=late_mps(reference, dive.reference_delay),
         # Held-out fixes are independent of the filters.

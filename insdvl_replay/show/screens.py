@@ -269,7 +269,7 @@ def _facts(report: Report) -> str:
     """Return a line with what was replayed."""
     tables = report.tables
     duration_s = report.log.duration_s
-    starts = max((row.starts for row in tables.evidence), default=0)
+    starts = _starts(tables.evidence)
     # The first filter that takes velocities, or beams where none does.
     rows = [row for row in tables.consistency if row.measurement == "velocity"][:1]
     kind = "velocities" if rows else "beams"
@@ -287,8 +287,16 @@ def _facts(report: Report) -> str:
     compared = max([row.samples for row in tables.reference_error] + baseline, default=0)
     known = has_reference(report)
     reference = f"reference {compared / duration_s:.2g} Hz" if known else "no reference"
-    drawn = [counted(starts, "start")] if starts and known else []
-    return f"{report.log.name}: {', '.join([f'{duration_s:.0f} s', met, reference, *drawn])}"
+    begun = [counted(starts, "start")] if starts and known else []
+    return f"{report.log.name}: {', '.join([f'{duration_s:.0f} s', met, reference, *begun])}"
+
+
+def _starts(rows: Sequence[EvidenceRow]) -> int:
+    """Return how many starts the evidence is from: the dive's own, and those that were drawn for convergence."""
+    if not rows:
+        return 0
+    drawn = (row.starts for row in rows if row.evidence == "convergence")
+    return 1 + max(drawn, default=0)
 
 
 # --- Several dives: the pooled evidence, then a row for each dive.
