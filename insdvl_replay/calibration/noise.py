@@ -327,7 +327,11 @@ def determined_noise(
     if of_imu:
         preset = _class_of(kept, of_imu, dives)
         kept = _with_class(kept, of_imu, preset, dives, changes)
-        statuses |= dict.fromkeys(of_imu, (Estimated.OF_CLASS, OF_CLASS.format(preset=preset)))
+        for key in of_imu:
+            if kept.after[key] == kept.before[key]:
+                statuses[key] = Estimated.NOT_DETERMINED, AS_IT_WAS
+            else:
+                statuses[key] = Estimated.OF_CLASS, OF_CLASS.format(preset=preset)
     return kept, _noise_rows(kept, fitted, statuses, sds)
 
 
