@@ -89,6 +89,9 @@ ATTITUDE = 0
 LEVEL = 1
 MOTION = 2
 ROUNDS: Final = 5
+# While the clock still moves. Attitudes in turns are outliers until it is right to some 10 ms, so it moves slowly
+# beside a filter whose headings are hardly noisy.
+MOST_ROUNDS: Final = 20
 # The attitude is interpolated between IMU samples, which shifts the clock by about this on all dives.
 FINEST_CLOCK_S: Final = 2e-4
 # The reference changes scale, pitch and heading of the DVL. Errors of its other parameters count in every standard
@@ -388,11 +391,14 @@ def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats)
         )
 
     fit = linearised(np.zeros(len(prior_sd)))
-    for _ in track_progress("fitting the reference", range(ROUNDS)):
+    for done in track_progress("fitting the reference", range(MOST_ROUNDS)):
         cov, _ = solved(fit, fit.information)
+        before_s = fit.values[CLOCK]
         values = fit.values + cov @ fit.gradient
         values[CLOCK] = np.clip(values[CLOCK], -LATEST_CLOCK_S, LATEST_CLOCK_S)
         fit = linearised(values)
+        if done + 1 >= ROUNDS and abs(values[CLOCK] - before_s) < FINEST_CLOCK_S:
+            break
     return fit
 
 
