@@ -27,7 +27,6 @@ from insdvl_replay.core.tables import PooledRow, finite
 from insdvl_replay.document.parts import Result
 from insdvl_replay.evaluation.answers import pooled_evidence
 from insdvl_replay.evaluation.ensemble import Ensemble
-from insdvl_replay.evaluation.sentences import ratio_text
 from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.studies.montecarlo import study_montecarlo
@@ -222,7 +221,7 @@ def grades(found: Findings) -> str:
 
 
 def verdicts(replays: list[Replay]) -> str:
-    """What the paper does not ask: whether the same improvements are real."""
+    """What the paper does not ask: whether the same improvements are real. Without a verdict: noise is far off."""
     return markdown_table(
         (
             "dive",
@@ -230,8 +229,6 @@ def verdicts(replays: list[Replay]) -> str:
             "predicted",
             "position rms [m]: baseline",
             "with accelerations",
-            "measured",
-            "prediction",
             "innovations",
         ),
         [row for replay in replays for row in _verdicts(replay)],
@@ -247,18 +244,8 @@ def _verdicts(replay: Replay) -> Iterator[tuple[str, ...]]:
             percent(verdict.mean_improvement_pct),
             f"{errors['baseline']:.2f}",
             f"{errors[name]:.2f}",
-            _measured(replay, name),
-            verdict.prediction,
             verdict.consistency,
         )
-
-
-def _measured(replay: Replay, name: str) -> str:
-    """Write the ratio in the quantity that may decide; one dive has no verdict."""
-    primary = replay.verdicts[name].primary
-    rows = (row for row in replay.tables.evidence if (row.filter, row.quantity) == (name, primary))
-    row = next(rows, None)
-    return "-" if row is None else f"{label(row.quantity)} {ratio_text(row.ratio)}"
 
 
 def together(sea: AtSea) -> str:
@@ -304,16 +291,12 @@ def noise(sea: AtSea) -> str:
 
 
 def _of_eight(name: str, row: PooledRow) -> tuple[str, ...]:
-    numbers = row.ratio, row.low, row.high
-    ratio = "{:.3g} [{:.3g}, {:.3g}]".format(*(finite(number) for number in numbers))
-    return (
-        name,
-        label(row.quantity),
-        ratio,
-        f"{row.dives_won} of {row.dives}",
-        f"{finite(row.p):.2g}",
-        row.verdict,
-    )
+    ratio = f"{finite(row.ratio):.3g}"
+    p = "-"
+    if row.low is not None and row.high is not None and row.p is not None:
+        ratio += f" [{row.low:.3g}, {row.high:.3g}]"
+        p = f"{row.p:.2g}"
+    return name, label(row.quantity), ratio, f"{row.dives_won} of {row.dives}", p, row.verdict
 
 
 def tuning(found: Findings) -> str:
