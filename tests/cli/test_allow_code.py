@@ -161,7 +161,10 @@ def test_code_that_ends_its_process_fails_one_dive_and_is_named(
 
 
 @pytest.mark.nightly
-def test_code_that_ends_its_process_fails_the_check(vehicle: Path) -> None:
+def test_code_that_ends_its_process_fails_the_check(
+    vehicle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(vehicle.parent))  # where the module of the settings is
     command = [
         sys.executable,
         "-m",

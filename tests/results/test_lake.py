@@ -20,7 +20,7 @@ from made_reports import report
 from msgspec.structs import asdict, replace
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.quantities import EVIDENCE_QUANTITIES
+from insdvl_replay.core.quantities import ACCURACY
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.logs import write_dive
@@ -252,7 +252,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 dive, "aided", "accuracy", quantity, "m", 1.0, 0.8,
                 0.9 - 0.1 * (is_new and quantity == "drift_30s") + 0.3 * (number in (7, 8)),
             )
-            for quantity in EVIDENCE_QUANTITIES[:10]
+            for quantity in ("position", "outage_30s", *ACCURACY)
         ]  # fmt: skip
         version = "0.2.0" if number >= 900 else "0.1.0"
         made = replayed(dive, "new" if is_new else "old", version, rows=rows, verdict="undecided")
