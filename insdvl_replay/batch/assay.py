@@ -17,7 +17,7 @@ from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.tables import AssayRow, Tables, finite
 from insdvl_replay.core.words import ReferenceStatus, Role
 from insdvl_replay.evaluation.evidence import role_alone
-from insdvl_replay.preparation.replay import replay_dive
+from insdvl_replay.preparation.replay import Replay, replay_dive
 
 Control = Callable[[Dive, Config], tuple[Dive, Config]]
 Vector = tuple[float, float, float]
@@ -103,12 +103,12 @@ def assay_of(dive: Dive, config: Config) -> list[AssayRow]:
     alone = {config.baseline: config.filters[config.baseline]}
     evaluation = msgspec.structs.replace(config.evaluation, starts=1, candidate="")
     config = msgspec.structs.replace(config, filters=alone, evaluation=evaluation)
-    before = _errors(replay_dive(dive, config).tables, independent=config.reference.independent)
+    before = _errors(replay_dive(dive, config), independent=config.reference.independent)
     rows = []
     for name, control in CONTROLS.items():
         report_stage(f"assay: {name}")
         after = _errors(
-            replay_dive(*control(dive, config)).tables, independent=config.reference.independent
+            replay_dive(*control(dive, config)), independent=config.reference.independent
         )
         for quantity, (unit, value, role) in before.items():
             if quantity in after:
@@ -125,12 +125,15 @@ class _Measured(NamedTuple):
     windows: int = 0  # of an outage
 
 
-def _errors(tables: Tables, *, independent: bool) -> dict[str, tuple[str, float, Role]]:
+def _errors(replay: Replay, *, independent: bool) -> dict[str, tuple[str, float, Role]]:
     """Return unit, error and role of each quantity of a filter that was replayed alone."""
     found = {}
-    for measured in _measured(tables):
+    delay = replay.dive.reference_delay
+    for measured in _measured(replay.tables):
         if measured.rms == measured.rms:
-            role = role_alone(measured.quantity, measured.windows, independent=independent)
+            role = role_alone(
+                measured.quantity, measured.windows, independent=independent, delay=delay
+            )
             found[measured.quantity] = measured.unit, measured.rms, role
     return found
 

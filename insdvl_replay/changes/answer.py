@@ -5,7 +5,8 @@ evidence of a candidate over several dives is.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import chain
 from typing import Annotated, Final
 
@@ -238,12 +239,13 @@ def _paired_evidence(name: str, dive: Pair) -> Iterator[EvidenceRow]:
     report = dive.new.report
     rows = list(paired_rows(dive.old.report, report, _TABLES))
     is_independent = report.config.get("reference", {}).get("independent") is not False
+    may_vote = partial(role_alone, independent=is_independent, delay=report.reference_delay)
     if any(map(_is_evidence, rows)):
         is_baseline = name == report.baseline
-        cells = _cells_of_evidence(rows, "" if is_baseline else name, independent=is_independent)
+        cells = _cells_of_evidence(rows, "" if is_baseline else name, may_vote)
     else:
         own = [pair for pair in rows if pair.filter == name]
-        cells = _cells_alone(own, independent=is_independent)
+        cells = _cells_alone(own, may_vote)
     done = set[str]()
     for cell in cells:
         was = cell.pair.old.get(cell.column)
@@ -280,14 +282,13 @@ def _is_evidence(pair: RowPair) -> bool:
 def _cells_of_evidence(
     rows: Sequence[RowPair],
     candidate: str,  # empty for the baseline, which has a value in the rows of all candidates
-    *,
-    independent: bool,
+    may_vote: Callable[[str, int], Role],
 ) -> Iterator[_Cell]:
     """Yield the values of a filter in the evidence."""
     column = "value" if candidate else "baseline"
     for pair in rows:
         if _is_evidence(pair) and candidate in ("", pair.filter):
-            role = _role(pair, independent=independent)
+            role = _role(pair, may_vote)
             yield _Cell(pair.row, str(pair.new.get("evidence")), role, column, pair)
 
 
@@ -300,11 +301,11 @@ def _noise_share(pair: RowPair, was: float) -> float:
     return min(share * (baseline / was) ** 2, 1.0)
 
 
-def _role(pair: RowPair, *, independent: bool) -> str:
+def _role(pair: RowPair, may_vote: Callable[[str, int], Role]) -> str:
     """Return what a row may do, also in a result whose candidates are not evaluated, as by noise of the baseline."""
     if Role.PRIMARY in (pair.old.get("role"), pair.new.get("role")):
         return Role.PRIMARY
-    return role_alone(pair.row, _count(pair, "samples"), independent=independent)
+    return may_vote(pair.row, _count(pair, "samples"))
 
 
 def _count(pair: RowPair, column: str) -> int:
@@ -315,7 +316,7 @@ def _count(pair: RowPair, column: str) -> int:
     return 0
 
 
-def _cells_alone(rows: Sequence[RowPair], *, independent: bool) -> Iterator[_Cell]:
+def _cells_alone(rows: Sequence[RowPair], may_vote: Callable[[str, int], Role]) -> Iterator[_Cell]:
     """Yield the drift and outage tests of a filter without candidates."""
     for pair in rows:
         if pair.layout.name == "outage":
@@ -332,7 +333,7 @@ def _cells_alone(rows: Sequence[RowPair], *, independent: bool) -> Iterator[_Cel
             column = "rms"
         else:
             continue
-        role = role_alone(name, _count(pair, "windows"), independent=independent)
+        role = may_vote(name, _count(pair, "windows"))
         yield _Cell(name, kind, role, column, pair)
 
 

@@ -23,6 +23,7 @@ import msgspec
 import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats, Integers, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.dive_record import ReferenceDelay
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
@@ -425,8 +426,15 @@ def _rows_of_pair(new: Callable[..., EvidenceRow], kind: str, pair: Pair) -> Ite
         )
 
 
-def role_alone(quantity: str, windows: int, *, independent: bool) -> Role:
-    """Return what an error of a filter that was replayed alone may do, in another comparison than with a candidate."""
+def role_alone(
+    quantity: str, windows: int, *, independent: bool, delay: ReferenceDelay | None
+) -> Role:
+    """Return what an error of a filter that was replayed alone may do, in another comparison than with a candidate.
+
+    A velocity is shown only, where the reference may be late; ``delay`` is None in early results, which do not tell.
+    """
+    if quantity.startswith("velocity") and delay is not None and not delay.is_checked:
+        return Role.SHOWN
     return _role(quantity, windows, may_decide=independent or quantity != "position")
 
 

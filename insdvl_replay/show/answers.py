@@ -9,6 +9,7 @@ from typing import Any, Final, Protocol, TypeVar
 from msgspec.structs import replace
 
 from insdvl_replay.core.distinct import distinct_dives
+from insdvl_replay.core.errors import counted
 from insdvl_replay.core.quantities import (
     CONSISTENCY,
     DRAWN_HEADING,
@@ -18,7 +19,7 @@ from insdvl_replay.core.quantities import (
 )
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
-from insdvl_replay.core.words import Prediction, ReferenceStatus, Role
+from insdvl_replay.core.words import DelayStatus, Prediction, ReferenceStatus, Role
 from insdvl_replay.document.tables import MISSING, percent
 from insdvl_replay.evaluation.answers import (
     BAD,
@@ -84,6 +85,37 @@ def has_reference(report: Report) -> bool:
         row.status for row in report.tables.reference_error
     ]
     return any(word != ReferenceStatus.NO_REFERENCE for word in found)
+
+
+def unchecked_delay(reports: Sequence[Report]) -> str:
+    """Say that the delay of the reference was not checked, where its velocities could warn otherwise; else empty.
+
+    A reference whose turns and accelerations contradict each other has a warning of its own.
+    """
+    having = [report for report in reports if _has_velocity_rows(report)]
+    statuses = list[DelayStatus]()
+    for report in having:
+        delay = report.reference_delay
+        if delay is not None and delay.status in _UNCHECKED:
+            statuses.append(delay.status)
+    if not statuses:
+        return ""
+    why = " or ".join(dict.fromkeys(statuses))
+    if len(having) == 1:
+        return f"reference: delay not checked ({why}), so velocities cannot warn"
+    dives = f"{len(statuses)} of {counted(len(having), 'dive')}"
+    return f"reference: delay not checked on {dives} ({why}), so velocities cannot warn there"
+
+
+_UNCHECKED: Final = (DelayStatus.LITTLE_MOTION, DelayStatus.NO_ATTITUDE)
+
+
+def _has_velocity_rows(report: Report) -> bool:
+    """Return whether velocities of the reference are compared."""
+    return any(
+        row.evidence == "accuracy" and row.quantity.startswith("velocity")
+        for row in report.tables.evidence
+    )
 
 
 # --- A row of evidence.
@@ -304,7 +336,9 @@ def _rows_against_control(report: Report, name: str) -> list[EvidenceRow]:
         if before is None or row.evidence == CONSISTENCY or not finite(before.value) > 0.0:
             continue
         ratio = finite(row.value) / finite(before.value)
-        role = role_alone(row.quantity, row.samples, independent=is_independent)
+        role = role_alone(
+            row.quantity, row.samples, independent=is_independent, delay=report.reference_delay
+        )
         changed = {
             "baseline": before.value,
             "ratio": ratio,

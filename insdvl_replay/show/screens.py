@@ -53,6 +53,7 @@ from insdvl_replay.show.answers import (
     predicted_unchecked,
     reports_of,
     start_text,
+    unchecked_delay,
     verdict_in_table,
 )
 from insdvl_replay.show.dive import NO_REFERENCE, headline_table, line_alone, track_fit_line
@@ -239,8 +240,17 @@ def dive_screen(report: Report, page: str) -> list[Part]:
         *headline_table(report),
         *track_fit_line(report),
         *(() if has_reference(report) else (NO_REFERENCE,)),
+        *_delay_line([report]),
         Code(f"all tables{notes}: -v   page: {page}", ""),
     ]
+
+
+def _delay_line(reports: Sequence[Report]) -> list[str]:
+    """Say that the delay of the reference was not checked, where it was not."""
+    line = unchecked_delay(reports)
+    if line:
+        return [line]
+    return []
 
 
 def _trust_lines(report: Report) -> list[str]:
@@ -329,6 +339,7 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
         else table_alone(outcomes),
         *_assay_parts(reports, answers),
         *_consistency_counts(reports),
+        *_delay_line(reports),
         Code(f"all tables: -v   page: {index}", ""),
     ]
 
