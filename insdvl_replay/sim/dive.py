@@ -1,7 +1,7 @@
 """Simulate a dive with perfect sensors, or with sensor errors."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
@@ -61,9 +61,8 @@ def simulate_dive(
     grade: str = "fog",
     imu_errors: ImuErrors | None = None,  # instead of the grade's
     dvl_errors: DvlErrors | None = None,
-    sensors: Mapping[
-        str, SensorErrors
-    ] = NO_SENSORS,  # besides IMU and DVL, by their names in `core.states.SENSORS`
+    # Besides IMU and DVL, by their names in `core.states.SENSORS`.
+    sensors: Mapping[str, SensorErrors] = NO_SENSORS,
     dvl_delay_s: float = 0.0,
     dvl_scale: float = 1.0,
     **exact_options: Any,  # of `exact_dive`
@@ -88,17 +87,79 @@ def late_and_long(dive: Dive, delay_s: float, scale: float) -> Dive:
     if (delay_s, scale) == (0.0, 1.0) or dive.dvl.beam_velocity_mps is None:
         return dive
     late_ns = dive.dvl.time_ns + nanoseconds(delay_s)
-    return replace(
-        dive,
-        dvl=replace(
-            dive.dvl, time_ns=late_ns, beam_velocity_mps=scale * dive.dvl.beam_velocity_mps
-        ),
-    )
+    scaled_mps = scale * dive.dvl.beam_velocity_mps
+    return replace(dive, dvl=replace(dive.dvl, time_ns=late_ns, beam_velocity_mps=scaled_mps))
+
+
+@dataclass(frozen=True)
+class _Course:
+    """The exact motion of a dive, by the times of its log."""
+
+    trajectory: Trajectory
+    end_s: float
+
+    def grid_ns(self, first_s: float, rate_hz: float) -> TimeNs:
+        """Return the times of a sensor from its first reading to the end of the dive, (k,)."""
+        # The end is included for any rounding.
+        count = max(0, int(np.floor((self.end_s - first_s) * rate_hz + 1e-6)) + 1)
+        offsets_s = first_s + np.arange(count) / rate_hz
+        return START_NS + np.rint(offsets_s * 1e9).astype(np.int64)
+
+    def at(self, time_ns: TimeNs) -> Motion:
+        """Return the motion at times."""
+        return self.trajectory.at(seconds(time_ns, START_NS))
+
+    def imu(self, rate_hz: float) -> ImuColumns:
+        """Return exact readings of an IMU, made block by block."""
+        time_ns = self.grid_ns(0.0, rate_hz)
+        blocks = np.array_split(time_ns, 1 + len(time_ns) // BLOCK)
+        motions = [self.at(block) for block in blocks]
+        forces_b = [motion.specific_force_b for motion in motions]
+        rates_b = [motion.angular_rate_b for motion in motions]
+        return ImuColumns(time_ns, np.concatenate(forces_b), np.concatenate(rates_b))
+
+    def dvl(
+        self,
+        time_ns: TimeNs,
+        lost: Sequence[LostBeam],
+        lever_arm_m: Vector,
+        mounting_rpy_deg: Vector,
+    ) -> DvlColumns:
+        """Return exact pings at times, NaN where a beam is lost."""
+        time_s = seconds(time_ns, START_NS)
+        vectors_d = beam_vectors_d()
+        motion = self.at(time_ns)
+        mat_db = mat_from_sines(*sine_and_cosine(np.array(mounting_rpy_deg) * DEG)).T
+        velocity_b = turned(np.swapaxes(motion.mat_nb, -1, -2), motion.velocity_n)
+        velocity_d = turned(mat_db, velocity_b + np.cross(motion.turn_rate_b, lever_arm_m))
+        beam_velocity_mps = turned(vectors_d, velocity_d)
+        for span in lost:
+            is_lost = (time_s >= span.start_s) & (time_s < span.end_s)
+            beam_velocity_mps[is_lost, span.beam] = np.nan
+        return DvlColumns(time_ns, beam_velocity_mps, vectors_d)
+
+    def sensor(self, name: str, rate_hz: float) -> SensorColumns:
+        """Return exact readings of another sensor."""
+        time_ns = self.grid_ns(0.0, rate_hz)
+        motion = self.at(time_ns)
+        values = named("sensor", name, SIMULATED).reading(motion)
+        mat_nb = motion.mat_nb if name == "heading" else None
+        return SensorColumns(time_ns, values, mat_nb)
+
+    def reference(self, time_ns: TimeNs) -> ReferenceColumns:
+        """Return the motion at times with as many digits as matter: below 0.1 mm, 1 um/s and 1 prad."""
+        motion = self.at(time_ns)
+        return ReferenceColumns(
+            time_ns,
+            position=np.round(motion.position, 11),
+            velocity_n=np.round(motion.velocity_n, 6),
+            mat_nb=np.round(motion.mat_nb, 12),
+        )
 
 
 def exact_dive(
-    scenario: str
-    | Scenario,  # a name in `trajectories.SCENARIOS`, or anything with the functions of a scenario
+    # A name in `trajectories.SCENARIOS`, or anything with the functions of a scenario.
+    scenario: str | Scenario,
     *,
     duration_s: float | None = None,  # a longer one continues straight ahead
     imu_rate_hz: float = 100.0,  # starts with the dive, as the reference
@@ -109,111 +170,67 @@ def exact_dive(
     lost_beams: Sequence[LostBeam] = (),
     lever_arm_m: Vector = (0.0, 0.0, 0.0),  # IMU to DVL, in b
     mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),  # the DVL's mounting rotation, d to b
-    sensor_rates_hz: Mapping[
-        str, float
-    ] = NO_RATES,  # besides IMU and DVL; they start with the dive, at the IMU's place
+    # Besides IMU and DVL; they start with the dive, at the IMU's place.
+    sensor_rates_hz: Mapping[str, float] = NO_RATES,
 ) -> Dive:
     """Simulate a dive with perfect sensors. A Monte Carlo study needs it once, and `add_errors` for each run."""
-    course = named("scenario", scenario, SCENARIOS) if isinstance(scenario, str) else scenario
-    end_s = course.duration_s if duration_s is None else duration_s
+    found = named("scenario", scenario, SCENARIOS) if isinstance(scenario, str) else scenario
+    end_s = found.duration_s if duration_s is None else duration_s
     _check_positive("duration", "s", end_s)
     if end_s > LONGEST_S:
-        raise ConfigError(
-            f"duration is {end_s:g} s, more than {LONGEST_S:g} s", f"--duration {LONGEST_S:g}"
-        )
-    rates_hz = {
-        "IMU": imu_rate_hz,
-        "DVL": dvl_rate_hz,
-        "reference": reference_rate_hz,
-        **sensor_rates_hz,
-    }
-    for sensor, rate_hz in rates_hz.items():
+        text = f"duration is {end_s:g} s, more than {LONGEST_S:g} s"
+        raise ConfigError(text, f"--duration {LONGEST_S:g}")
+    rates_hz = {"IMU": imu_rate_hz, "DVL": dvl_rate_hz, "reference": reference_rate_hz}
+    for sensor, rate_hz in {**rates_hz, **sensor_rates_hz}.items():
         _check_positive(f"{sensor} rate", "Hz", rate_hz)
     if end_s * imu_rate_hz < 1.0:
-        raise ConfigError(
-            f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples",
-            "--duration 60",
-        )
-    beams = len(AZIMUTH_DEG)
-    spans = [*lost_beams, *(LostBeam(beam, *outage) for outage in outages for beam in range(beams))]
-    for span in spans:
-        if not span.start_s < span.end_s:
-            raise ConfigError(
-                f"an outage from {span.start_s:g} s to {span.end_s:g} s must end after its start",
-                "give START:END in seconds from the start of the dive",
-            )
-        if span.start_s >= end_s or span.end_s <= 0.0:
-            raise ConfigError(
-                f"an outage from {span.start_s:g} s to {span.end_s:g} s is outside the dive of {end_s:g} s",
-                "give START:END in seconds from the start of the dive, or a longer --duration",
-            )
-        if not 0 <= span.beam < beams:
-            raise ConfigError(
-                f"beam {span.beam} does not exist", f"beams are counted from 0 to {beams - 1}"
-            )
-    trajectory = Trajectory(course, end_s)
+        text = f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples"
+        raise ConfigError(text, "--duration 60")
+    lost = list(lost_beams)
+    for start_s, stop_s in outages:
+        lost += [LostBeam(beam, start_s, stop_s) for beam in range(len(AZIMUTH_DEG))]
+    for span in lost:
+        _check_span(span, end_s)
 
-    def grid_ns(first_s: float, rate_hz: float) -> TimeNs:
-        # The end is included for any rounding.
-        count = max(0, int(np.floor((end_s - first_s) * rate_hz + 1e-6)) + 1)
-        return START_NS + np.rint((first_s + np.arange(count) / rate_hz) * 1e9).astype(np.int64)
-
-    def motion_at(time_ns: TimeNs) -> Motion:
-        return trajectory.at(seconds(time_ns, START_NS))
-
-    # The IMU, by blocks.
-    imu_ns = grid_ns(0.0, imu_rate_hz)
-    ping_ns = grid_ns(FIRST_PING_S, dvl_rate_hz)
-    blocks = [motion_at(block) for block in np.array_split(imu_ns, 1 + len(imu_ns) // BLOCK)]
-    forces_b = [block.specific_force_b for block in blocks]
-    rates_b = [block.angular_rate_b for block in blocks]
-
-    # The DVL.
-    time_s = seconds(ping_ns, START_NS)
-    vectors_d = beam_vectors_d()
-    motion = motion_at(ping_ns)
-    mat_db = mat_from_sines(*sine_and_cosine(np.array(mounting_rpy_deg) * DEG)).T
-    velocity_b = turned(np.swapaxes(motion.mat_nb, -1, -2), motion.velocity_n)
-    velocity_d = turned(mat_db, velocity_b + np.cross(motion.turn_rate_b, lever_arm_m))
-    beam_velocity_mps = turned(vectors_d, velocity_d)
-    for span in spans:
-        beam_velocity_mps[(time_s >= span.start_s) & (time_s < span.end_s), span.beam] = np.nan
-
-    # The other sensors, and the reference with as many digits as matter: below 0.1 mm, 1 um/s and 1 prad.
-    sensors = {}
-    for name, rate_hz in sensor_rates_hz.items():
-        reading_ns = grid_ns(0.0, rate_hz)
-        motion = motion_at(reading_ns)
-        values = named("sensor", name, SIMULATED).reading(motion)
-        sensors[name] = SensorColumns(
-            reading_ns, values, motion.mat_nb if name == "heading" else None
-        )
-    reference_ns = (
-        np.append(START_NS, ping_ns) if reference_at_pings else grid_ns(0.0, reference_rate_hz)
-    )
-    motion = motion_at(reference_ns)
-    reference = ReferenceColumns(
-        reference_ns,
-        position=np.round(motion.position, 11),
-        velocity_n=np.round(motion.velocity_n, 6),
-        mat_nb=np.round(motion.mat_nb, 12),
-    )
+    course = _Course(Trajectory(found, end_s), end_s)
+    imu = course.imu(imu_rate_hz)
+    ping_ns = course.grid_ns(FIRST_PING_S, dvl_rate_hz)
+    dvl = course.dvl(ping_ns, lost, lever_arm_m, mounting_rpy_deg)
+    sensors = {name: course.sensor(name, rate_hz) for name, rate_hz in sensor_rates_hz.items()}
+    reference_ns = course.grid_ns(0.0, reference_rate_hz)
+    if reference_at_pings:
+        reference_ns = np.append(START_NS, ping_ns)
+    reference = course.reference(reference_ns)
     unbiased = np.zeros_like(reference.velocity_n)
     return Dive(
-        name=scenario if isinstance(scenario, str) else course.about,
-        imu=ImuColumns(imu_ns, np.concatenate(forces_b), np.concatenate(rates_b)),
-        dvl=DvlColumns(ping_ns, beam_velocity_mps, vectors_d),
+        name=scenario if isinstance(scenario, str) else scenario.about,
+        imu=imu,
+        dvl=dvl,
         reference=reference,
         truth=TruthColumns(reference_ns, unbiased, unbiased),
         sensors=sensors,
     )
 
 
+def _check_span(span: LostBeam, end_s: float) -> None:
+    """Refuse an outage of a beam that ends before it starts, is outside the dive, or is of no beam."""
+    beams = len(AZIMUTH_DEG)
+    outage = f"an outage from {span.start_s:g} s to {span.end_s:g} s"
+    hint = "give START:END in seconds from the start of the dive"
+    if not span.start_s < span.end_s:
+        raise ConfigError(f"{outage} must end after its start", hint)
+    if span.start_s >= end_s or span.end_s <= 0.0:
+        hint += ", or a longer --duration"
+        raise ConfigError(f"{outage} is outside the dive of {end_s:g} s", hint)
+    if not 0 <= span.beam < beams:
+        hint = f"beams are counted from 0 to {beams - 1}"
+        raise ConfigError(f"beam {span.beam} does not exist", hint)
+
+
 def _check_positive(what: str, unit: str, value: float) -> None:
     if not 0.0 < value < np.inf:
-        raise ConfigError(
-            f"{what} must be above 0, found {value:g} {unit}", f"give the {what} in {unit}"
-        )
+        text = f"{what} must be above 0, found {value:g} {unit}"
+        raise ConfigError(text, f"give the {what} in {unit}")
 
 
 def add_errors(
@@ -232,24 +249,18 @@ def add_errors(
         raise ConfigError(f"seed must be at least 0, found {seed}", f"--seed {-seed}")
     if exact.truth is None:
         raise ValueError("errors are added to an exact dive, which holds truth")
-    accel_rng, gyro_rng, dvl_rng = (
-        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3)
-    )
-    sensor_rngs = {name: np.random.default_rng([seed, *name.encode()]) for name in sensor_errors}
+    accel_rng, gyro_rng, dvl_rng = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(3))
     imu, biases = add_imu_errors(exact.imu, imu_errors, accel_rng, gyro_rng)
     time_ns = exact.truth.time_ns
     latest = np.searchsorted(biases.time_ns, time_ns, side="right") - 1
-    return replace(
-        exact,
-        imu=imu,
-        dvl=add_dvl_errors(exact.dvl, dvl_errors, dvl_rng),
-        truth=TruthColumns(
-            time_ns,
-            np.round(biases.accel_bias_b[latest], 10),
-            np.round(biases.gyro_bias_b[latest], 14),
-        ),
-        sensors={
-            name: add_sensor_errors(name, exact.sensors[name], errors, sensor_rngs[name])
-            for name, errors in sensor_errors.items()
-        },
+    truth = TruthColumns(
+        time_ns,
+        np.round(biases.accel_bias_b[latest], 10),
+        np.round(biases.gyro_bias_b[latest], 14),
     )
+    sensors = {}
+    for name, errors in sensor_errors.items():
+        rng = np.random.default_rng([seed, *name.encode()])
+        sensors[name] = add_sensor_errors(name, exact.sensors[name], errors, rng)
+    dvl = add_dvl_errors(exact.dvl, dvl_errors, dvl_rng)
+    return replace(exact, imu=imu, dvl=dvl, truth=truth, sensors=sensors)

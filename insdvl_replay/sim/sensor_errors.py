@@ -24,9 +24,8 @@ from insdvl_replay.geometry.frames import beam_vectors, moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, turned
 from insdvl_replay.sim.trajectories import Motion
 
-DEG_PER_RT_HOUR: Final = (
-    DEG / 60.0
-)  # the unit of angular random walk on data sheets, in rad/sqrt(s)
+# The unit of angular random walk on data sheets, in rad/sqrt(s).
+DEG_PER_RT_HOUR: Final = DEG / 60.0
 
 
 @dataclass(frozen=True)
@@ -40,9 +39,8 @@ class ImuErrors:
     gyro_white_rad_rts: float = 0.0
     accel_bias_sd_mps2: float = 0.0  # of the bias at the start of a dive
     gyro_bias_sd_radps: float = 0.0
-    accel_bias_walk_mps2_rts: float = (
-        0.0  # random walk K: after t the sd of the bias has grown by K sqrt(t)
-    )
+    # Random walk K: after t the standard deviation of the bias has grown by K sqrt(t).
+    accel_bias_walk_mps2_rts: float = 0.0
     gyro_bias_walk_radps_rts: float = 0.0
     accel_quantum_mps2: float = 0.0  # step to which readings are rounded; 0 for none
     gyro_quantum_radps: float = 0.0
@@ -135,9 +133,8 @@ class DvlErrors:
     beam_bias_sd_mps: float = 0.001  # a beam's constant offset, drawn once a dive
     beam_scale_sd: float = 0.002  # a beam's scale error, drawn once a dive
     beam_quantum_mps: float = 1e-4  # step to which readings are rounded; 0 for none
-    velocity_sd_mps: float = (
-        0.0  # white noise on each axis of the velocity, common to the beams of a ping
-    )
+    # White noise on each axis of the velocity, common to the beams of a ping.
+    velocity_sd_mps: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -204,10 +201,11 @@ def add_sensor_errors(
     """Add white noise to exact readings; for an attitude to each of its angles."""
     sd = SIMULATED[name].si * errors.sd
     noise = sd * rng.standard_normal(exact.values.shape)
-    values = moved_position(exact.values, noise) if name == "position" else exact.values + noise
+    values = exact.values + noise
+    if name == "position":
+        values = moved_position(exact.values, noise)
     if exact.mat_nb is None:
         return SensorColumns(exact.time_ns, values)
     roll_pitch = rpy_from_mat(exact.mat_nb)[:, :2] + sd * rng.standard_normal((len(values), 2))
-    return SensorColumns(
-        exact.time_ns, values, mat_from_rpy(np.concatenate([roll_pitch, values], axis=1))
-    )
+    mat_nb = mat_from_rpy(np.concatenate([roll_pitch, values], axis=1))
+    return SensorColumns(exact.time_ns, values, mat_nb)

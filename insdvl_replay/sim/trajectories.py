@@ -48,8 +48,12 @@ def sine_and_cosine(angle: Floats) -> tuple[Floats, Floats]:
     cosine = _series(square, _COSINE_ORDERS)
     odd = quarters % 2.0 == 1.0
     second_half = quarters % 4.0 >= 2.0
-    sine, cosine = np.where(odd, cosine, sine), np.where(odd, -sine, cosine)
-    return np.where(second_half, -sine, sine), np.where(second_half, -cosine, cosine)
+    sine_of_angle = np.where(odd, cosine, sine)
+    cosine_of_angle = np.where(odd, -sine, cosine)
+    return (
+        np.where(second_half, -sine_of_angle, sine_of_angle),
+        np.where(second_half, -cosine_of_angle, cosine_of_angle),
+    )
 
 
 def _series(square: Floats, orders: range) -> Floats:
@@ -105,9 +109,8 @@ class Segment:
     def heading_change(self, time_s: Floats) -> Floats:
         """Return the change of heading, rad, at seconds from the segment's start."""
         fall_s = time_s - (self.duration_s - RAMP_S)
-        change: Floats = (
-            self.peak_rate * RAMP_S * (_ramp_area(time_s / RAMP_S) - _ramp_area(fall_s / RAMP_S))
-        )
+        area = _ramp_area(time_s / RAMP_S) - _ramp_area(fall_s / RAMP_S)
+        change: Floats = self.peak_rate * RAMP_S * area
         return change
 
     def heading_rate(self, time_s: Floats) -> Floats:
@@ -152,11 +155,11 @@ class Scenario:
     def _turns(self, time_s: Floats) -> list[tuple[Segment, Floats]]:
         """Pair each turn with the seconds since it began."""
         ends_s = np.cumsum([segment.duration_s for segment in self.segments])
-        return [
-            (segment, time_s - (end_s - segment.duration_s))
-            for segment, end_s in zip(self.segments, ends_s, strict=True)
-            if segment.turn_deg
-        ]
+        turns = []
+        for segment, end_s in zip(self.segments, ends_s, strict=True):
+            if segment.turn_deg:
+                turns.append((segment, time_s - (end_s - segment.duration_s)))
+        return turns
 
     def rpy(self, time_s: Floats) -> Floats:
         """Return roll, pitch and heading, rad, shape (k, 3); the heading is not wrapped."""
@@ -220,9 +223,10 @@ def _lawnmower() -> tuple[Segment, ...]:
 
 def _calibration() -> tuple[Segment, ...]:
     """Make turns to both sides, with legs between them to gain speed."""
-    leg = Segment(20.0)
-    return tuple(part for angle_deg in (90.0, -120.0, 150.0, -90.0, 180.0, -150.0, 120.0, -180.0) * 2
-                 for part in (leg, turn(angle_deg, 12.0)))  # fmt: skip
+    segments: list[Segment] = []
+    for angle_deg in (90.0, -120.0, 150.0, -90.0, 180.0, -150.0, 120.0, -180.0) * 2:
+        segments += [Segment(20.0), turn(angle_deg, 12.0)]
+    return tuple(segments)
 
 
 SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
@@ -297,9 +301,8 @@ class Trajectory:
         ``v' = C (w_nb x v_b + v_b')``; see docs/equations/mechanisation.md.
         """
         # Hermite's cubic between the knots.
-        left = np.clip(
-            np.searchsorted(self._knots_s, time_s, side="right") - 1, 0, len(self._knots_s) - 2
-        )
+        before = np.searchsorted(self._knots_s, time_s, side="right") - 1
+        left = np.clip(before, 0, len(self._knots_s) - 2)
         right = left + 1
         step_s = (self._knots_s[right] - self._knots_s[left])[:, None]
         done = (time_s - self._knots_s[left])[:, None] / step_s
@@ -324,7 +327,8 @@ class Trajectory:
         rate_en_n = np.stack([north, east, -north * sine_lat / cosine_lat], axis=-1)
         rate_ie_b = turned(mat_bn, rate_ie_n)
         rate_en_b = turned(mat_bn, rate_en_n)
-        (sr, sp, _), (cr, cp, _) = sine.T, cosine.T
+        sr, sp, _ = sine.T
+        cr, cp, _ = cosine.T
         roll_rate, pitch_rate, heading_rate = self._scenario.rpy_rate(time_s).T
         about_y = cp * heading_rate
         rates = [

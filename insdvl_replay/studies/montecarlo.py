@@ -72,9 +72,7 @@ Outages = Sequence[tuple[float, float]]
 class MonteCarloSetup:
     """The common part of all runs of a study."""
 
-    exact: (
-        Dive  # with perfect sensors; reference and truth have a row at the start and at each ping
-    )
+    exact: Dive  # perfect sensors; reference and truth have a row at the start and at each ping
     imu_errors: ImuErrors  # size of the errors of each run
     dvl_errors: DvlErrors
     config: Config  # filters and uncertainty of the start; biases, scale, span and log are not used
@@ -182,23 +180,27 @@ def study_montecarlo(
     tables = {"montecarlo": montecarlo_table(ensembles), "verdicts": verdict_table(ensembles)}
     if outages:
         tables["outages"] = outage_table(ensembles, outages)
-    nees, (asked, length, drawn) = nees_table(ensembles), _asked(setup, imu, seed, outages)
+    nees = nees_table(ensembles)
+    asked, length, drawn = _asked(setup, imu, seed, outages)
     title = f"Monte Carlo study: {scenario}, {length}, {runs} runs, {drawn}"
-    pictures = {
-        f"{ensemble.filter}_{name}": ensemble_figure(
-            f"{ensemble.filter}: {title}",
-            states,
-            *(ensemble.time_s, ensemble.sd, ensemble.error_sd, ensemble.error_mean),
-        )
-        for ensemble in ensembles
-        for name, states in PICTURES.items()
-    }
+    figures = {"nees": nees_figure(title, nees)}
+    for ensemble in ensembles:
+        of_filter = f"{ensemble.filter}: {title}"
+        for name, states in PICTURES.items():
+            figures[f"{ensemble.filter}_{name}"] = ensemble_figure(
+                of_filter,
+                states,
+                ensemble.time_s,
+                ensemble.sd,
+                ensemble.error_sd,
+                ensemble.error_mean,
+            )
     result = Result(
         kind="montecarlo",
         title=title,
         sentences=tuple(_sentences(tables)),
         tables=tables,
-        figures={"nees": nees_figure(title, nees), **pictures},
+        figures=figures,
         config=config,
         arguments=asked | {"runs": runs},
         series={
@@ -224,10 +226,8 @@ def repeat_run(
     """Repeat one run of a study, by its number, from 1."""
     setup = make_setup(scenario, config, imu, duration_s, outages)
     own_seed = run_seed(seed, run)
-    table, (asked, length, drawn) = (
-        run_table(simulated_run(setup, own_seed)),
-        _asked(setup, imu, seed, outages),
-    )
+    table = run_table(simulated_run(setup, own_seed))
+    asked, length, drawn = _asked(setup, imu, seed, outages)
     columns = (
         ("state", "l", "state:label"),
         ("unit", "l", "unit"),
@@ -259,9 +259,11 @@ def _asked(
     """Return the arguments, the duration, and a text on the random draws."""
     time_ns = setup.exact.imu.time_ns
     duration_s = float(time_ns[-1] - time_ns[0]) * 1e-9
-    spans = ", ".join(f"{start_s:g} to {end_s:g} s" for start_s, end_s in outages)
     asked = {"scenario": setup.exact.name, "duration_s": duration_s, "imu": imu, "seed": seed}
-    drawn = f"IMU {imu}, seed {seed}{f', no bottom track from {spans}' if spans else ''}"
+    drawn = f"IMU {imu}, seed {seed}"
+    spans = ", ".join(f"{start_s:g} to {end_s:g} s" for start_s, end_s in outages)
+    if spans:
+        drawn += f", no bottom track from {spans}"
     return asked | {"outages": [list(outage) for outage in outages]}, f"{duration_s:g} s", drawn
 
 
@@ -272,7 +274,9 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
     """Yield a sentence on the consistency of each filter, and on the improvement of each candidate."""
     row: Any
     for row in tables["verdicts"].itertuples():
-        sentence = f"{row.filter} is {row.verdict}" + (f" ({row.why})" if row.why else "")
+        sentence = f"{row.filter} is {row.verdict}"
+        if row.why:
+            sentence += f" ({row.why})"
         if row.verdict == Consistency.INSUFFICIENT:
             sentence = f"{row.filter}: too few runs for a verdict"
         yield (
@@ -282,15 +286,15 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
     baseline, *candidates = tables["verdicts"]["filter"]
     nine = tables["montecarlo"][tables["montecarlo"]["state"].isin([state.id for state in NINE])]
     for name in candidates:
-        means = nine[nine["filter"] == name][
-            ["predicted_improvement_pct", "true_improvement_pct"]
-        ].mean()
-        predicted, true = (
-            f"{abs(mean):.1f} % {'smaller' if mean >= 0 else 'larger'}" for mean in means
-        )
-        yield (
-            f"{name} against {baseline}, mean over nine states: predicted errors {predicted}, true errors {true}"
-        )
+        rows = nine[nine["filter"] == name]
+        predicted = _smaller_or_larger(rows["predicted_improvement_pct"].mean())
+        true = _smaller_or_larger(rows["true_improvement_pct"].mean())
+        against = f"{name} against {baseline}, mean over nine states"
+        yield f"{against}: predicted errors {predicted}, true errors {true}"
+
+
+def _smaller_or_larger(improvement_pct: float) -> str:
+    return f"{abs(improvement_pct):.1f} % {'smaller' if improvement_pct >= 0 else 'larger'}"
 
 
 def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
@@ -309,10 +313,12 @@ def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
         ("truth", "r", "true_improvement_pct:percent"),
     ]
     for name, rows in tables["montecarlo"].groupby("filter", sort=False):
-        is_baseline = name == baseline
-        against = "" if is_baseline else f"; predicted and true improvement over {baseline}"
-        title = f"Predicted and true errors of {name} at the end{against}"
-        yield table_of(title, rows, columns if is_baseline else columns + gains)
+        title = f"Predicted and true errors of {name} at the end"
+        if name == baseline:
+            yield table_of(title, rows, columns)
+        else:
+            title += f"; predicted and true improvement over {baseline}"
+            yield table_of(title, rows, columns + gains)
     yield table_of(
         "NEES: mean over runs and pings, with its 95 % interval",
         tables["verdicts"],
@@ -351,13 +357,16 @@ def nees_figure(title: str, nees: pd.DataFrame) -> Figure:
     curves = []
     legend = []
     for number, (name, rows) in enumerate(nees.groupby("filter", sort=False)):
-        curves.append(
-            Curve(rows["time_s"].to_numpy(), rows["mean_nees"].to_numpy(), filter_style(number))
-        )
-        legend.append((filter_style(number), str(name)))
-    far_above = nees["mean_nees"].max() > FAR_ABOVE * high
+        style = filter_style(number)
+        curves.append(Curve(rows["time_s"].to_numpy(), rows["mean_nees"].to_numpy(), style))
+        legend.append((style, str(name)))
+    is_far_above = nees["mean_nees"].max() > FAR_ABOVE * high
     panel = Panel(
-        "mean NEES", "time [s]", tuple(curves), (low, high), "log" if far_above else "linear"
+        "mean NEES",
+        "time [s]",
+        tuple(curves),
+        levels=(low, high),
+        y_scale="log" if is_far_above else "linear",
     )
     caption = "Dashed lines: 95 % interval of a consistent filter."
     return Figure(title, caption, (panel,), (*legend, (LIMIT, "95 % interval")))
@@ -375,9 +384,9 @@ def ensemble_figure(
     panels = []
     settled = time_s >= SETTLED * time_s[-1]
     for state in states:
-        predicted, actual, mean = (
-            column[:, state.index] / state.factor for column in (sd, error_sd, error_mean)
-        )
+        predicted = sd[:, state.index] / state.factor
+        actual = error_sd[:, state.index] / state.factor
+        mean = error_mean[:, state.index] / state.factor
         lowest = min(0.0, mean[settled].min())
         highest = max(predicted[settled].max(), actual[settled].max())
         curves = (

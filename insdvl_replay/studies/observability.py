@@ -92,9 +92,8 @@ def study_observability(
     left_sd = {}
     for name, aiding in AIDING.items():
         stack = [measurements[single] for single in aiding]
-        found[name] = analyse(
-            np.vstack([whitened_rows(pings, single, arm_b) for single in stack]), prior_sd
-        )
+        rows = [whitened_rows(pings, single, arm_b) for single in stack]
+        found[name] = analyse(np.vstack(rows), prior_sd)
         left_sd[name] = np.sqrt(np.diag(remaining_cov(pings, stack, arm_b, prior_sd)))
     start_of = (nominal.position[0], nominal.velocity_n[0], nominal.mat_nb[0])
     tables = observability_tables(
@@ -125,14 +124,11 @@ def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
     """Read the log, or simulate the scenario's exact dive, with scale 1 and zero biases in the settings."""
     path = Path(dive_or_scenario)
     if path.exists():
-        return with_reference_at_imu(
-            read_checked_dive(path, config.without_solutions()), config
-        ), config
+        dive = read_checked_dive(path, config.without_solutions())
+        return with_reference_at_imu(dive, config), config
     if dive_or_scenario not in SCENARIOS:
-        raise ConfigError(
-            f"{dive_or_scenario}: is neither a log nor a scenario",
-            f"scenarios: {', '.join(SCENARIOS)}",
-        )
+        text = f"{dive_or_scenario}: is neither a log nor a scenario"
+        raise ConfigError(text, f"scenarios: {', '.join(SCENARIOS)}")
     change = msgspec.structs.replace
     unbiased = Initial()
     dvl = change(config.dvl, scale=1.0)
@@ -148,10 +144,8 @@ def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
 def _measurements(start: Prepared, config: Config) -> dict[str, Measurement]:
     """Prepare each measurement alone: the first filter's velocities, the first accelerations configured."""
     baseline = config.filters[config.baseline]
-    with_acceleration = (
-        filter_ for filter_ in config.filters.values() if filter_.acceleration is not None
-    )
-    owner = next(with_acceleration, baseline)
+    with_acceleration = [one for one in config.filters.values() if one.acceleration is not None]
+    owner = with_acceleration[0] if with_acceleration else baseline
     acceleration = owner.acceleration or Acceleration()
     change = partial(msgspec.structs.replace, gate_probability=NO_GATE)
     singles: dict[str, Filter] = {"velocity": change(baseline, aiding=("velocity",))}
@@ -202,18 +196,10 @@ def observability_tables(
             if direction in unobservable:
                 status = DirectionStatus.UNOBSERVABLE
             seen.append((aiding, direction.id, direction.label, response, status))
-        for count, (value, vector) in enumerate(
-            zip(analysis.singular_values, analysis.directions, strict=True), start=1
-        ):
-            values.append(
-                (
-                    aiding,
-                    count,
-                    value,
-                    100.0 / np.sqrt(1.0 + value**2),
-                    *(vector * prior_sd / factors),
-                )
-            )
+        orthogonal = zip(analysis.singular_values, analysis.directions, strict=True)
+        for count, (value, vector) in enumerate(orthogonal, start=1):
+            left_pct = 100.0 / np.sqrt(1.0 + value**2)
+            values.append((aiding, count, value, left_pct, *(vector * prior_sd / factors)))
         columns = {"prior_sd": prior_sd / factors, "left_sd": left_sd[aiding] / factors}
         columns |= {
             "left_pct": 100.0 * left_sd[aiding] / prior_sd,
@@ -257,20 +243,17 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
         if row.rank == row.states:
             yield f"{rank}."
             continue
-        names = [
-            *unseen.get(row.aiding, []),
-            *([f"{row.unnamed} without a name"] if row.unnamed else []),
-        ]
-        gap = (
-            f"; the next singular value is {row.gap:.0e} times smaller"
-            if np.isfinite(row.gap)
-            else ""
-        )
-        yield f"{rank}{gap}; unobservable: {', '.join(names)}."
+        if np.isfinite(row.gap):
+            rank += f"; the next singular value is {row.gap:.0e} times smaller"
+        names = list(unseen.get(row.aiding, []))
+        if row.unnamed:
+            names.append(f"{row.unnamed} without a name")
+        yield f"{rank}; unobservable: {', '.join(names)}."
     for aiding, states in tables["states"].groupby("aiding", sort=False):
         less = states[states["left_pct"] > _GROWN_PCT]  # not visible in the rank
         named = zip(less["state"], less["left_pct"], strict=True)
-        if grown := "; ".join(f"{label(state)} ({left_pct:.0f} %)" for state, left_pct in named):
+        grown = "; ".join(f"{label(state)} ({left_pct:.0f} %)" for state, left_pct in named)
+        if grown:
             yield f"{aiding}: sigma is larger after the last ping than at the start, by process noise: {grown}."
         else:
             yield f"{aiding}: after the last ping, no sigma is larger than at the start."

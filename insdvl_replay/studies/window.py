@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from insdvl_replay.core.config import Acceleration, Config
-from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, seconds
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.dive_record import dive_name
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.runtime import parallel_map
@@ -70,16 +70,15 @@ def study_window(
     """
     names = [dive_name(path) for path in paths]
     for place, name in enumerate(names):
-        if (first := names.index(name)) < place:
-            raise ConfigError(
-                f"{paths[first]} and {paths[place]} have the same name", "rename one of them"
-            )
+        first = names.index(name)
+        if first < place:
+            text = f"{paths[first]} and {paths[place]} have the same name"
+            raise ConfigError(text, "rename one of them")
 
     def study(path: Path) -> Windows | LogError:
         try:
-            return dive_windows(
-                read_checked_dive(path, config.without_solutions()), config, longest
-            )
+            dive = read_checked_dive(path, config.without_solutions())
+            return dive_windows(dive, config, longest)
         except LogError as error:
             return error
 
@@ -88,24 +87,23 @@ def study_window(
     studied = [outcome for outcome in found if not isinstance(outcome, LogError)]
     if not studied:
         raise refused[0]
-    tables, spans_s, notes = zip(*studied, strict=True)
-    windows = pd.concat(tables, ignore_index=True)
-    if len(tables) > 1:
+    windows = pd.concat([table for table, _, _ in studied], ignore_index=True)
+    if len(studied) > 1:
         windows = pd.concat([pooled_windows(windows), windows], ignore_index=True)
+    notes: list[Note] = []
+    for _, _, dive_notes in studied:
+        notes += dive_notes
+    for error in refused:
+        text = f"{error.message}; ignored"
+        notes.append(Note(LEFT_OUT, text, 1, Severity.WARNING, error.hint))
     best = best_windows(windows)
     return Result(
         kind="window",
         title=f"Window study: {', '.join(names)}",
-        sentences=tuple(_sentences(best, spans_s)),
+        sentences=tuple(_sentences(best, [span_s for _, span_s, _ in studied])),
         tables={"window": windows, "best": best},
         figures={"window": window_figure(windows)},
-        notes=(
-            *(note for dive_notes in notes for note in dive_notes),
-            *(
-                Note(LEFT_OUT, f"{error.message}; ignored", 1, Severity.WARNING, error.hint)
-                for error in refused
-            ),
-        ),
+        notes=tuple(notes),
         config=config,
         arguments={"logs": names, "longest": longest},
         display=tuple(_display(windows, best)),
@@ -125,23 +123,16 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
     reference = reference_as_configured(dive.reference, dive.imu, config)
     start = prepare_with_heading(replace(dive, reference=reference), config)
     velocities = start.velocities
-    configured = (
-        filter_.acceleration
-        for filter_ in config.filters.values()
-        if filter_.acceleration is not None
-    )
-    max_gap_s = next(configured, Acceleration()).max_window_gap_s
+    max_gap_s = _longest_gap_s(config)
     time_s = seconds(velocities.time_ns, velocities.time_ns[:1])
     windows = {n: slope_windows(time_s, n, 1, max_gap_s) for n in range(2, longest + 1)}
     expected_b = _expected(windows, velocities, reference, max_gap_s)
     # A window over a long IMU gap is ignored: the lever arm's velocity is unknown.
     first = np.maximum(np.arange(len(velocities.time_ns)) - longest + 1, 0)
-    compared = windows[longest].complete & ~start.gaps.overlap(
-        velocities.time_ns[first], velocities.time_ns
-    )
-    compared &= np.all(
-        [np.isfinite(expected).all(axis=1) for expected in expected_b.values()], axis=0
-    )
+    in_gap = start.gaps.overlap(velocities.time_ns[first], velocities.time_ns)
+    compared = windows[longest].complete & ~in_gap
+    for expected in expected_b.values():
+        compared &= np.isfinite(expected).all(axis=1)
     if not compared.any():
         raise LogError(
             f"{dive.name}: the {len(time_s)} pings have no window of {longest} velocities without a gap above "
@@ -152,21 +143,18 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
     for lever_arm, velocity_b in _velocities_at_imu(dive, velocities, start.mounting).items():
         for (at, n), expected in expected_b.items():
             slope_b = windowed_sum(windows[n].velocity_weights, velocity_b)
-            rows.append(
-                (
-                    dive.name,
-                    n,
-                    at,
-                    lever_arm,
-                    vector_rmse(slope_b, expected, compared),
-                    int(compared.sum()),
-                )
-            )
-    return (
-        pd.DataFrame(rows, columns=WINDOW_COLUMNS),
-        differentiated_over_s(reference),
-        dive.notes + start.notes,
-    )
+            rmse = vector_rmse(slope_b, expected, compared)
+            rows.append((dive.name, n, at, lever_arm, rmse, int(compared.sum())))
+    table = pd.DataFrame(rows, columns=WINDOW_COLUMNS)
+    return table, differentiated_over_s(reference), dive.notes + start.notes
+
+
+def _longest_gap_s(config: Config) -> float:
+    """Return the gap that starts a new window, by the first filter with accelerations."""
+    for filter_ in config.filters.values():
+        if filter_.acceleration is not None:
+            return filter_.acceleration.max_window_gap_s
+    return Acceleration().max_window_gap_s
 
 
 def _expected(
@@ -177,15 +165,16 @@ def _expected(
 ) -> dict[tuple[str, int], Floats]:
     """Return the reference's acceleration at the middle and at the end of each window, by place and size."""
     acceleration_b = reference_acceleration(reference, max_gap_s)
-    middle_ns = {
-        n: velocities.time_ns[:1] + np.round(window.middle_s * 1e9).astype(np.int64)
-        for n, window in windows.items()
-    }
-    return {
-        (at, n): acceleration_at(time_ns, reference.time_ns, acceleration_b)
-        for at, times in ((MIDDLE, middle_ns), (END, dict.fromkeys(windows, velocities.time_ns)))
-        for n, time_ns in times.items()
-    }
+    times: dict[tuple[str, int], TimeNs] = {}
+    for n, window in windows.items():
+        middle_ns = np.round(window.middle_s * 1e9).astype(np.int64)
+        times[MIDDLE, n] = velocities.time_ns[:1] + middle_ns
+    for n in windows:
+        times[END, n] = velocities.time_ns
+    expected_b = {}
+    for key, time_ns in times.items():
+        expected_b[key] = acceleration_at(time_ns, reference.time_ns, acceleration_b)
+    return expected_b
 
 
 def _velocities_at_imu(
@@ -198,12 +187,10 @@ def _velocities_at_imu(
     lever_arm_b = mounting.lever_arm_b
     if not lever_arm_b.any():
         return {NO_ARM: velocities.velocity_b}
-    ping_s, sample_s = (
-        seconds(time_ns, dive.imu.time_ns[:1]) for time_ns in (velocities.time_ns, dive.imu.time_ns)
-    )
-    rate_b = np.column_stack(
-        [np.interp(ping_s, sample_s, axis) for axis in dive.imu.angular_rate_b.T]
-    )
+    ping_s = seconds(velocities.time_ns, dive.imu.time_ns[:1])
+    sample_s = seconds(dive.imu.time_ns, dive.imu.time_ns[:1])
+    columns = [np.interp(ping_s, sample_s, axis) for axis in dive.imu.angular_rate_b.T]
+    rate_b = np.column_stack(columns)
     return {
         COMPENSATED: velocities.velocity_b - np.cross(rate_b, lever_arm_b),
         IGNORED: velocities.velocity_b,
@@ -213,12 +200,10 @@ def _velocities_at_imu(
 def pooled_windows(table: pd.DataFrame) -> pd.DataFrame:
     """Pool the logs of a window study, each sample with the same weight."""
     squares = table.assign(squares=table["samples"] * table["rmse_mps2"] ** 2)
-    sums = squares.groupby(["lever_arm", "at", "n"], sort=False, as_index=False)[
-        ["squares", "samples"]
-    ].sum()
-    return sums.assign(log=POOLED, rmse_mps2=np.sqrt(sums["squares"] / sums["samples"]))[
-        WINDOW_COLUMNS
-    ]
+    groups = squares.groupby(["lever_arm", "at", "n"], sort=False, as_index=False)
+    sums = groups[["squares", "samples"]].sum()
+    pooled = sums.assign(log=POOLED, rmse_mps2=np.sqrt(sums["squares"] / sums["samples"]))
+    return pooled[WINDOW_COLUMNS]
 
 
 def best_windows(table: pd.DataFrame) -> pd.DataFrame:
@@ -233,18 +218,17 @@ def best_windows(table: pd.DataFrame) -> pd.DataFrame:
 def _sentences(best: pd.DataFrame, differentiated_s: Sequence[float]) -> Iterator[str]:
     """Yield the best window at its middle and at its end, and the resolution of the reference."""
     for arm, rows in best[best["log"] == best["log"].iloc[0]].groupby("lever_arm", sort=False):
-        middle, end = (rows[rows["at"] == at].iloc[0] for at in (MIDDLE, END))
+        middle = rows[rows["at"] == MIDDLE].iloc[0]
+        end = rows[rows["at"] == END].iloc[0]
         yield (
             f"{_ARM[str(arm)][0]}, {middle['n']} velocities give the best acceleration at the middle of their window, "
             f"{number(middle['rmse_mps2'])} m/s^2 rms, and {end['n']} at its end, {number(end['rmse_mps2'])} m/s^2 rms."
         )
     shortest_s = min(differentiated_s)
     longest_s = max(differentiated_s)
-    over = (
-        f"{shortest_s:.3g} s"
-        if longest_s - shortest_s < 0.01
-        else f"{shortest_s:.3g} to {longest_s:.3g} s"
-    )
+    over = f"{shortest_s:.3g} to {longest_s:.3g} s"
+    if longest_s - shortest_s < 0.01:
+        over = f"{shortest_s:.3g} s"
     yield f"The reference's acceleration is a difference of velocities over {over}. It misses faster changes."
 
 
@@ -279,20 +263,10 @@ def window_figure(windows: pd.DataFrame) -> Figure:
     first_log = windows["log"].iloc[0]
     panels = []
     for arm, of_arm in windows.groupby("lever_arm", sort=False):
-        curves = []
-        for (log, at), rows in reversed(
-            list(of_arm.groupby(["log", "at"], sort=False))
-        ):  # the first log is on top
-            style = _STYLES[str(at)]
-            n = rows["n"].to_numpy(np.float64)
-            rmse = rows["rmse_mps2"].to_numpy()
-            name = f"{at} of the window" + ("" if log == first_log else f", {log}")
-            curves.append(
-                Curve(n, rmse, style if log == first_log else f"{style} {_ALONE}", name=name)
-            )
-            if log == first_log:
-                least = int(rmse.argmin())
-                curves.append(Curve(n[[least]], rmse[[least]], style, points=True, name=""))
+        curves: list[Curve] = []
+        by_log = list(of_arm.groupby(["log", "at"], sort=False))
+        for (log, at), rows in reversed(by_log):  # the first log is on top
+            curves += _curves(rows, str(at), "" if log == first_log else str(log))
         panels.append(
             Panel(
                 f"rms error [m/s²], {_ARM[str(arm)][2]}",
@@ -310,3 +284,17 @@ def window_figure(windows: pd.DataFrame) -> Figure:
     return Figure(
         "Acceleration errors by the number of velocities", caption, tuple(panels), tuple(legend)
     )
+
+
+def _curves(rows: pd.DataFrame, at: str, single_log: str) -> Iterator[Curve]:
+    """Give the curve of a log, and of the first log, which is shown without its name, the dot at the best window."""
+    style = _STYLES[at]
+    n = rows["n"].to_numpy(np.float64)
+    rmse = rows["rmse_mps2"].to_numpy()
+    name = f"{at} of the window"
+    if single_log:
+        yield Curve(n, rmse, f"{style} {_ALONE}", name=f"{name}, {single_log}")
+        return
+    yield Curve(n, rmse, style, name=name)
+    least = int(rmse.argmin())
+    yield Curve(n[[least]], rmse[[least]], style, points=True, name="")
