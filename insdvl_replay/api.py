@@ -309,7 +309,7 @@ def inspect(
         Read all messages of each role, not only the first.
     """
     from insdvl_replay.batch.found import FoundDive
-    from insdvl_replay.batch.inspect import inspect_dive
+    from insdvl_replay.batch.inspect_logs import inspect_dive
     from insdvl_replay.inspection.inventory import inspection_result
 
     files = [FoundDive(path) for path in _logs(log)]

@@ -204,13 +204,17 @@ def _public(name: str, found: Any) -> Iterator[str]:
 
 
 def _comments(found: type) -> dict[str, str]:
-    """Return the comment behind each field, by its name."""
-    return {
-        name: _cell(comment)
-        for name, comment in re.findall(
-            r"^    (\w+): .*?  # (.+)$", inspect.getsource(found), re.MULTILINE
-        )
-    }
+    """Return the comment of each field, by its name: behind it, or on the line above."""
+    comments = {}
+    above = ""
+    for line in inspect.getsource(found).splitlines():
+        field = re.match(r"    (\w+): ", line)
+        behind = re.search(r"  # (.+)$", line)
+        if field and (behind or above):
+            comments[field[1]] = _cell(behind[1] if behind else above)
+        alone = re.fullmatch(r"    # (.+)", line)
+        above = alone[1] if alone else ""
+    return comments
 
 
 def _annotations(found: type) -> Iterator[tuple[str, Any]]:

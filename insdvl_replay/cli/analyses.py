@@ -79,7 +79,7 @@ def inspect(
       insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings
-    from insdvl_replay.batch.inspect import inspect_dive
+    from insdvl_replay.batch.inspect_logs import inspect_dive
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.cli.screen import fetch_with_progress, progress, written
     from insdvl_replay.core.settings_layers import SettingsLayers
