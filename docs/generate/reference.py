@@ -204,16 +204,22 @@ def _public(name: str, found: Any) -> Iterator[str]:
 
 
 def _comments(found: type) -> dict[str, str]:
-    """Return the comment of each field, by its name: behind it, or on the line above."""
+    """Return the comment of each field, by its name: behind it, or a single line above it.
+
+    A sentence or several lines are about the fields that follow.
+    """
     comments = {}
     above = ""
+    is_block = False
     for line in inspect.getsource(found).splitlines():
         field = re.match(r"    (\w+): ", line)
         behind = re.search(r"  # (.+)$", line)
         if field and (behind or above):
             comments[field[1]] = _cell(behind[1] if behind else above)
         alone = re.fullmatch(r"    # (.+)", line)
-        above = alone[1] if alone else ""
+        is_about_one = alone is not None and not is_block and not alone[1][0].isupper()
+        above = alone[1] if alone and is_about_one else ""
+        is_block = alone is not None
     return comments
 
 
