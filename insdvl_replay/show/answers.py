@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Final, Protocol, TypeVar
 
 from msgspec.structs import replace
@@ -81,10 +82,9 @@ def of_filter(name: str, rows: Iterable[Row]) -> list[Row]:
 
 def has_reference(report: Report) -> bool:
     """Return whether the dive has a reference; early reports lack one of the two tables that show it."""
-    found = [row.verdict for row in report.tables.credibility] + [
-        row.status for row in report.tables.reference_error
-    ]
-    return any(word != ReferenceStatus.NO_REFERENCE for word in found)
+    words = {row.verdict for row in report.tables.credibility}
+    words |= {row.status for row in report.tables.reference_error}
+    return bool(words - {ReferenceStatus.NO_REFERENCE})
 
 
 def unchecked_delay(reports: Sequence[Report]) -> str:
@@ -123,13 +123,11 @@ def _has_velocity_rows(report: Report) -> bool:
 
 def verdict_in_table(row: PooledRow) -> str:
     """Return the word of a row, in brackets if it neither decides nor warns; a dash on one dive, which has none."""
-    if row.role == Role.SHOWN and row.verdict:
-        if row.dives > 1:
-            return f"({row.verdict})"
+    if row.dives <= 1:
         return ""
-    if row.dives > 1:
-        return row.verdict
-    return ""
+    if row.role == Role.SHOWN and row.verdict:
+        return f"({row.verdict})"
+    return row.verdict
 
 
 def as_shown(row: PooledRow) -> PooledRow:
@@ -186,9 +184,8 @@ def predicted_change(answer: CandidateAnswer) -> tuple[str, str]:
     pct = finite(answer.predicted_pct)
     if math.isnan(pct):
         return MISSING, ""
-    return f"{percent(abs(pct))} {'larger' if pct < 0.0 else 'smaller'}", prediction_word(
-        pct, answer.prediction
-    )
+    direction = "larger" if pct < 0.0 else "smaller"
+    return f"{percent(abs(pct))} {direction}", prediction_word(pct, answer.prediction)
 
 
 def initial_text(config: Mapping[str, Any]) -> str:
@@ -207,8 +204,7 @@ def initial_text(config: Mapping[str, Any]) -> str:
 
 def start_text(reports: Sequence[Report]) -> str:
     """Say what the heading at the start of the dives comes from; empty for early reports."""
-    found = (report.start_heading for report in reports)
-    return start_of(heading for heading in found if heading is not None)
+    return start_of(report.start_heading for report in reports if report.start_heading is not None)
 
 
 # --- The answers of reports.
@@ -240,23 +236,21 @@ def answers_of(reports: Sequence[Report]) -> list[CandidateAnswer]:
 
     Several candidates share the error rate of one. Controls, and candidates without any effect, do not count.
     """
+    if not reports:
+        return []
     reports, _ = distinct_dives(reports)
-    settings = reports[0].config.get("evaluation", {}) if reports else {}
     found = answers_together(
         candidate_names(reports),
         lambda name, level: _answer(reports, name, level),
-        settings.get("candidate", ""),
+        _evaluation(reports[0]).get("candidate", ""),
     )
     return [*found.values()]
 
 
 def _answer(reports: Sequence[Report], name: str, level: float = LEVEL) -> CandidateAnswer:
     having = [report for report in reports if name in report.filters]
-    primary = ""
-    if having:
-        primary = having[0].config.get("evaluation", {}).get("primary", "")
     dives = [_candidate_on(report, name) for report in having]
-    answer = answer_over_dives(name, dives, primary=primary, level=level)
+    answer = answer_over_dives(name, dives, primary=_named_primary(having), level=level)
     evaluated = [report for report in having if report.filters[name].verdict not in WITHOUT_VERDICT]
     if evaluated and answer.decisive is None and not answer.reason:
         (lacking, _), *_ = Counter(map(lacking_evidence, evaluated)).most_common(1)
@@ -278,6 +272,20 @@ def _candidate_on(report: Report, name: str) -> CandidateOnDive:
     )
 
 
+def _evaluation(report: Report) -> Mapping[str, Any]:
+    """Return the settings of the evaluation of a dive; early reports have fewer."""
+    settings: Mapping[str, Any] = report.config.get("evaluation", {})
+    return settings
+
+
+def _named_primary(reports: Sequence[Report]) -> str:
+    """Return the primary quantity that the settings name; empty if they name none."""
+    if not reports:
+        return ""
+    named: str = _evaluation(reports[0]).get("primary", "")
+    return named
+
+
 def answer_on_dive(report: Report, name: str) -> CandidateAnswer:
     """Return the answer for a candidate on one dive."""
     return _answer([report], name)
@@ -290,18 +298,22 @@ def has_misfit(report: Report) -> bool:
 
 def predicted_unchecked(reports: Sequence[Report], name: str) -> str:
     """State what a candidate predicts on dives whose baseline has a noise that is far off; empty without any."""
-    found = [
-        report.filters[name] for report in reports if name in report.filters and has_misfit(report)
-    ]
-    sigma_pct = median_of(finite(candidate.mean_improvement_pct) for candidate in found)
-    faster_pct = median_of(
-        finite(candidate.mean_convergence_improvement_pct) for candidate in found
-    )
-    if math.isnan(sigma_pct) or math.isnan(faster_pct):
+    smaller_pct = []
+    faster_pct = []
+    for report in reports:
+        if name in report.filters and has_misfit(report):
+            candidate = report.filters[name]
+            smaller_pct.append(finite(candidate.mean_improvement_pct))
+            faster_pct.append(finite(candidate.mean_convergence_improvement_pct))
+    sigma_pct = median_of(smaller_pct)
+    convergence_pct = median_of(faster_pct)
+    if math.isnan(sigma_pct) or math.isnan(convergence_pct):
         return ""
-    sigma = f"{percent(abs(sigma_pct))} {'smaller' if sigma_pct >= 0.0 else 'larger'} sigma"
-    faster = f"{percent(abs(faster_pct))} {'faster' if faster_pct >= 0.0 else 'slower'} convergence of it"
-    return f"predicted: {sigma}, {faster}. Neither is checked against errors."
+    smaller = "smaller" if sigma_pct >= 0.0 else "larger"
+    faster = "faster" if convergence_pct >= 0.0 else "slower"
+    sigma = f"{percent(abs(sigma_pct))} {smaller} sigma"
+    convergence = f"{percent(abs(convergence_pct))} {faster} convergence of it"
+    return f"predicted: {sigma}, {convergence}. Neither is checked against errors."
 
 
 def against_control(reports: Sequence[Report], name: str) -> CandidateAnswer | None:
@@ -311,18 +323,22 @@ def against_control(reports: Sequence[Report], name: str) -> CandidateAnswer | N
     baseline, so their ratio is that of their own values.
     """
     reports, _ = distinct_dives(reports)
-    having = [
-        report
-        for report in reports
-        if {name, CONTROL} <= report.filters.keys() and has_misfit(report)
-    ]
-    if name == CONTROL or not having:
+    if name == CONTROL:
+        return None
+    having = []
+    for report in reports:
+        if name in report.filters and CONTROL in report.filters and has_misfit(report):
+            having.append(report)
+    if not having:
         return None
     rows = [_rows_against_control(report, name) for report in having]
-    named = having[0].config.get("evaluation", {}).get("primary", "")
-    vehicles = [report.vehicle for report in having]
     return pooled_candidate(
-        name, CONTROL, rows, len(having), primary=primary_of(rows, named), vehicles=vehicles
+        name,
+        CONTROL,
+        rows,
+        len(having),
+        primary=primary_of(rows, _named_primary(having)),
+        vehicles=[report.vehicle for report in having],
     )
 
 
@@ -357,7 +373,7 @@ def assay_of(reports: Sequence[Report], primary: str) -> list[PooledRow]:
 
 def candidate_names(reports: Sequence[Report]) -> list[str]:
     """Return the candidates of all dives, each once."""
-    return list(dict.fromkeys(name for report in reports for name in report.filters))
+    return list(dict.fromkeys(chain.from_iterable(report.filters for report in reports)))
 
 
 def baseline_names(reports: Sequence[Report]) -> str:

@@ -1,7 +1,9 @@
 """Several dives as shown: the summary for scripts, the tables of all dives, the page with a link to each dive."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any, Final
 from urllib.parse import quote
 
@@ -101,41 +103,63 @@ def summary_rows(outcomes: Sequence[Outcome]) -> Iterator[SummaryRow]:
         if isinstance(outcome, Failure):
             yield SummaryRow(outcome.log, status=GateStatus.FAILED, reason=outcome.reason)
             continue
-        warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
         for name in outcome.filters or [outcome.baseline]:
-            measured = of_filter(name, outcome.tables.consistency)
-            words = [
-                f"{row.measurement} {row.verdict}" for row in measured if is_whole(row.measurement)
-            ]
-            known: dict[str, Any] = {
-                key: value for key, value in values_of(outcome, name).items() if value == value
-            }
-            if (candidate := outcome.filters.get(name)) is not None:
-                answer = answer_on_dive(outcome, name)
-                known |= {"verdict": answer.verdict, "prediction": candidate.prediction}
-                words += [f"errors {candidate.credibility}"] if candidate.credibility else []
-                if answer.verdict not in WITHOUT_VERDICT:
-                    known["mean_improvement_pct"] = candidate.mean_improvement_pct
-                    known["mean_convergence_improvement_pct"] = (
-                        candidate.mean_convergence_improvement_pct
-                    )
-                if answer.verdict not in WITHOUT_VERDICT and (row := answer.decisive) is not None:
-                    known |= {"evidence": row.quantity, "ratio": row.ratio, "acts": row.acts}
-            for error in of_filter(name, outcome.tables.reference_error):
-                if error.quantity == "position_h":
-                    known["position_h_baseline_rmse_m"] = error.baseline_rmse
-                elif error.quantity == "position_h_pct":
-                    known["position_h_baseline_rmse_pct"] = error.baseline_rmse
-                    known["position_h_rmse_pct"] = error.rmse
-            worst = consistency_of(measured, name) if candidate is None else candidate.consistency
-            yield SummaryRow(
-                outcome.log.name,
-                name,
-                consistency=worst,
-                consistency_of_each="; ".join(words),
-                warnings=warnings,
-                **known,
-            )
+            yield _summary_row(outcome, name)
+
+
+def _summary_row(report: Report, name: str) -> SummaryRow:
+    """Return the values of a filter on a dive, and its verdict if it is a candidate."""
+    measured = of_filter(name, report.tables.consistency)
+    words = [f"{row.measurement} {row.verdict}" for row in measured if is_whole(row.measurement)]
+    known: dict[str, Any] = {}
+    for column, value in values_of(report, name).items():
+        if not math.isnan(value):
+            known[column] = value
+    known |= _errors_against_baseline(report, name)
+    if name in report.filters:
+        candidate = report.filters[name]
+        consistency = candidate.consistency
+        if candidate.credibility:
+            words.append(f"errors {candidate.credibility}")
+        known |= _verdict_in_summary(report, name)
+    else:
+        consistency = consistency_of(measured, name)
+    warnings = [note for note in report.notes if note.severity == Severity.WARNING]
+    return SummaryRow(
+        report.log.name,
+        name,
+        consistency=consistency,
+        consistency_of_each="; ".join(words),
+        warnings=len(warnings),
+        **known,
+    )
+
+
+def _errors_against_baseline(report: Report, name: str) -> dict[str, Any]:
+    """Return the columns of the horizontal error that compare a filter with the baseline."""
+    known: dict[str, Any] = {}
+    for error in of_filter(name, report.tables.reference_error):
+        if error.quantity == "position_h":
+            known["position_h_baseline_rmse_m"] = error.baseline_rmse
+        elif error.quantity == "position_h_pct":
+            known["position_h_baseline_rmse_pct"] = error.baseline_rmse
+            known["position_h_rmse_pct"] = error.rmse
+    return known
+
+
+def _verdict_in_summary(report: Report, name: str) -> dict[str, Any]:
+    """Return the columns of the verdict on a candidate."""
+    candidate = report.filters[name]
+    answer = answer_on_dive(report, name)
+    known: dict[str, Any] = {"verdict": answer.verdict, "prediction": candidate.prediction}
+    if answer.verdict in WITHOUT_VERDICT:
+        return known
+    known["mean_improvement_pct"] = candidate.mean_improvement_pct
+    known["mean_convergence_improvement_pct"] = candidate.mean_convergence_improvement_pct
+    row = answer.decisive
+    if row is not None:
+        known |= {"evidence": row.quantity, "ratio": row.ratio, "acts": row.acts}
+    return known
 
 
 def answer_rows(outcomes: Sequence[Outcome]) -> list[AnswerRow]:
@@ -145,7 +169,7 @@ def answer_rows(outcomes: Sequence[Outcome]) -> list[AnswerRow]:
 
 def pooled_rows(outcomes: Sequence[Outcome]) -> list[PooledRow]:
     """Return the pooled evidence on all candidates that at least two dives have."""
-    return [row for answer in _pooled(outcomes) for row in answer.rows]
+    return list(chain.from_iterable(answer.rows for answer in _pooled(outcomes)))
 
 
 def _pooled(outcomes: Sequence[Outcome]) -> list[CandidateAnswer]:
@@ -172,11 +196,17 @@ def named_result(
         "summary": (SummaryRow, list(summary_rows(outcomes))),
     }
     reports = reports_of(outcomes)
-    shown_tables = list[Part]()
-    for name in (name for name in names if name in TOGETHER):
-        missing = f"There is no table {name}: {_NEEDED[name]}, and {counted(len(reports), 'dive')} could be replayed."
-        shown_tables += list(_TOGETHER[name](outcomes)) or [missing]
-    return replay_result(reports, [*parts, *shown_tables], names, rows)
+    shown_parts = list(parts)
+    for name in names:
+        if name in TOGETHER:
+            tables = list(_TOGETHER[name](outcomes))
+            shown_parts += tables or [_missing_table(name, len(reports))]
+    return replay_result(reports, shown_parts, names, rows)
+
+
+def _missing_table(name: str, replayed: int) -> str:
+    dives = counted(replayed, "dive")
+    return f"There is no table {name}: {_NEEDED[name]}, and {dives} could be replayed."
 
 
 def _answer_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
@@ -188,14 +218,14 @@ def _answer_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
 
 def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
     for answer in _pooled(outcomes):
-        if not answer.rows:
-            is_evaluated = answer.verdict not in WITHOUT_VERDICT
-            why = NO_EVIDENCE if is_evaluated else f"{answer.verdict}: {answer.reason}"
+        if answer.rows:
+            rows = map(as_shown, answer.rows)
+            yield shown(PooledRow, rows, filter=answer.filter, baseline=answer.baseline)
+        elif answer.verdict in WITHOUT_VERDICT:
+            why = f"{answer.verdict}: {answer.reason}"
             yield f"{answer.filter} against {answer.baseline}: {why}"
-            continue
-        yield shown(
-            PooledRow, map(as_shown, answer.rows), filter=answer.filter, baseline=answer.baseline
-        )
+        else:
+            yield f"{answer.filter} against {answer.baseline}: {NO_EVIDENCE}"
 
 
 def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
@@ -207,10 +237,14 @@ def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
         unit = ""
         for report in reports:
             found = {row.filter: row for row in report.tables.evidence if row.quantity == quantity}
-            for row in list(found.values())[:1]:
-                values = (number(found[name].value) if name in found else MISSING for name in names)
-                rows.append((report.log.name, number(row.baseline), *values))
-                unit = row.unit
+            if not found:
+                continue
+            [first, *_] = found.values()
+            unit = first.unit
+            cells = [report.log.name, number(first.baseline)]
+            for name in names:
+                cells.append(number(found[name].value) if name in found else MISSING)
+            rows.append(tuple(cells))
         if rows:
             title = f"Summary: {label(quantity)} [{unit}] of dives by filters"
             header = ("dive", baseline_names(reports), *names)
@@ -261,48 +295,54 @@ OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]
 
 def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:
     """Return several dives as a document: the pooled verdict, a row for each dive and candidate, pooled rows."""
-    tables = [
-        replace(part, links=None) if isinstance(part, DisplayTable) else part
-        for part in _tables(outcomes)
-    ]
-    return [*_opening(outcomes, linked=False), *tables]
+    parts: list[Part] = list(_opening(outcomes, linked=False))
+    for part in _tables(outcomes):
+        if isinstance(part, DisplayTable):
+            part = replace(part, links=None)
+        parts.append(part)
+    return parts
 
 
 def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     """Yield the pooled verdicts, and the number of dives with each verdict."""
     reports = reports_of(outcomes)
-    failed = len(outcomes) - len(reports)
     answers = answers_of(reports)
-    names = candidate_names(reports)
-    compared = (
-        f": {', '.join(names)} against {reports[0].baseline}"
-        if 0 < len(names) <= MOST_NAMED
-        else ""
-    )
-    yield Title(f"{len(outcomes)} dives{f', {failed} of them failed' if failed else ''}{compared}")
+    yield Title(_title(outcomes, reports))
     _, notes = distinct_dives(reports)
-    yield from (note.text for note in notes)
+    for note in notes:
+        yield note.text
     start = start_text(reports)
-    yield Only(
-        PRINTED,
-        tuple(
-            Callout(paragraph(answer, start), TONES.get(answer.verdict, "")) for answer in answers
-        ),
-    )
-    initial = initial_text(reports[0].config) if reports else ""
-    sections = []
+    verdicts = []
     for answer in answers:
-        if answer.log == EVERY_DIVE:
-            sections.append(_section(answer, reports, initial, linked=linked))
-        else:
-            report = next(report for report in reports if report.log.name == answer.log)
-            sections.append(
-                dive_section(report, answer.filter, f"Evidence on {report.log.name} alone")
-            )
-    caption = (
-        "All dives: each is one sample. Dive by dive: one dive has no interval and no verdict."
-    )
-    yield Only(PAGE, (first_screen(sections, caption),) if sections else ())
+        verdicts.append(Callout(paragraph(answer, start), TONES.get(answer.verdict, "")))
+    yield Only(PRINTED, tuple(verdicts))
+    sections = [_section_of(answer, reports, linked=linked) for answer in answers]
+    if sections:
+        caption = (
+            "All dives: each is one sample. Dive by dive: one dive has no interval and no verdict."
+        )
+        yield Only(PAGE, (first_screen(sections, caption),))
+
+
+def _title(outcomes: Sequence[Outcome], reports: Sequence[Report]) -> str:
+    """Return the number of dives, of those that failed, and the names of few candidates."""
+    title = f"{len(outcomes)} dives"
+    failed = len(outcomes) - len(reports)
+    if failed:
+        title += f", {failed} of them failed"
+    names = candidate_names(reports)
+    if 0 < len(names) <= MOST_NAMED:
+        title += f": {', '.join(names)} against {reports[0].baseline}"
+    return title
+
+
+def _section_of(answer: CandidateAnswer, reports: Sequence[Report], *, linked: bool) -> str:
+    """Return the section of a candidate: over all dives, or of the only dive that has it."""
+    if answer.log == EVERY_DIVE:
+        return _section(answer, reports, initial_text(reports[0].config), linked=linked)
+    by_name = {report.log.name: report for report in reports}
+    title = f"Evidence on {answer.log} alone"
+    return dive_section(by_name[answer.log], answer.filter, title)
 
 
 MOST_NAMED: Final = 4  # With more candidates, the title has no names.
@@ -316,16 +356,12 @@ def _section(
     if answer.verdict in WITHOUT_VERDICT:
         said = f"Evaluated on {answer.evaluated} of {answer.dives} dives. Settle the reasons of the others first."
         return section(answer, [said, *answer_lines(answer)], [dives])
-    title = (
-        f"All dives, {answer.evaluated} of {answer.dives}"
-        if answer.evaluated < answer.dives
-        else "All dives"
-    )
-    plots = [evidence_forest(title, answer, _MOST_ROWS), dives]
+    title = "All dives"
+    if answer.evaluated < answer.dives:
+        title = f"All dives, {answer.evaluated} of {answer.dives}"
     having = [report for report in reports if answer.filter in report.filters]
-    return section(
-        answer, [grounds(answer), *answer_lines(answer, initial, start_text(having))], plots
-    )
+    sentences = [grounds(answer), *answer_lines(answer, initial, start_text(having))]
+    return section(answer, sentences, [evidence_forest(title, answer, _MOST_ROWS), dives])
 
 
 # The meaning of the columns of candidates.
@@ -337,9 +373,32 @@ MEDIAN: Final = "without DVL: the median"
 
 
 _DIVE: Final[tuple[ShownColumn, ...]] = (("dive", "l", "log"), ("filter", "l", "filter"))
-_CONSISTENCY: Final[ShownColumn] = (
-    "consistency", "l", lambda row: row.status if row.consistency is None else row.consistency,
-)  # fmt: skip
+
+
+def _consistency_text(row: SummaryRow) -> str:
+    if row.consistency is None:
+        return row.status
+    return row.consistency
+
+
+def _evidence_text(row: SummaryRow) -> str:
+    if row.evidence:
+        return label(row.evidence)
+    return MISSING
+
+
+def _prediction_text(row: SummaryRow) -> str:
+    return prediction_word(row.mean_improvement_pct, row.prediction or "") or MISSING
+
+
+def _candidate_position(row: SummaryRow) -> str:
+    """Write the error of a candidate; of the only filter it is the baseline's."""
+    if row.verdict:
+        return number(row.position_h_rmse_m)
+    return MISSING
+
+
+_CONSISTENCY: Final[ShownColumn] = ("consistency", "l", _consistency_text)
 _LAST: Final[tuple[ShownColumn, ...]] = (
     _CONSISTENCY,
     ("warnings", "r", "warnings"),
@@ -347,48 +406,63 @@ _LAST: Final[tuple[ShownColumn, ...]] = (
 )
 _CANDIDATE: Final[tuple[ShownColumn, ...]] = (
     ("verdict", "l", "verdict"),
-    ("evidence", "l", lambda row: label(row.evidence) if row.evidence else MISSING),
+    ("evidence", "l", _evidence_text),
     ("ratio", "r", lambda row: ratio_text(row.ratio)),
     ("acts", "r", "acts:share"),
     ("predicted", "r", "mean_improvement_pct:percent"),
-    (
-        "prediction",
-        "l",
-        lambda row: prediction_word(row.mean_improvement_pct, row.prediction) or MISSING,
-    ),
+    ("prediction", "l", _prediction_text),
     ("baseline\nposition [m]", "r", "position_h_baseline_rmse_m"),
-    (
-        "candidate\nposition [m]",
-        "r",
-        lambda row: number(row.position_h_rmse_m if row.verdict else None),
-    ),
+    ("candidate\nposition [m]", "r", _candidate_position),
 )
-_ALONE: Final[tuple[ShownColumn, ...]] = tuple(
-    (f"{name}\n[{unit}]" if unit else name, "r", f"{column}:value")
-    for column, (name, unit) in VALUES.items()
-)
+
+
+def _value_columns() -> Iterator[ShownColumn]:
+    """Yield the values that a filter has without a candidate, under their names and units."""
+    for column, (name, unit) in VALUES.items():
+        head = f"{name}\n[{unit}]" if unit else name
+        yield head, "r", f"{column}:value"
+
+
+_ALONE: Final[tuple[ShownColumn, ...]] = tuple(_value_columns())
 
 
 def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
     """Yield the table of dives, each with a link to its page, and the pooled evidence; empty columns are left out."""
     rows = list(summary_rows(outcomes))
     reports = reports_of(outcomes)
-    title = "Each dive"
-    footnote = MEDIAN
-    own = _ALONE
     if candidate_names(reports):
-        known = any(has_reference(report) for report in reports)
         title = "Each candidate against its baseline"
-        own = _CANDIDATE
-        footnote = f"{MEANS}; position: rms of the horizontal error" if known else MEANS
-    columns = [*_DIVE, *own, *_LAST]
-    cells = zip(*table_of("", rows, columns).rows, strict=True)
-    columns = [
-        column for column, texts in zip(columns, cells, strict=True) if set(texts) != {MISSING}
-    ]
-    links = tuple("" if row.reason else f"{quote(row.log)}/{DIVE_PAGE}" for row in rows)
-    yield replace(table_of(title, rows, columns, footnote), links=links)
+        columns = [*_DIVE, *_CANDIDATE, *_LAST]
+        footnote = MEANS
+        if any(has_reference(report) for report in reports):
+            footnote = f"{MEANS}; position: rms of the horizontal error"
+    else:
+        title = "Each dive"
+        columns = [*_DIVE, *_ALONE, *_LAST]
+        footnote = MEDIAN
+    kept = _columns_with_values(rows, columns)
+    links = tuple(_link(row) for row in rows)
+    yield replace(table_of(title, rows, kept, footnote), links=links)
     yield from _pooled_tables(outcomes)
+
+
+def _columns_with_values(
+    rows: Sequence[SummaryRow], columns: Sequence[ShownColumn]
+) -> list[ShownColumn]:
+    """Return the columns in which anything is known."""
+    kept = []
+    cells = table_of("", rows, columns).rows
+    for place, column in enumerate(columns):
+        if any(row[place] != MISSING for row in cells):
+            kept.append(column)
+    return kept
+
+
+def _link(row: SummaryRow) -> str:
+    """Return the link to the page of a dive; a failed one has none."""
+    if row.reason:
+        return ""
+    return f"{quote(row.log)}/{DIVE_PAGE}"
 
 
 def table_alone(outcomes: Sequence[Outcome]) -> DisplayTable:

@@ -67,51 +67,84 @@ class ForestRow:
     why: str = ""  # footnote
     decides: bool = False  # printed in bold
 
+    @property
+    def known_interval(self) -> tuple[float, float] | None:
+        """The interval if both of its ends are numbers."""
+        if self.interval is None or math.isnan(sum(self.interval)):
+            return None
+        return self.interval
+
 
 def forest(title: str, rows: Sequence[ForestRow]) -> str:
     """Draw ratios, a row each; the mark of a row's reason, a footnote, is behind its text."""
-    reasons = list(dict.fromkeys(row.why for row in rows if row.why))
-    numbers = [str(number).translate(_RAISED) for number in range(1, len(reasons) + 1)]
-    notes = ". ".join(
-        f"{number}&nbsp;{unbroken(why)}" for number, why in zip(numbers, reasons, strict=True)
-    )
-    footnote = f'<p class="footnote">{notes}.</p>' if notes else ""
-    marks = {why: f" {number}" for number, why in zip(numbers, reasons, strict=True)}
+    marks: dict[str, str] = {}
+    notes = []
+    for row in rows:
+        if row.why and row.why not in marks:
+            mark = str(len(marks) + 1).translate(_RAISED)
+            marks[row.why] = mark
+            notes.append(f"{mark}&nbsp;{unbroken(row.why)}")
+    footnote = ""
+    if notes:
+        footnote = f'<p class="footnote">{". ".join(notes)}.</p>'
     end = axis_end(rows)
     bottom = TOP + ROW * len(rows)
-    low, high = (place(ratio, end) for ratio in (1.0 / BAND, BAND))
-    lines = [
-        f'<svg width="100%" height="{bottom + BOTTOM}">',
-        f'<rect class="within" x="{low:.2f}%" y="0" width="{high - low:.2f}%" height="{bottom}"/>',
-    ]
+    lines = [f'<svg width="100%" height="{bottom + BOTTOM}">', *_axis(end, bottom)]
+    for number, row in enumerate(rows):
+        middle = TOP + ROW * number + ROW / 2.0
+        lines += _row(row, middle, end, marks.get(row.why, ""))
+    svg = "".join([*lines, "</svg>"])
+    return f'<section class="forest"><h3>{escape(title)}</h3>{svg}{footnote}</section>'
+
+
+def _axis(end: float, bottom: int) -> Iterator[str]:
+    """Draw the band of equal results, and the ticks of the axis up to ``end``."""
+    low = place(1.0 / BAND, end)
+    high = place(BAND, end)
+    yield f'<rect class="within" x="{low:.2f}%" y="0" width="{high - low:.2f}%" height="{bottom}"/>'
     for tick in AXES[end]:
         across = f"{place(tick, end):.2f}%"
         style = "one" if tick == 1.0 else "grid"
-        lines.append(f'<line class="{style}" x1="{across}" x2="{across}" y1="0" y2="{bottom}"/>')
-        lines.append(
-            f'<text class="tick" x="{across}" y="{bottom + 13}" text-anchor="middle">{tick:g}</text>'
-        )
-    for number, row in enumerate(rows):
-        middle = TOP + ROW * number + ROW / 2.0
-        half = _LONGEST_LABEL // 2
-        foot = middle + _BASELINE
-        name = visible(row.label)
-        # Where the pointer rests: whole name, ratio, interval, verdict.
-        ratio = "" if math.isnan(finite(row.ratio)) else f" {row.ratio:.3g}"
-        ends = () if row.interval is None or math.isnan(sum(row.interval)) else row.interval
-        interval = " ({:.3g} .. {:.3g})".format(*ends) if ends else ""
-        in_full = visible(f"{row.label}{':' if ratio else ''}{ratio}{interval} {row.tone}".rstrip())
-        style = f"row {tone_class(row.tone)}{' decides' if row.decides else ''}".rstrip()
-        short = f"{name[: half - 1]}…{name[-half:]}" if len(name) > _LONGEST_LABEL else name
-        text = f'<text x="{LABEL_END}%" y="{foot}" text-anchor="end">{escape(short)}</text>'
-        lines += [
-            f'<g class="{style}"><title>{escape(in_full)}</title>',
-            f'<a href="{escape(row.link)}">{text}</a>' if row.link else text,
-            *_mark(math.nan if row.ratio is None else row.ratio, ends, middle, end),
-            f'<text x="{TEXT}%" y="{foot}">{escape(visible(row.text))}{marks.get(row.why, "")}</text></g>',
-        ]
-    svg = "".join([*lines, "</svg>"])
-    return f'<section class="forest"><h3>{escape(title)}</h3>{svg}{footnote}</section>'
+        yield f'<line class="{style}" x1="{across}" x2="{across}" y1="0" y2="{bottom}"/>'
+        yield f'<text class="tick" x="{across}" y="{bottom + 13}" text-anchor="middle">{tick:g}</text>'
+
+
+def _row(row: ForestRow, middle: float, end: float, mark: str) -> Iterator[str]:
+    """Draw a row: its label, its ratio on the axis up to ``end``, and its text with the mark of a footnote."""
+    foot = middle + _BASELINE
+    style = f"row {tone_class(row.tone)}"
+    if row.decides:
+        style += " decides"
+    yield f'<g class="{style.rstrip()}"><title>{escape(_in_full(row))}</title>'
+    name = escape(_shortened(visible(row.label)))
+    text = f'<text x="{LABEL_END}%" y="{foot}" text-anchor="end">{name}</text>'
+    if row.link:
+        text = f'<a href="{escape(row.link)}">{text}</a>'
+    yield text
+    yield from _mark(row, middle, end)
+    said = escape(visible(row.text))
+    if mark:
+        said += f" {mark}"
+    yield f'<text x="{TEXT}%" y="{foot}">{said}</text></g>'
+
+
+def _in_full(row: ForestRow) -> str:
+    """Write what is read where the pointer rests: whole name, ratio, interval, verdict."""
+    text = row.label
+    if not math.isnan(finite(row.ratio)):
+        text += f": {row.ratio:.3g}"
+    ends = row.known_interval
+    if ends is not None:
+        text += f" ({ends[0]:.3g} .. {ends[1]:.3g})"
+    return visible(f"{text} {row.tone}".rstrip())
+
+
+def _shortened(name: str) -> str:
+    """Return begin and end of a long name."""
+    half = _LONGEST_LABEL // 2
+    if len(name) > _LONGEST_LABEL:
+        return f"{name[: half - 1]}…{name[-half:]}"
+    return name
 
 
 def place(ratio: float, end: float) -> float:
@@ -123,10 +156,11 @@ def axis_end(rows: Sequence[ForestRow]) -> float:
     """Return the upper end of the shortest axis that has at least half of the ratios."""
     ratios = [finite(row.ratio) for row in rows]
     sizes = [max(ratio, 1.0 / ratio) for ratio in ratios if 0.0 < ratio < math.inf]
-    return next(
-        (end for end in AXES if sum(size > end for size in sizes) <= _MOST_BEYOND * len(sizes)),
-        max(AXES),
-    )
+    for end in AXES:
+        beyond = [size for size in sizes if size > end]
+        if len(beyond) <= _MOST_BEYOND * len(sizes):
+            return end
+    return max(AXES)
 
 
 def change_of_value(old: Number, new: Number, unit: str) -> str:
@@ -144,25 +178,43 @@ def tone_class(verdict: str) -> str:
     return verdict.replace(" ", "-")
 
 
-def _mark(ratio: float, interval: Sequence[float], middle: float, end: float) -> Iterator[str]:
+def _mark(row: ForestRow, middle: float, end: float) -> Iterator[str]:
     """Draw a ratio as a dot on its interval, one beyond the axis as an arrow with the number."""
-    if not ratio >= 0.0:
+    if row.ratio is None or not row.ratio >= 0.0:
         return
-    if not 1.0 / end <= ratio <= end:
-        size = f"{ratio:.2g}" if ratio < 10.0 else f"{ratio:.0f}" if ratio < 1e5 else f"{ratio:.0e}"
-        across, anchor, text = (
-            (RIGHT, "end", f"{size}x ▶") if ratio > 1.0 else (LEFT, "start", f"◀ {size}x")
-        )
-        yield f'<text class="beyond" x="{across}%" y="{middle + _BASELINE}" text-anchor="{anchor}">{text}</text>'
+    if not 1.0 / end <= row.ratio <= end:
+        yield _arrow(row.ratio, middle)
         return
-    if interval:
-        ends = [min(max(edge, 1.0 / end), end) for edge in interval]
-        low, high = (place(edge, end) for edge in ends)
-        yield f'<line class="interval" x1="{low:.2f}%" x2="{high:.2f}%" y1="{middle}" y2="{middle}"/>'
-        for edge, shown, tip in zip(interval, ends, ("4-3v6z", "-4-3v6z"), strict=True):
-            if edge != shown:  # the interval goes on
-                yield f'<svg class="tip" x="{place(shown, end):.2f}%" y="{middle}"><path d="M0 0l{tip}"/></svg>'
-    yield f'<circle cx="{place(ratio, end):.2f}%" cy="{middle}" r="3.5"/>'
+    if row.known_interval is not None:
+        yield from _interval(row.known_interval, middle, end)
+    yield f'<circle cx="{place(row.ratio, end):.2f}%" cy="{middle}" r="3.5"/>'
+
+
+def _arrow(ratio: float, middle: float) -> str:
+    """Point from the end of the axis to a ratio beyond it."""
+    if ratio < 10.0:
+        size = f"{ratio:.2g}"
+    elif ratio < 1e5:
+        size = f"{ratio:.0f}"
+    else:
+        size = f"{ratio:.0e}"
+    foot = middle + _BASELINE
+    if ratio > 1.0:
+        return f'<text class="beyond" x="{RIGHT}%" y="{foot}" text-anchor="end">{size}x ▶</text>'
+    return f'<text class="beyond" x="{LEFT}%" y="{foot}" text-anchor="start">◀ {size}x</text>'
+
+
+def _interval(interval: tuple[float, float], middle: float, end: float) -> Iterator[str]:
+    """Draw an interval, with a tip where it goes on beyond the axis."""
+    low = min(max(interval[0], 1.0 / end), end)
+    high = min(max(interval[1], 1.0 / end), end)
+    left = f"{place(low, end):.2f}%"
+    right = f"{place(high, end):.2f}%"
+    yield f'<line class="interval" x1="{left}" x2="{right}" y1="{middle}" y2="{middle}"/>'
+    if low != interval[0]:
+        yield f'<svg class="tip" x="{left}" y="{middle}"><path d="M0 0l4-3v6z"/></svg>'
+    if high != interval[1]:
+        yield f'<svg class="tip" x="{right}" y="{middle}"><path d="M0 0l-4-3v6z"/></svg>'
 
 
 # --- The first screen.
@@ -187,9 +239,12 @@ def first_screen(
     explains_figures: bool = False,  # the caption says how to read figures
 ) -> Html:
     """Return sections of candidates with tables below and pictures next to them, and a caption."""
-    aside = f'<div class="aside">{pictures}</div>' if pictures else ""
-    reading = READING.format(*compared) if any("<svg" in section for section in sections) else ""
-    note = f'<p class="footnote">{unbroken(f"{reading} {caption}".strip())}</p>'
+    aside = ""
+    if pictures:
+        aside = f'<div class="aside">{pictures}</div>'
+    if any("<svg" in section for section in sections):
+        caption = f"{READING.format(*compared)} {caption}"
+    note = f'<p class="footnote">{unbroken(caption.strip())}</p>'
     shown = "".join([*sections, *map(table_html, tables)])
     opening = f'<div class="opening"><div class="candidates">{shown}</div>{aside}</div>{note}'
     return Html(opening, explains_figures=explains_figures)
@@ -199,8 +254,9 @@ def section(answer: Answer, sentences: Sequence[str], plots: Sequence[str] = ())
     """Return the section of a candidate: the word, sentences that do not repeat it, and plots next to them."""
     name = answer.filter
     baseline = answer.baseline
-    begun = (begun_with_capital(text, answer) for text in sentences)
-    said = "".join(f"<p>{_stressed(sentence)}</p>" for sentence in begun)
+    said = ""
+    for sentence in sentences:
+        said += f"<p>{_stressed(begun_with_capital(sentence, answer))}</p>"
     against = (
         f"<p><b>{escape(visible_lines(name))}</b> against {escape(visible_lines(baseline))}</p>"
     )
@@ -222,18 +278,19 @@ def _stressed(sentence: str) -> str:
 
 def evidence_forest(title: str, answer: Answer, most: int) -> str:
     """Draw rows of evidence over dives: the one that decides, those that can warn, convergence, then others."""
-    drawn = []
-    for row in chosen_rows(answer.known, most):
-        won = f" {row.dives_won}/{row.dives}" if row.dives > 1 else ""
-        text = f"{ratio_text(row.ratio)} {verdict_in_table(row)}{won}"
-        tone = row.verdict if row.dives > 1 else Verdict.UNDECIDED
-        decides = row.role == Role.PRIMARY
-        drawn.append(
-            ForestRow(
-                label(row.quantity), row.ratio, interval_ends(row), tone, text, decides=decides
-            )
-        )
+    drawn = [_evidence_row(row) for row in chosen_rows(answer.known, most)]
     return forest(title, drawn)
+
+
+def _evidence_row(row: PooledRow) -> ForestRow:
+    text = f"{ratio_text(row.ratio)} {verdict_in_table(row)}"
+    tone: str = Verdict.UNDECIDED
+    if row.dives > 1:
+        text += f" {row.dives_won}/{row.dives}"
+        tone = row.verdict
+    decides = row.role == Role.PRIMARY
+    ends = interval_ends(row)
+    return ForestRow(label(row.quantity), row.ratio, ends, tone, text, decides=decides)
 
 
 def interval_ends(row: PooledRow) -> tuple[float, float] | None:
@@ -247,26 +304,25 @@ def interval_ends(row: PooledRow) -> tuple[float, float] | None:
 
 def dives_forest(answer: Answer, reports: Iterable[Report], *, linked: bool) -> str:
     """Draw the dives one by one, the smallest ratio first, by the primary quantity. One dive has no interval."""
-    quantity = answer.primary
-    rows = list[ForestRow]()
-    for report in (report for report in reports if answer.filter in report.filters):
-        name = report.log.name
-        link = f"{quote(report.log.name)}/{DIVE_PAGE}" if linked else ""
-        own = [
-            row
-            for row in report.tables.evidence
-            if (row.filter, row.quantity) == (answer.filter, quantity)
-        ]
-        word = report.filters[answer.filter].verdict
-        if word in WITHOUT_VERDICT:
-            rows.append(ForestRow(name, None, tone=word, text=word, link=link))
-        elif not own or own[0].ratio is None:
-            rows.append(ForestRow(name, None, text="no value", link=link))
-        else:
-            [row] = own
+    rows = []
+    for report in reports:
+        if answer.filter in report.filters:
+            link = f"{quote(report.log.name)}/{DIVE_PAGE}" if linked else ""
+            rows.append(_dive_row(answer, report, link))
+    return by_dive_forest(answer.primary, rows)
+
+
+def _dive_row(answer: Answer, report: Report, link: str) -> ForestRow:
+    """Return a dive with its ratio in the primary quantity, or why there is none."""
+    name = report.log.name
+    word = report.filters[answer.filter].verdict
+    if word in WITHOUT_VERDICT:
+        return ForestRow(name, None, tone=word, text=word, link=link)
+    for row in report.tables.evidence:
+        if row.filter == answer.filter and row.quantity == answer.primary and row.ratio is not None:
             text = change_of_value(row.baseline, row.value, row.unit)
-            rows.append(ForestRow(name, row.ratio, None, Verdict.UNDECIDED, text, link))
-    return by_dive_forest(quantity, rows)
+            return ForestRow(name, row.ratio, None, Verdict.UNDECIDED, text, link)
+    return ForestRow(name, None, text="no value", link=link)
 
 
 def by_dive_forest(quantity: str, rows: Sequence[ForestRow]) -> str:
@@ -276,9 +332,13 @@ def by_dive_forest(quantity: str, rows: Sequence[ForestRow]) -> str:
     if len(rows) > MOST_DIVES:
         title += f": the {MOST_DIVES} largest effects of {len(rows)}"
     largest = sorted(rows, key=_effect, reverse=True)[:MOST_DIVES]
-    return forest(
-        title, sorted(largest, key=lambda row: math.inf if row.ratio is None else row.ratio)
-    )
+    return forest(title, sorted(largest, key=_smallest_first))
+
+
+def _smallest_first(row: ForestRow) -> float:
+    if row.ratio is None:
+        return math.inf
+    return row.ratio
 
 
 def _effect(row: ForestRow) -> float:

@@ -72,31 +72,40 @@ def _plan_row(row: PooledRow) -> PlanRow:
     scatter = finite(row.scatter) if is_known else SCATTER_OF_ACTS * finite(row.acts)
     found = change_found(scatter, row.dives, level)
     needed = [dives_needed(scatter, 1.0 - sought_pct / 100.0, level) for sought_pct in SOUGHT_PCT]
-    finds_pct = 100.0 * (1.0 - found) if found == found else None
     return PlanRow(
         row.filter,
         row.quantity,
         row.role,
         row.dives,
-        scatter if scatter == scatter else None,
-        finds_pct,
+        _or_missing(scatter),
+        _or_missing(100.0 * (1.0 - found)),
         *needed,
     )
 
 
+def _or_missing(value: float) -> Number:
+    if math.isnan(value):
+        return None
+    return value
+
+
 def _nothing_to_plan(reports: Sequence[Report]) -> str:
-    known = (row for answer in answers_of(reports) for row in answer.known)
-    if any(_is_by_vehicle(row) for row in known):
-        return "Each vehicle is one sample: no number of dives replaces more vehicles."
+    for answer in answers_of(reports):
+        if any(_is_by_vehicle(row) for row in answer.known):
+            return "Each vehicle is one sample: no number of dives replaces more vehicles."
     return "There is no evidence to plan with."
 
 
 def plan_result(reports: Sequence[Report]) -> Result:
     """Return the plan of a result's dives."""
     rows = list(plan_rows(answers_of(reports)))
-    title = f"What {counted(len(reports), 'dive')} {'finds' if len(reports) == 1 else 'find'}"
+    find = "finds" if len(reports) == 1 else "find"
+    title = f"What {counted(len(reports), 'dive')} {find}"
     parts: list[Part] = [Title(title)]
-    parts.append(shown(PlanRow, rows) if rows else _nothing_to_plan(reports))
+    if rows:
+        parts.append(shown(PlanRow, rows))
+    else:
+        parts.append(_nothing_to_plan(reports))
     return Result(
         kind="plan", title=title, tables={"plan": Block.of(PlanRow, rows)}, block="", document=parts
     )

@@ -59,30 +59,7 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     for layout, rows in each_table(replay.tables):
         (folder / f"{layout.name}.csv").write_bytes(table_csv(Block.of(layout.row, rows)))
     if histories:
-        # The DVL's velocity and derived acceleration as the first filter that is aided by each met them.
-        measured: dict[str, tuple[TimeNs, Floats]] = {}
-        for innovations in (
-            innovations for history in replay.histories for innovations in history.innovations
-        ):
-            if innovations.measurement in DVL_AIDING:
-                measured.setdefault(
-                    innovations.measurement, (innovations.valid_ns, innovations.measured)
-                )
-        write_replay(
-            folder / REPLAY_LOG,
-            dive=replay.dive,
-            histories=replay.histories,
-            dvl=measured,
-            errors=replay.errors,
-            tables=replay.tables,
-            notes=replay.notes,
-            config_toml=settings,
-            version=__version__,
-        )
-        for name, layout_text in viewer_layouts(
-            [history.filter for history in replay.histories]
-        ).items():
-            (folder / name).write_text(layout_text, "utf-8")
+        _save_histories_for_viewers(replay, folder, settings)
     for name, text in replay.printed.items():
         (folder / f"candidate_{name}.txt").write_text(text, "utf-8")
     write_trajectory(folder / TRAJECTORY_FILE, trajectory_of(replay))
@@ -95,15 +72,44 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     (folder / COMPLETE).write_bytes(as_json(report))
 
 
+def _save_histories_for_viewers(replay: Replay, folder: Path, settings: str) -> None:
+    """Write replay.mcap, and the layouts of viewers that show it."""
+    write_replay(
+        folder / REPLAY_LOG,
+        dive=replay.dive,
+        histories=replay.histories,
+        dvl=_met_velocities(replay),
+        errors=replay.errors,
+        tables=replay.tables,
+        notes=replay.notes,
+        config_toml=settings,
+        version=__version__,
+    )
+    filters = [history.filter for history in replay.histories]
+    for name, text in viewer_layouts(filters).items():
+        (folder / name).write_text(text, "utf-8")
+
+
+def _met_velocities(replay: Replay) -> dict[str, tuple[TimeNs, Floats]]:
+    """Return the DVL's velocity and derived acceleration as the first filter that is aided by each met them."""
+    met: dict[str, tuple[TimeNs, Floats]] = {}
+    for history in replay.histories:
+        for innovations in history.innovations:
+            kind = innovations.measurement
+            if kind in DVL_AIDING and kind not in met:
+                met[kind] = (innovations.valid_ns, innovations.measured)
+    return met
+
+
 def viewer_layouts(filters: Sequence[str]) -> dict[str, str]:
     """Return the layouts of the first filter and of the one after it, by the names of their files."""
     names = {"baseline": filters[0], "aided": filters[min(1, len(filters) - 1)]}
     folder = resources.files("insdvl_replay").joinpath("show", "layouts")
-    drawn = {file: folder.joinpath(file).read_text("utf-8") for file in LAYOUT_FILES}
-    return {
-        file: re.sub(r"\b(baseline|aided)\b", lambda found: names[found[1]], text)
-        for file, text in drawn.items()
-    }
+    layouts = {}
+    for file in LAYOUT_FILES:
+        text = folder.joinpath(file).read_text("utf-8")
+        layouts[file] = re.sub(r"\b(baseline|aided)\b", lambda found: names[found[1]], text)
+    return layouts
 
 
 def run_log(report: Report) -> str:
@@ -130,10 +136,13 @@ def run_log(report: Report) -> str:
             rejected = f"{row.rejected} rejected by the gate"
             lines.append(f"filter {row.filter}: {row.used} {row.measurement} updates, {rejected}")
     lines += [candidate.sentence for candidate in report.filters.values()]
-    lines += [] if has_reference(report) else [NO_REFERENCE]
+    if not has_reference(report):
+        lines.append(NO_REFERENCE)
     for note in report.notes:
-        hint = f" (hint: {note.hint})" if note.hint else ""
-        lines.append(f"{note.severity} {note.code} [{note.count}]: {note.text}{hint}")
+        line = f"{note.severity} {note.code} [{note.count}]: {note.text}"
+        if note.hint:
+            line += f" (hint: {note.hint})"
+        lines.append(line)
     return "".join(f"{visible(line)}\n" for line in lines)
 
 

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Final
 
 from insdvl_replay.core.distinct import distinct_dives
@@ -63,11 +64,15 @@ from insdvl_replay.show.dives import table_alone
 def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
     """Return one line for each candidate, over all dives; of a filter alone one for each dive."""
     reports = reports_of(outcomes)
-    lines = [f"{report.log.name}, {line_alone(report)}" for report in reports if not report.filters]
+    lines = []
+    for report in reports:
+        if not report.filters:
+            lines.append(f"{report.log.name}, {line_alone(report)}")
     for answer in answers_of(reports):
-        said = headline(answer)
-        reason = f": {answer.reason}" if answer.verdict in WITHOUT_VERDICT else ""
-        lines.append(f"{answer.filter} {said}{reason}")
+        line = f"{answer.filter} {headline(answer)}"
+        if answer.verdict in WITHOUT_VERDICT:
+            line += f": {answer.reason}"
+        lines.append(line)
     return lines
 
 
@@ -91,8 +96,10 @@ def _answer_parts(
     The start is named once.
     """
     if len(answers) > MOST_ANSWERS:
-        yield from (Sentences(()), _answer_table(answers))
-        yield from ([f"start: {start}"] if start else [])
+        yield Sentences(())
+        yield _answer_table(answers)
+        if start:
+            yield f"start: {start}"
         return
     lines: list[str | Callout] = []
     for answer in answers:
@@ -118,41 +125,40 @@ def _in_spite_of_misfit(name: str, reports: Sequence[Report]) -> Iterator[str]:
 
 def _answer_table(answers: Sequence[CandidateAnswer]) -> DisplayTable:
     """Return many candidates, a row each."""
-    rows = []
-    for answer in answers:
-        predicted = (MISSING, "") if answer.verdict in WITHOUT_VERDICT else predicted_change(answer)
-        warned = (
-            ", ".join(f"{label(row.quantity)} {row.verdict}" for row in answer.warnings)
-            or answer.reason
-        )
-        acting = answer.decisive
-        acts = share_text(acting.acts) if acting is not None else MISSING
-        cells = evidence_cells(answer)
-        rows.append(
-            (
-                answer.filter,
-                word_of(answer),
-                *cells,
-                acts,
-                answer.settling or MISSING,
-                *predicted,
-                warned,
-            )
-        )
     baselines = " or ".join(dict.fromkeys(answer.baseline for answer in answers))
     header = (
-        *(
-            "filter",
-            f"against {baselines}",
-            "decides by",
-            "ratio",
-            "interval",
-            "acts",
-            "convergence",
-        ),
-        *("predicted sigma", "", ""),
+        "filter",
+        f"against {baselines}",
+        "decides by",
+        "ratio",
+        "interval",
+        "acts",
+        "convergence",
+        "predicted sigma",
+        "",  # whether the prediction is confirmed
+        "",  # warnings, or the reason why it is not evaluated
     )
-    return DisplayTable("", header, "lllrrrlrll", tuple(rows), spare=(6, (7, 8), 9, 5, (2, 3)))
+    rows = tuple(_answer_row(answer) for answer in answers)
+    return DisplayTable("", header, "lllrrrlrll", rows, spare=(6, (7, 8), 9, 5, (2, 3)))
+
+
+def _answer_row(answer: CandidateAnswer) -> tuple[str, ...]:
+    acts = MISSING
+    if answer.decisive is not None:
+        acts = share_text(answer.decisive.acts)
+    predicted = (MISSING, "")
+    if answer.verdict not in WITHOUT_VERDICT:
+        predicted = predicted_change(answer)
+    warnings = [f"{label(row.quantity)} {row.verdict}" for row in answer.warnings]
+    return (
+        answer.filter,
+        word_of(answer),
+        *evidence_cells(answer),
+        acts,
+        answer.settling or MISSING,
+        *predicted,
+        ", ".join(warnings) or answer.reason,
+    )
 
 
 def _evidence_table(answers: Sequence[CandidateAnswer], title: str) -> Iterator[DisplayTable]:
@@ -160,33 +166,49 @@ def _evidence_table(answers: Sequence[CandidateAnswer], title: str) -> Iterator[
     evaluated = [answer for answer in answers if answer.verdict not in WITHOUT_VERDICT]
     if not evaluated or len(answers) > MOST_COLUMNS:
         return
-    known = [row for answer in evaluated for row in answer.known]
-    is_one_dive = all(answer.dives == 1 for answer in answers)
-    rows = chosen_rows(known, MOST_ROWS_OF_DIVE if is_one_dive else MOST_ROWS[len(answers)])
+    most = MOST_ROWS[len(answers)]
+    if all(answer.dives == 1 for answer in answers):
+        most = MOST_ROWS_OF_DIVE
+    known = list(chain.from_iterable(answer.known for answer in evaluated))
+    rows = chosen_rows(known, most)
     if not rows:
         return
     if len(answers) > 1:
-        yield _side_by_side(evaluated, list(dict.fromkeys(row.quantity for row in rows)), title)
-        return
-    [answer] = answers
-    columns: list[ShownColumn] = [
+        quantities = list(dict.fromkeys(row.quantity for row in rows))
+        yield _side_by_side(evaluated, quantities, title)
+    elif answers[0].dives > 1:
+        yield _evidence_over_dives(answers[0], rows, title)
+    else:
+        columns = [*_columns_of_values(answers[0], title), _ACTS]
+        yield table_of("", rows, columns, spare=(5, (1, 2, 3)))
+
+
+def _columns_of_values(answer: CandidateAnswer, title: str) -> list[ShownColumn]:
+    return [
         (title, "l", "quantity:label"),
         ("", "l", "unit"),
         (answer.baseline, "r", "baseline:value"),
         (answer.filter, "r", "value:value"),
         ("ratio", "r", lambda row: ratio_text(row.ratio)),
     ]
-    if answer.dives > 1:
-        columns += [
-            ("interval", "r", interval_text),
-            ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
-        ]
-    columns.append(("acts", "r", "acts:share"))
-    if answer.dives > 1:
-        columns += [("", "l", verdict_in_table), ("", "l", _role_text)]
-        yield table_of("", rows, columns, VALUES_ARE, spare=(9, 7, (1, 2, 3), 6))
-    else:
-        yield table_of("", rows, columns, spare=(5, (1, 2, 3)))
+
+
+_ACTS: Final[ShownColumn] = ("acts", "r", "acts:share")
+
+
+def _evidence_over_dives(
+    answer: CandidateAnswer, rows: Sequence[PooledRow], title: str
+) -> DisplayTable:
+    """Return the evidence on a candidate with intervals, verdicts and what they decide."""
+    columns = [
+        *_columns_of_values(answer, title),
+        ("interval", "r", interval_text),
+        ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
+        _ACTS,
+        ("", "l", verdict_in_table),
+        ("", "l", _role_text),
+    ]
+    return table_of("", rows, columns, VALUES_ARE, spare=(9, 7, (1, 2, 3), 6))
 
 
 VALUES_ARE: Final = (
@@ -194,33 +216,43 @@ VALUES_ARE: Final = (
 )
 
 
+_ROLES: Final = {Role.PRIMARY: "decides", Role.SECONDARY: "can warn", Role.VETO: "can warn"}
+
+
 def _role_text(row: PooledRow) -> str:
-    return {Role.PRIMARY: "decides", Role.SECONDARY: "can warn", Role.VETO: "can warn"}.get(
-        Role(row.role), ""
-    )
+    return _ROLES.get(Role(row.role), "")
 
 
 def _side_by_side(
     answers: Sequence[CandidateAnswer], quantities: Sequence[str], title: str
 ) -> DisplayTable:
     """Return ratio and verdict of several candidates in the same quantities, with the values where there is room."""
-    found = {(answer.filter, row.quantity): row for answer in answers for row in answer.known}
+    found: dict[tuple[str, str], PooledRow] = {}
+    for answer in answers:
+        for row in answer.known:
+            found[answer.filter, row.quantity] = row
     cells = []
     for quantity in quantities:
         rows = [found.get((answer.filter, quantity)) for answer in answers]
-        known = next(row for row in rows if row is not None)
-        texts = [label(quantity), known.unit, significant(known.baseline, 3)]
-        for row in rows:
-            texts += (
-                [significant(row.value, 3), ratio_text(row.ratio), verdict_in_table(row)]
-                if row
-                else [MISSING] * 3
-            )
-        cells.append(tuple(texts))
-    heads = (head for answer in answers for head in ("value", answer.filter, ""))
-    header = (f"{title}: ratio", "", answers[0].baseline, *heads)
+        cells.append(_row_of_several(quantity, rows))
+    header = [f"{title}: ratio", "", answers[0].baseline]
+    for answer in answers:
+        header += ["value", answer.filter, ""]
     values = (1, 2, *range(3, len(header), 3))
-    return DisplayTable("", header, f"llr{'rrl' * len(answers)}", tuple(cells), spare=(values,))
+    alignment = f"llr{'rrl' * len(answers)}"
+    return DisplayTable("", tuple(header), alignment, tuple(cells), spare=(values,))
+
+
+def _row_of_several(quantity: str, rows: Sequence[PooledRow | None]) -> tuple[str, ...]:
+    """Return a quantity with its unit, the baseline's value, and value, ratio and verdict of each candidate."""
+    [first, *_] = [row for row in rows if row is not None]
+    cells = [label(quantity), first.unit, significant(first.baseline, 3)]
+    for row in rows:
+        if row is None:
+            cells += [MISSING] * 3
+        else:
+            cells += [significant(row.value, 3), ratio_text(row.ratio), verdict_in_table(row)]
+    return tuple(cells)
 
 
 # --- One dive: with one candidate at most 24 lines of 80 columns.
@@ -229,20 +261,23 @@ def _side_by_side(
 def dive_screen(report: Report, page: str) -> list[Part]:
     """Return the screen of one dive, whose page is at ``page``."""
     answers = answers_of([report])
-    notes = f", {counted(len(report.notes), 'note')}" if report.notes else ""
-    return [
-        Title(_facts(report)),
-        *_answer_parts(answers, initial_text(report.config), start_text([report]), [report]),
-        *([] if report.filters else [line_alone(report)]),
-        *_evidence_table(answers, "this dive"),
-        *_assay_parts([report], answers),
-        *_trust_lines(report),
-        *headline_table(report),
-        *track_fit_line(report),
-        *(() if has_reference(report) else (NO_REFERENCE,)),
-        *_delay_line([report]),
-        Code(f"all tables{notes}: -v   page: {page}", ""),
-    ]
+    parts: list[Part] = [Title(_facts(report))]
+    parts += _answer_parts(answers, initial_text(report.config), start_text([report]), [report])
+    if not report.filters:
+        parts.append(line_alone(report))
+    parts += _evidence_table(answers, "this dive")
+    parts += _assay_parts([report], answers)
+    parts += _trust_lines(report)
+    parts += headline_table(report)
+    parts += track_fit_line(report)
+    if not has_reference(report):
+        parts.append(NO_REFERENCE)
+    parts += _delay_line([report])
+    more = "all tables"
+    if report.notes:
+        more = f"all tables, {counted(len(report.notes), 'note')}"
+    parts.append(Code(f"{more}: -v   page: {page}", ""))
+    return parts
 
 
 def _delay_line(reports: Sequence[Report]) -> list[str]:
@@ -257,48 +292,44 @@ def _trust_lines(report: Report) -> list[str]:
     """Say of each candidate whether it is consistent, and how large its innovations are if it is the only one."""
     if len(report.filters) > MOST_ANSWERS:
         return []
-    lines = []
     is_far_off = is_noise_far_off(report.tables, report.baseline)
-    for name in (
-        name for name, found in report.filters.items() if found.verdict not in WITHOUT_VERDICT
-    ):
-        sizes = " Try --control, which fits the noise." if is_far_off else ""
-        nis = next(
-            (row for row in of_filter(name, report.tables.evidence) if row.quantity == "nis"), None
-        )
-        if nis is not None and len(report.filters) == 1:
-            values = f"{report.baseline} {significant(nis.baseline, 3)}, {name} {significant(nis.value, 3)}"
-            sizes = (
-                f" {label(nis.quantity)}: {values}{', expected 1.' if is_far_off else '.'}{sizes}"
-            )
-        lines.append(f"{trust_sentence(report.tables, name, report.baseline)}{sizes}")
+    lines = []
+    for name, candidate in report.filters.items():
+        if candidate.verdict in WITHOUT_VERDICT:
+            continue
+        line = trust_sentence(report.tables, name, report.baseline)
+        if len(report.filters) == 1:
+            line += _innovations_text(report, name, is_far_off=is_far_off)
+        if is_far_off:
+            line += " Try --control, which fits the noise."
+        lines.append(line)
     return list(dict.fromkeys(lines))
+
+
+def _innovations_text(report: Report, name: str, *, is_far_off: bool) -> str:
+    """Say how large the innovations of a candidate and of the baseline are; empty where it is not known."""
+    for row in of_filter(name, report.tables.evidence):
+        if row.quantity == "nis":
+            baseline = f"{report.baseline} {significant(row.baseline, 3)}"
+            text = f" {label(row.quantity)}: {baseline}, {name} {significant(row.value, 3)}"
+            if is_far_off:
+                return f"{text}, expected 1."
+            return f"{text}."
+    return ""
 
 
 def _facts(report: Report) -> str:
     """Return a line with what was replayed."""
-    tables = report.tables
     duration_s = report.log.duration_s
-    starts = _starts(tables.evidence)
-    # The first filter that takes velocities, or beams where none does.
-    rows = [row for row in tables.consistency if row.measurement == "velocity"][:1]
-    kind = "velocities" if rows else "beams"
-    if not rows:
-        beams = [row for row in tables.consistency if is_beam(row.measurement)]
-        rows = [row for row in beams if row.filter == beams[0].filter]
-    rejected = sum(row.rejected for row in rows)
-    met = (
-        f"{sum(row.used for row in rows) + rejected} {kind}, {rejected} rejected"
-        if rows
-        else "no velocities"
-    )
-    # An onboard solution may cover only a part of the dive. The baseline is compared over all of it.
-    baseline = [row.samples for row in of_filter(report.baseline, tables.drift)]
-    compared = max([row.samples for row in tables.reference_error] + baseline, default=0)
-    known = has_reference(report)
-    reference = f"reference {compared / duration_s:.2g} Hz" if known else "no reference"
-    begun = [counted(starts, "start")] if starts and known else []
-    return f"{report.log.name}: {', '.join([f'{duration_s:.0f} s', met, reference, *begun])}"
+    facts = [f"{duration_s:.0f} s", _met_pings(report)]
+    if has_reference(report):
+        facts.append(f"reference {_times_compared(report) / duration_s:.2g} Hz")
+        starts = _starts(report.tables.evidence)
+        if starts:
+            facts.append(counted(starts, "start"))
+    else:
+        facts.append("no reference")
+    return f"{report.log.name}: {', '.join(facts)}"
 
 
 def _starts(rows: Sequence[EvidenceRow]) -> int:
@@ -307,6 +338,31 @@ def _starts(rows: Sequence[EvidenceRow]) -> int:
         return 0
     drawn = (row.starts for row in rows if row.evidence == "convergence")
     return 1 + max(drawn, default=0)
+
+
+def _met_pings(report: Report) -> str:
+    """Count what the first filter that takes velocities, or beams where none does, met of the DVL."""
+    rows = report.tables.consistency
+    beams = [row for row in rows if is_beam(row.measurement)]
+    for row in rows:
+        if row.measurement == "velocity":
+            return f"{row.used + row.rejected} velocities, {row.rejected} rejected"
+    if not beams:
+        return "no velocities"
+    own = of_filter(beams[0].filter, beams)
+    rejected = sum(row.rejected for row in own)
+    used = sum(row.used for row in own)
+    return f"{used + rejected} beams, {rejected} rejected"
+
+
+def _times_compared(report: Report) -> int:
+    """Return the most times at which a filter is compared with the reference.
+
+    An onboard solution may cover only a part of the dive. The baseline is compared over all of it.
+    """
+    samples = [row.samples for row in report.tables.reference_error]
+    samples += [row.samples for row in of_filter(report.baseline, report.tables.drift)]
+    return max(samples, default=0)
 
 
 # --- Several dives: the pooled evidence, then a row for each dive.
@@ -322,129 +378,141 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
     """Return the screen of several dives, in the order of the logs, whose page is at ``index``."""
     reports = reports_of(outcomes)
     answers = answers_of(reports)
-    pooled = [answer for answer in answers if answer.known and answer.log == EVERY_DIVE]
     initial = initial_text(reports[0].config) if reports else ""
-    return [
-        Title(_facts_of_dives(outcomes)),
-        *(note.text for note in distinct_dives(reports)[1]),
-        *_answer_parts(answers, initial, start_text(reports), reports),
-        *(
-            part
-            for table in _evidence_table(pooled, "all dives")
-            for part in (Sentences(()), table)
-        ),
-        Sentences(()),
-        _dives_table(outcomes, {answer.filter: answer for answer in answers})
-        if answers
-        else table_alone(outcomes),
-        *_assay_parts(reports, answers),
-        *_consistency_counts(reports),
-        *_delay_line(reports),
-        Code(f"all tables: -v   page: {index}", ""),
-    ]
+    parts: list[Part] = [Title(_facts_of_dives(outcomes))]
+    _, notes = distinct_dives(reports)
+    parts += [note.text for note in notes]
+    parts += _answer_parts(answers, initial, start_text(reports), reports)
+    pooled = [answer for answer in answers if answer.known and answer.log == EVERY_DIVE]
+    for table in _evidence_table(pooled, "all dives"):
+        parts += [Sentences(()), table]
+    parts.append(Sentences(()))
+    if answers:
+        parts.append(_dives_table(outcomes, {answer.filter: answer for answer in answers}))
+    else:
+        parts.append(table_alone(outcomes))
+    parts += _assay_parts(reports, answers)
+    parts += _consistency_counts(reports)
+    parts += _delay_line(reports)
+    parts.append(Code(f"all tables: -v   page: {index}", ""))
+    return parts
 
 
 def _assay_parts(reports: Sequence[Report], answers: Sequence[CandidateAnswer]) -> Iterator[Part]:
     """Yield what the dives could have shown: a table of controls by quantities, and which the primary one saw."""
-    primary = next((answer.primary for answer in answers if answer.primary), "")
-    rows = assay_of(reports, primary)
-    if not rows:
-        return
-    yield Sentences(())
-    yield assay_table(rows)
-    yield assay_line(rows)
+    rows = assay_of(reports, _first_primary(answers))
+    if rows:
+        yield Sentences(())
+        yield assay_table(rows)
+        yield assay_line(rows)
+
+
+def _first_primary(answers: Sequence[CandidateAnswer]) -> str:
+    for answer in answers:
+        if answer.primary:
+            return answer.primary
+    return ""
 
 
 def assay_table(rows: Sequence[PooledRow]) -> DisplayTable:
     """Return the ratio and the word of each control, by quantity, those that decide or can warn."""
-    shown_roles = (Role.PRIMARY, Role.SECONDARY)
-    quantities = list(dict.fromkeys(row.quantity for row in rows if row.role in shown_roles))
-    found = {(row.filter, row.quantity): row for row in rows}
+    quantities: list[str] = []
+    controls: dict[str, dict[str, PooledRow]] = {}  # by name, then by quantity
+    for row in rows:
+        controls.setdefault(row.filter, {})[row.quantity] = row
+        if row.role in (Role.PRIMARY, Role.SECONDARY) and row.quantity not in quantities:
+            quantities.append(row.quantity)
     cells = []
-    for control in dict.fromkeys(row.filter for row in rows):
-        texts = [control]
-        for quantity in quantities:
-            row = found.get((control, quantity))
-            word = verdict_in_table(row) if row is not None else ""
-            texts.append(f"{ratio_text(row.ratio)} {word}".rstrip() if row is not None else MISSING)
-        cells.append(tuple(texts))
+    for control, own in controls.items():
+        texts = [_assay_text(own.get(quantity)) for quantity in quantities]
+        cells.append((control, *texts))
     header = ("control", *(label(quantity).replace(" ", "\n", 1) for quantity in quantities))
     spare = tuple(range(len(header) - 1, 2, -1))
     return DisplayTable("", header, f"l{'l' * len(quantities)}", tuple(cells), spare=spare)
+
+
+def _assay_text(row: PooledRow | None) -> str:
+    if row is None:
+        return MISSING
+    return f"{ratio_text(row.ratio)} {verdict_in_table(row)}".rstrip()
 
 
 def _facts_of_dives(outcomes: Sequence[Outcome]) -> str:
     """Return a line with the number of dives, of those that failed, and of those with warnings."""
     reports = reports_of(outcomes)
     said = [counted(len(outcomes), "dive"), f"{len(outcomes) - len(reports)} failed"]
-    codes = [
-        {note.code for note in report.notes if note.severity == Severity.WARNING}
-        for report in reports
-    ]
-    if counts := Counter(code for found in codes for code in found):
+    dives_warned = 0
+    counts = Counter[str]()  # of dives, by code
+    for report in reports:
+        codes = {note.code for note in report.notes if note.severity == Severity.WARNING}
+        dives_warned += bool(codes)
+        counts.update(sorted(codes))
+    if counts:
         named = [f"{code} {count}" for code, count in counts.most_common(MOST_CODES)]
-        named += [f"{len(counts) - MOST_CODES} more"] if len(counts) > MOST_CODES else []
-        said.append(f"warnings on {sum(map(bool, codes))}: {', '.join(named)}")
+        if len(counts) > MOST_CODES:
+            named.append(f"{len(counts) - MOST_CODES} more")
+        said.append(f"warnings on {dives_warned}: {', '.join(named)}")
     return ", ".join(said)
 
 
 def _consistency_counts(reports: Sequence[Report]) -> Iterator[str]:
     """Yield a line with the number of dives with each consistency of the innovations, for each filter."""
+    counts: dict[str, Counter[str]] = {}  # of dives, by filter and word
+    far_off = 0
+    for report in reports:
+        far_off += is_noise_far_off(report.tables, report.baseline)
+        for name in (report.baseline, *report.filters):
+            word = consistency_of(report.tables.consistency, name)
+            counts.setdefault(name, Counter()).update([word])
     texts = []
-    for name in dict.fromkeys(
-        name for report in reports for name in (report.baseline, *report.filters)
-    ):
-        tables = [
-            report.tables.consistency
-            for report in reports
-            if name in (report.baseline, *report.filters)
-        ]
-        words = Counter(consistency_of(table, name) for table in tables)
-        texts.append(
-            f"{name} {', '.join(f'{count} {word}' for word, count in words.most_common())}"
-        )
-    far_off = sum(is_noise_far_off(report.tables, report.baseline) for report in reports)
-    advice = (
-        f". The noise settings are far off on {counted(far_off, 'dive')}: try --control"
-        if far_off
-        else ""
-    )
-    if texts:
-        yield f"consistency (NIS): {'; '.join(texts)}{advice}"
+    for name, words in counts.items():
+        counted_words = [f"{count} {word}" for word, count in words.most_common()]
+        texts.append(f"{name} {', '.join(counted_words)}")
+    if not texts:
+        return
+    line = f"consistency (NIS): {'; '.join(texts)}"
+    if far_off:
+        line += f". The noise settings are far off on {counted(far_off, 'dive')}: try --control"
+    yield line
 
 
 def _dives_table(
     outcomes: Sequence[Outcome], answers: Mapping[str, CandidateAnswer]
 ) -> DisplayTable:
     """Return a row for each dive: of each candidate both values and the ratio in its primary quantity."""
-    names = candidate_names(reports_of(outcomes))
     found: dict[tuple[str, str], EvidenceRow] = {}
     for report in reports_of(outcomes):
         for row in report.tables.evidence:
             if row.filter in answers and row.quantity == answers[row.filter].primary:
                 found[report.log.name, row.filter] = row
     dives, footnote = _shown_dives(outcomes, found)
+    names = candidate_names(reports_of(outcomes))
     if len(names) == 1:
         return _dives_of_one(dives, names[0], answers[names[0]], found, footnote)
-    quantities = {name: label(answers[name].primary) or "evidence" for name in names}
-    is_same = len(set(quantities.values())) == 1
-    heads = [name if is_same else f"{name}\n{quantities[name]}" for name in names]
-    first = f"{quantities[names[0]]}: ratio" if is_same else "dive by dive: ratio"
-    cells = tuple(
-        (dive, *(_ratio_on(outcome, name, found.get((dive, name))) for name in names))
-        for dive, outcome in dives.items()
-    )
-    return DisplayTable("", (first, *heads), f"l{'r' * len(names)}", cells, footnote)
+    quantities = [label(answers[name].primary) or "evidence" for name in names]
+    if len(set(quantities)) == 1:
+        header = [f"{quantities[0]}: ratio", *names]
+    else:
+        header = ["dive by dive: ratio"]
+        for name, quantity in zip(names, quantities, strict=True):
+            header.append(f"{name}\n{quantity}")
+    cells = []
+    for dive, outcome in dives.items():
+        ratios = [_ratio_on(outcome, name, found.get((dive, name))) for name in names]
+        cells.append((dive, *ratios))
+    return DisplayTable("", tuple(header), f"l{'r' * len(names)}", tuple(cells), footnote)
 
 
 def _shown_dives(
     outcomes: Sequence[Outcome], found: Mapping[tuple[str, str], EvidenceRow]
 ) -> tuple[dict[str, Outcome], str]:
     """Return the dives that have a row, by name; of many dives those that failed and those with the largest ratios."""
-    named = {
-        outcome.log if isinstance(outcome, Failure) else outcome.log.name: outcome
-        for outcome in outcomes
-    }
+    named: dict[str, Outcome] = {}
+    for outcome in outcomes:
+        if isinstance(outcome, Failure):
+            named[outcome.log] = outcome
+        else:
+            named[outcome.log.name] = outcome
     dives = {name: named[name] for name in sorted(named, key=natural_key)}
     if len(dives) <= MOST_DIVES:
         return dives, ""
@@ -473,9 +541,12 @@ def _dives_of_one(
             cells.append((dive, MISSING, MISSING, _ratio_on(outcome, name, row), MISSING))
             continue
         acts = share_text(row.acts)
-        values = significant(row.baseline, 3), significant(row.value, 3)
+        values = (significant(row.baseline, 3), significant(row.value, 3))
         cells.append((dive, *values, _ratio_on(outcome, name, row), acts))
-    unit = next((f" [{row.unit}]" for row in found.values()), "")
+    unit = ""
+    if found:
+        [one, *_] = found.values()
+        unit = f" [{one.unit}]"
     first = label(answer.primary) or "dive by dive"
     header = (first, f"{answer.baseline}{unit}", f"{name}{unit}", "ratio", "acts")
     return DisplayTable("", header, "lrrrr", tuple(cells), footnote, spare=((1, 2),))

@@ -95,8 +95,11 @@ def outage_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator[F
 
 def drift_panel(curves: Mapping[str, OutageCurve]) -> Panel:
     """Draw the drift over the time without DVL: median, and the limit of 95 %."""
-    medians = [Series(name, curve.time_s, curve.median_m) for name, curve in curves.items()]
-    limits_95 = [Series(name, curve.time_s, curve.p95_m) for name, curve in curves.items()]
+    medians = []
+    limits_95 = []
+    for name, curve in curves.items():
+        medians.append(Series(name, curve.time_s, curve.median_m))
+        limits_95.append(Series(name, curve.time_s, curve.p95_m))
     return _drift_panel(filter_curves(medians, named=True), limits_95)
 
 
@@ -114,12 +117,16 @@ def outage_for_paper(dive: StoredDive) -> Figure:
     limits_95 = []
     rows = dive.tables.get("outage", ())
     for name in dive.trajectory.names:
-        own = [row for row in rows if row.get("filter") == name]
-        length_s = np.array([float(str(row["window_s"])) for row in own])
-        median_m = np.array([known_number(row.get("drift_median_m")) for row in own])
-        p95_m = np.array([known_number(row.get("drift_p95_m")) for row in own])
-        medians.append(Series(name, length_s, median_m))
-        limits_95.append(Series(name, length_s, p95_m))
+        length_s = []
+        median_m = []
+        p95_m = []
+        for row in rows:
+            if row.get("filter") == name:
+                length_s.append(float(str(row["window_s"])))
+                median_m.append(known_number(row.get("drift_median_m")))
+                p95_m.append(known_number(row.get("drift_p95_m")))
+        medians.append(Series(name, np.array(length_s), np.array(median_m)))
+        limits_95.append(Series(name, np.array(length_s), np.array(p95_m)))
     lines = filter_curves(medians)
     points = [replace(line, points=True) for line in lines]
     panels = []
@@ -159,15 +166,14 @@ def convergence_figure(
         names = list(found.rms)
         shown = found.time_s >= max(_FIRST_S, _FIRST * found.time_s[-1])
         time_s = found.time_s[shown]
+        measured = []
+        predicted = []
+        for name in names:
+            measured.append(Series(name, time_s, found.rms[name][shown] / unit))
+            predicted.append(Series(name, time_s, found.predicted[name][shown] / unit))
         limit = found.limit / unit
         rows = [row for row in evidence if row.quantity == f"convergence_{quantity}"]
-        drawn = (
-            *_converging(
-                [Series(name, time_s, found.rms[name][shown] / unit) for name in names],
-                [Series(name, time_s, found.predicted[name][shown] / unit) for name in names],
-            ),
-            *_reached_points(names, rows, limit),
-        )
+        drawn = (*_converging(measured, predicted), *_reached_points(names, rows, limit))
         panels.append(Panel(title, TIME_S, drawn, levels=(limit,), y_scale="log", x_scale="log"))
     if panels:
         yield Figure(

@@ -1,5 +1,6 @@
 """The vehicle: its track, its motion, its accelerations."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -40,7 +41,7 @@ MAGNIFIED: Final = "magnified"
 SEEN: Final = 0.08
 _EAST: Final = "east [m]"
 _TRACK: Final = "track: north [m] over east [m]"
-_FACTORS: Final = tuple(digit * 10.0**power for power in range(7) for digit in (1.0, 2.0, 5.0))
+_MOST_ENLARGED: Final = 5e6
 
 
 # --- The track.
@@ -129,7 +130,18 @@ def _magnification(reference: _Track, errors: Mapping[str, ReferenceErrors]) -> 
     if largest_m == 0.0:
         return 1.0
     wanted = SEEN * max(sizes_m) / largest_m
-    return max((factor for factor in _FACTORS if factor <= wanted), default=1.0)
+    return _round_factor(min(wanted, _MOST_ENLARGED))
+
+
+def _round_factor(wanted: float) -> float:
+    """Return the largest of 1, 2, 5, 10, 20 and so on that is not above what is wanted; at least 1."""
+    if wanted < 1.0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(wanted))
+    for digit in (5.0, 2.0):
+        if digit * power <= wanted:
+            return digit * power
+    return power
 
 
 def track_for_paper(dive: StoredDive) -> Figure:
