@@ -20,7 +20,7 @@ from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
 from insdvl_replay.core.report import StoredResult
 from insdvl_replay.core.tables import LAYOUTS, Number, TableLayout
 from insdvl_replay.core.words import ChangeVerdict, MatchedBy, Verdict
-from insdvl_replay.document.tables import FORMS
+from insdvl_replay.document.tables import plain_text
 from insdvl_replay.results.stored_results import read_results
 
 WORSE: Final = "worse"  # instead of a percentage: fail on the answer
@@ -338,8 +338,8 @@ def _lost_dives(comparison: Comparison) -> Iterator[str]:
 
 def described(change: Change) -> str:
     """Return the place and the change of a cell in one line."""
-    old = FORMS[""](change.old)
-    new = FORMS[""](change.new)
+    old = plain_text(change.old)
+    new = plain_text(change.new)
     return f"{change.log}, {cell_place(change)} from {old} to {new} ({change.growth})"
 
 

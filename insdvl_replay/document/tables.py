@@ -96,7 +96,8 @@ def signed_percent(value: float | None) -> str:
     return f"{value:+.2f}"
 
 
-def _plain(value: object) -> str:
+def plain_text(value: object) -> str:
+    """Write a number with four digits, anything else as it is."""
     if value is None or isinstance(value, float):
         return number(value)
     return str(value)
@@ -104,7 +105,7 @@ def _plain(value: object) -> str:
 
 # The format of a column's values, by the name in its row type.
 FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
-    "": _plain,
+    "": plain_text,
     "label": label,
     "short": lambda name: label(name).replace("accelerometer", "accel."),
     "words": lambda value: value.replace("_", " "),
