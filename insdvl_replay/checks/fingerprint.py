@@ -10,12 +10,10 @@ from insdvl_replay.core.dive_record import ImuFingerprint
 
 STEP_S: Final = 10
 MOST_DIGESTS: Final = 300
-EARLY_NS: Final = (
-    700_000  # times of another encoding are rounded; no usual grid of samples begins here
-)
-FORCE_STEP_MPS2: Final = (
-    1e-4  # far above what single precision and six decimals round, below the noise of an IMU
-)
+# Times of another encoding are rounded; no usual grid of samples begins here.
+EARLY_NS: Final = 700_000
+# Far above what single precision and six decimals round, below the noise of an IMU.
+FORCE_STEP_MPS2: Final = 1e-4
 RATE_STEP_RADPS: Final = 1e-5
 DIGEST_BYTES: Final = 4
 

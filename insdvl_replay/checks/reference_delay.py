@@ -50,9 +50,8 @@ SMALLEST_PAUSE_S: Final = 0.5  # nobody saw what happened in one of the IMU
 _COARSE_LEGS: Final = 1000
 _FORCE_LEGS: Final = 1500  # each takes several rotations
 _SEARCHED_LEGS: Final = 250
-_CLEARLY_LESS: Final = (
-    0.8  # of the misfit at the delay of the attitude, before another one is tried
-)
+# Of the misfit at the delay of the attitude, before another one is tried.
+_CLEARLY_LESS: Final = 0.8
 # Of a leg in eight parts, in each of which the attitude is that of its middle.
 _ENDS_AND_MIDDLES: Final = np.arange(17) / 16.0
 _ROW_APART_S: Final = 0.1  # rows of a faster reference add nothing

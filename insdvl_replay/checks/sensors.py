@@ -28,9 +28,8 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
 
-_SHARED: Final = (
-    0.5  # more than this share of a sensor's readings cannot be in the reference by chance
-)
+# More than this share of a sensor's readings cannot be in the reference by chance.
+_SHARED: Final = 0.5
 _SAME_RAD: Final = 1e-9  # readings that differ by less come from one message: 6 mm of latitude
 
 

@@ -482,12 +482,10 @@ def write_replay(
     *,
     dive: Dive,
     histories: Sequence[History],
-    dvl: Mapping[
-        str, tuple[TimeNs, Floats]
-    ],  # velocity and acceleration in body axes, (m,) and (m, 3)
-    errors: Mapping[
-        str, Any
-    ],  # by filter, estimate minus reference: time_ns, (k,), and errors of (k, 3)
+    # Velocity and acceleration in body axes, (m,) and (m, 3).
+    dvl: Mapping[str, tuple[TimeNs, Floats]],
+    # By filter, estimate minus reference: time_ns, (k,), and errors of (k, 3).
+    errors: Mapping[str, Any],
     tables: Tables,
     notes: Sequence[Note],
     config_toml: str,

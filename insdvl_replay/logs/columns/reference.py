@@ -51,14 +51,12 @@ from insdvl_replay.logs.columns.clean import Cleaner, note_lost_samples, stand_f
 from insdvl_replay.logs.columns.tables import Table, rows_among
 from insdvl_replay.logs.columns.topics import BOW_DOWN
 
-# PX4's frames, and that of the messages before 1.13
+# PX4's frames, and that of the messages before 1.13.
 _NED = 1
 _BODY = 3
 _OLD_NED = 0
-_NORTHS: Final = (
-    ("pose_frame", _NED),
-    ("local_frame", _OLD_NED),
-)  # which frame of a pose is north-east-down
+# Which frame of a pose is north-east-down.
+_NORTHS: Final = (("pose_frame", _NED), ("local_frame", _OLD_NED))
 SIZE: Final = 9  # velocity error, misalignment and position error
 DP: Final = slice(6, 9)
 _LARGEST: Final = 1e30  # powers of larger variances are no numbers

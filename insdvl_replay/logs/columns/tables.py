@@ -404,19 +404,20 @@ class _Builder:
         sampled = {path: columns.pop(path) for path in self.sampled}
         columns, channel_ids, rows = merge_channels(columns, self.runs)
         sampled_rows = np.arange(0, self.count if sampled else 0, self.every)
+        duplicates = 0
         if rows is not None:
             order, sampled_rows = rows_among(sampled_rows, rows, self.count)
             sampled = {path: values[order] for path, values in sampled.items()}
-        files = channel_ids // CHANNELS_OF_A_PART
+            duplicates = self.count - len(rows)
         table = Table(
             where=self.where,
             source=self.source,
             columns=columns | sampled,
             unreadable_ns=tuple(self.unreadable_ns),
             fault=self.fault,
-            duplicates=0 if rows is None else self.count - len(rows),
+            duplicates=duplicates,
             known=next(iter(self.readers.values())).known,
-            files=files if files.size and files.min() != files.max() else None,
+            files=_files_of(channel_ids),
             has_whole_times=self.has_whole_times,
             others=self.others,
             sampled=sampled_rows,
@@ -443,6 +444,14 @@ class _Builder:
         asked = f"has no transform from {' to '.join(element.texts)}" if element.texts else ""
         hint = f"it has {listed(pairs)}" if pairs else "its messages are empty"
         return LogError(asked or "has transforms of many frames", hint, *self.where)
+
+
+def _files_of(channel_ids: Rows) -> Rows | None:
+    """Return the file of each message by its channel, (k,); None where all are of one."""
+    files = channel_ids // CHANNELS_OF_A_PART
+    if files.size and files.min() != files.max():
+        return files
+    return None
 
 
 def _whole_times_ns(values: Array) -> Array:
@@ -505,12 +514,10 @@ def repeated_rows(columns: Columns, origin: Rows) -> Mask:
 
 # --- Clocks.
 
-SAME_CLOCK_S: Final = (
-    1.0  # messages are not under way for longer; clocks further apart are two clocks
-)
-LARGEST_JITTER_S: Final = (
-    1.0  # what varies by more between stamp and recording is a drift or a jump
-)
+# Messages are not under way for longer; clocks further apart are two clocks.
+SAME_CLOCK_S: Final = 1.0
+# What varies by more between stamp and recording is a drift or a jump.
+LARGEST_JITTER_S: Final = 1.0
 FEW_PLACES: Final = 5  # messages do not overtake more others than this
 LEAP_S: Final = 3600.0  # stamps that run ahead of the log time by more at once are those of a clock that was set
 _UNITS: Final = (
@@ -520,9 +527,8 @@ _UNITS: Final = (
     (10**9, "seconds"),
 )
 _UNIX_TIME_S: Final = 1e8  # the time since 1970 has been longer than this since 1973
-_IN_STEP: Final = (
-    0.2  # a recorder keeps step with the stamps better than this; units are 1000 apart
-)
+# A recorder keeps step with the stamps better than this; units are 1000 apart.
+_IN_STEP: Final = 0.2
 
 
 def measure_clock(
@@ -534,12 +540,13 @@ def measure_clock(
     first_ns = int(behind_ns[0])
     behind_ns -= first_ns
     low, median, high = np.percentile(behind_ns, (5, 50, 95)).tolist()
-    steps_ns = np.subtract(
-        time_ns[1:], time_ns[:-1], out=behind_ns[1:]
-    )  # in place: such arrays are large
+    # In place: such arrays are large.
+    steps_ns = np.subtract(time_ns[1:], time_ns[:-1], out=behind_ns[1:])
     back_steps = int(np.count_nonzero(steps_ns < 0))
     repeats = int(np.count_nonzero(steps_ns == 0))
-    changes = len(distinct(time_ns)) - 1 if back_steps else steps_ns.size - repeats
+    changes = steps_ns.size - repeats
+    if back_steps:
+        changes = len(distinct(time_ns)) - 1
     span_ns = int(time_ns.max()) - int(time_ns.min())
     return Clock(
         role=role,

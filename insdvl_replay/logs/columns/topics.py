@@ -160,22 +160,16 @@ _KINDS: Final = {
 }
 # Of increments over a time: their kind, and the unit in which they give the usual one of the rate.
 _INCREMENTS: Final = {"specific_force": ("velocity", "m/s"), "angular_rate": ("angle", "rad")}
-UNUSED_FLAGS: Final = (
-    "unused_flags"  # columns of a table that may mark pings as invalid, and that no setting names
-)
+# Columns of a table that may mark pings as invalid, and that no setting names.
+UNUSED_FLAGS: Final = "unused_flags"
 LOG_TOPIC: Final = "topics."  # begins the role of a topic for user-defined measurements
 BOW_DOWN: Final = "_bow_down"  # ends the name of a pitch with the opposite sign
-PROPOSED: Final = (
-    "imu",
-    "dvl",
-    "reference",
-)  # roles for which `inspect` proposes topics and fields of unknown types
-_MAVLINK: Final = re.compile(
-    r"(?:^|/)mavlink/\d+/\d+/([A-Z][A-Z0-9_]+)$"
-)  # whole messages, as BlueOS records them
-_TELEMETRY: Final = re.compile(
-    r"(^|/)(RAW_IMU|SCALED_IMU\d?|HIGHRES_IMU)$"
-)  # of MAVLink, too slow to be replayed
+# Roles for which `inspect` proposes topics and fields of unknown types.
+PROPOSED: Final = ("imu", "dvl", "reference")
+# Whole messages, as BlueOS records them.
+_MAVLINK: Final = re.compile(r"(?:^|/)mavlink/\d+/\d+/([A-Z][A-Z0-9_]+)$")
+# Of MAVLink, too slow to be replayed.
+_TELEMETRY: Final = re.compile(r"(^|/)(RAW_IMU|SCALED_IMU\d?|HIGHRES_IMU)$")
 _FULL_RATE: Final = (
     "convert the vehicle's .BIN with clydemcqueen/dive_to_bag; it has every sample if LOG_REPLAY was 1; see "
     "docs/inputs.md"
@@ -213,15 +207,12 @@ class Source:
     fields: Mapping[str, str]  # path of the field by the quantity that it holds
     stamp: str  # header, log_time, publish_time or a field path
     latency_s: float  # from validity to stamp
-    conventions: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # of the type, where the settings leave a key out
-    element: Element | None = (
-        None  # which elements of a list in the messages count, each as if it were a message
-    )
-    factors: Mapping[str, float] = field(
-        default_factory=dict
-    )  # from the unit in a column's title to the usual one
+    # Of the type, where the settings leave a key out.
+    conventions: Mapping[str, Any] = field(default_factory=dict)
+    # Which elements of a list in the messages count, each as if it were a message.
+    element: Element | None = None
+    # From the unit in a column's title to the usual one.
+    factors: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def code(self) -> str:
@@ -230,9 +221,10 @@ class Source:
 
     def completed(self, section: Section) -> Section:
         """Fill in by the type what this role's settings leave out."""
-        left_out = {
-            key: value for key, value in self.conventions.items() if getattr(section, key) is None
-        }
+        left_out = {}
+        for key, value in self.conventions.items():
+            if getattr(section, key) is None:
+                left_out[key] = value
         return msgspec.structs.replace(section, **left_out)
 
 

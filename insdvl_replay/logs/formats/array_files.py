@@ -20,9 +20,8 @@ from insdvl_replay.logs.formats.log_file import most_opened
 
 MOST_COLUMNS: Final = 4096
 """Columns or arrays of a file; a log of sensors has some dozens."""
-_MOST_TIMES: Final = (
-    16  # larger columns are believed only if their file is compressed less densely than this
-)
+# Larger columns are believed only if their file is compressed less densely than this.
+_MOST_TIMES: Final = 16
 _NUMBERS: Final = "biufM"  # kinds of arrays that are columns
 
 Arrays = dict[str, Array]

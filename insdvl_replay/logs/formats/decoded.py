@@ -27,9 +27,8 @@ from insdvl_replay.logs.formats.log_file import Block
 _STRUCTURE: Final = "object"  # the kind of a JSON object
 
 Numbers = Callable[[Any], Sequence[float]]  # reads the numbers at a place of a decoded message
-Access = Callable[
-    [Any, str, "Shape"], Any
-]  # takes a field out of a decoded structure; None where it is absent
+# Takes a field out of a decoded structure; None where it is absent.
+Access = Callable[[Any, str, "Shape"], Any]
 
 
 @dataclass(frozen=True)

@@ -172,10 +172,8 @@ def _type_of(name: str, package: str, language: str) -> str:
 
 def _parse_idl(type_name: str, text: str) -> dict[str, tuple[Field, ...]]:
     """Parse OMG's interface language, in which ROS 2 describes messages that have no .msg file."""
-    from rosbags.typesys import (
-        TypesysError,
-        get_types_from_idl,
-    )  # takes a while, and few logs have it
+    # It takes a while, and few logs have it.
+    from rosbags.typesys import TypesysError, get_types_from_idl
 
     # The texts of all types in a schema, without the lines between them and those of the preprocessor.
     plain = re.sub(r"(?m)^(?:[ \t]*#|={3,}[ \t]*$|(?:IDL|MSG):).*$", "", text.replace("\r\n", "\n"))

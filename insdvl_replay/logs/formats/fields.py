@@ -129,9 +129,8 @@ def check_encoding(channel: LogChannel) -> None:
 # --- Messages of ROS 2 and ROS 1.
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"  # begins each little-endian XCDR1 message
-MOST_PLACES: Final = (
-    1 << 18
-)  # fields and structures of a message, each element of a list of structures for itself
+# Fields and structures of a message, each element of a list of structures for itself.
+MOST_PLACES: Final = 1 << 18
 _SIZES: Final = {name: np.dtype(format_).itemsize for name, format_ in PRIMITIVES.items()}
 
 
@@ -139,13 +138,11 @@ _SIZES: Final = {name: np.dtype(format_).itemsize for name, format_ in PRIMITIVE
 class Layout:
     """Where the fields of a message are."""
 
-    dtype: np.dtype[
-        np.void
-    ]  # the whole message; fields are named by their paths, such as ``beam_unit_vec[0].x``
+    # The whole message; fields are named by their paths, such as ``beam_unit_vec[0].x``.
+    dtype: np.dtype[np.void]
     length_offsets: tuple[int, ...]  # of the length word of each string and sequence, in order
-    lengths: tuple[
-        int, ...
-    ]  # what these words hold; in CDR a string's length counts its final zero byte
+    # What these words hold; in CDR a string's length counts its final zero byte.
+    lengths: tuple[int, ...]
 
     @property
     def size(self) -> int:
@@ -165,7 +162,11 @@ def layout_for_texts(
     definitions: Definitions, type_name: str, texts: Mapping[str, bytes]
 ) -> Layout:
     """Lay out a message in CDR that has to hold the given strings, and no sequences."""
-    return _layout_of(definitions, type_name, lambda path, _: len(texts.get(path, b"")) + 1)
+
+    def length_at(path: str, _: int) -> int:
+        return len(texts.get(path, b"")) + 1
+
+    return _Passage(definitions, type_name, length_at).layout()
 
 
 def message_layout(
@@ -182,90 +183,104 @@ def message_layout(
     def length_at(_: str, offset: int) -> int:
         return int.from_bytes(data[offset : offset + 4], "little")
 
-    return _layout_of(definitions, type_name, length_at, is_cdr=is_cdr, room=len(data))
+    passage = _Passage(definitions, type_name, length_at, is_cdr=is_cdr, room=len(data))
+    return passage.layout()
 
 
-def _layout_of(
-    definitions: Definitions,
-    type_name: str,
-    length_at: Callable[
-        [str, int], int
-    ],  # of the string or sequence at a path, whose length word is at an offset
-    *,
-    is_cdr: bool = True,
-    room: int = sys.maxsize,  # bytes of the message
-) -> Layout:
-    """Pass over the fields of a message in the order of the bytes."""
-    offset = len(ENCAPSULATION) if is_cdr else 0
-    passed = 0
-    names: list[str] = []
-    formats: list[Any] = []
-    offsets: list[int] = []
-    length_offsets: list[int] = []
-    lengths: list[int] = []
+class _Passage:
+    """Passes over the fields of a message in the order of the bytes."""
 
-    def advance(size: int, alignment: int) -> int:
-        """Skip a value and return where it starts; refuse sizes that no message has."""
-        nonlocal offset, passed
-        passed += 1
-        if passed > MOST_PLACES:
-            text = f"{type_name}: a message holds more than {MOST_PLACES} fields, with those in its lists"
-            raise LogError(text, LEAVE_OUT)
-        start = offset + (-(offset - len(ENCAPSULATION)) % alignment if is_cdr else 0)
-        offset = start + size
-        require(offset)
-        return start
+    def __init__(
+        self,
+        definitions: Definitions,
+        type_name: str,
+        # Of the string or sequence at a path, whose length word is at an offset.
+        length_at: Callable[[str, int], int],
+        *,
+        is_cdr: bool = True,
+        room: int = sys.maxsize,  # bytes of the message
+    ) -> None:
+        self._definitions = definitions
+        self._type_name = type_name
+        self._length_at = length_at
+        self._is_cdr = is_cdr
+        self._room = room
+        self._offset = len(ENCAPSULATION) if is_cdr else 0
+        self._passed = 0
+        self._names: list[str] = []
+        self._formats: list[Any] = []
+        self._offsets: list[int] = []
+        self._length_offsets: list[int] = []
+        self._lengths: list[int] = []
 
-    def require(end: int) -> None:
-        if end > room:
-            raise LogError(
-                f"{type_name}: a message of {room} bytes is shorter than its schema and lengths say",
-                "the log is damaged, or its schema does not match its messages",
-            )
+    def layout(self) -> Layout:
+        """Pass over all fields and return where they are."""
+        self._structure("", full_name(self._type_name))
+        columns: Any = {
+            "names": self._names,
+            "formats": self._formats,
+            "offsets": self._offsets,
+            "itemsize": self._offset,
+        }
+        return Layout(np.dtype(columns), tuple(self._length_offsets), tuple(self._lengths))
 
-    def length_word(path: str) -> int:
-        length_offsets.append(advance(4, 4))
-        lengths.append(length_at(path, length_offsets[-1]))
-        require(offset + lengths[-1])
-        return lengths[-1]
+    def _structure(self, prefix: str, kind: str) -> None:
+        self._advance(0, 1)  # counts structures, which in ROS 1 may have no bytes
+        for field in self._definitions[kind]:
+            path = prefix + field.name
+            if field.kind == "single":
+                self._value(path, field.type_name)
+                continue
+            number = field.length if field.kind == "array" else self._length_word(path)
+            if field.type_name in PRIMITIVES:
+                size = _SIZES[field.type_name]
+                format_ = (PRIMITIVES[field.type_name], (number,))
+                # None at all are not aligned.
+                self._place(path, format_, number * size, size if number else 1)
+            else:
+                for i in range(number):
+                    self._value(f"{path}[{i}]", field.type_name)
 
-    def place(path: str, format_: Any, size: int, alignment: int) -> None:
-        offsets.append(advance(size, alignment))
-        names.append(path)
-        formats.append(format_)
-
-    def value(path: str, kind: str) -> None:
-        if kind in definitions:
-            structure(f"{path}.", kind)
+    def _value(self, path: str, kind: str) -> None:
+        if kind in self._definitions:
+            self._structure(f"{path}.", kind)
         elif kind == "string":
-            length = length_word(path)
-            place(path, f"S{length}", length, 1)
+            length = self._length_word(path)
+            self._place(path, f"S{length}", length, 1)
         elif kind in PRIMITIVES:
-            place(path, PRIMITIVES[kind], _SIZES[kind], _SIZES[kind])
+            self._place(path, PRIMITIVES[kind], _SIZES[kind], _SIZES[kind])
         else:
             raise LogError(f"field {path} is of type {kind}, which is not supported", LEAVE_OUT)
 
-    def structure(prefix: str, kind: str) -> None:
-        advance(0, 1)  # counts structures, which in ROS 1 may have no bytes
-        for field in definitions[kind]:
-            path = prefix + field.name
-            if field.kind == "single":
-                value(path, field.type_name)
-                continue
-            number = field.length if field.kind == "array" else length_word(path)
-            if field.type_name in PRIMITIVES:
-                size = _SIZES[field.type_name]
-                # None at all are not aligned.
-                place(
-                    path,
-                    (PRIMITIVES[field.type_name], (number,)),
-                    number * size,
-                    size if number else 1,
-                )
-            else:
-                for i in range(number):
-                    value(f"{path}[{i}]", field.type_name)
+    def _length_word(self, path: str) -> int:
+        place = self._advance(4, 4)
+        length = self._length_at(path, place)
+        self._length_offsets.append(place)
+        self._lengths.append(length)
+        self._require(self._offset + length)
+        return length
 
-    structure("", full_name(type_name))
-    columns: Any = {"names": names, "formats": formats, "offsets": offsets, "itemsize": offset}
-    return Layout(np.dtype(columns), tuple(length_offsets), tuple(lengths))
+    def _place(self, path: str, format_: Any, size: int, alignment: int) -> None:
+        self._offsets.append(self._advance(size, alignment))
+        self._names.append(path)
+        self._formats.append(format_)
+
+    def _advance(self, size: int, alignment: int) -> int:
+        """Skip a value and return where it starts; refuse sizes that no message has."""
+        self._passed += 1
+        if self._passed > MOST_PLACES:
+            text = f"{self._type_name}: a message holds more than {MOST_PLACES} fields, with those in its lists"
+            raise LogError(text, LEAVE_OUT)
+        start = self._offset
+        if self._is_cdr:
+            start += -(start - len(ENCAPSULATION)) % alignment
+        self._offset = start + size
+        self._require(self._offset)
+        return start
+
+    def _require(self, end: int) -> None:
+        if end > self._room:
+            raise LogError(
+                f"{self._type_name}: a message of {self._room} bytes is shorter than its schema and lengths say",
+                "the log is damaged, or its schema does not match its messages",
+            )

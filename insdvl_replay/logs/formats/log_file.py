@@ -33,9 +33,8 @@ COPY_AGAIN: Final = "copy the log again from the recorder if it still has it"
 LARGEST_CHUNK: Final = 1 << 30  # bytes to which a chunk may open; recorders write some megabytes
 MOST_OF_A_CUT_CHUNK: Final = 1 << 26  # more of one that lacks its end is not looked at
 _USUAL_SIZE: Final = 64 << 20
-_MOST_COMPRESSED: Final = (
-    256  # larger chunks are believed only if they are compressed less densely than this
-)
+# Larger chunks are believed only if they are compressed less densely than this.
+_MOST_COMPRESSED: Final = 256
 _SHOWN: Final = 3  # damaged places that a note lists
 
 

@@ -46,6 +46,7 @@ HEADER: Final = struct.Struct("<BQ")
 _LEAST: Final = (1 << 64, 8, 20, 14, 16, 22, 40, 6, 64, 36, 64, 46, 8, 20, 17, 4)
 _LAST_KNOWN: Final = 15  # kind that the specification knows
 _FIRST_PRIVATE: Final = 128
+# In front of each payload.
 MESSAGE: Final = np.dtype(
     [
         ("opcode", "u1"),
@@ -55,10 +56,10 @@ MESSAGE: Final = np.dtype(
         ("log", "<i8"),
         ("publish", "<i8"),
     ]
-)  # in front of each payload
+)
 _MESSAGE_FIELDS: Final = MESSAGE.itemsize - HEADER_SIZE
 _ENTRY: Final = np.dtype([("log", "<i8"), ("start", "<i8")])  # of a message index
-# bytes that the walk looks at at a time: among chunks, among messages
+# Bytes that the walk looks at at a time: among chunks, among messages.
 _WINDOW = 4 << 10
 _LARGE_WINDOW = 1 << 20
 _END_OF_TIME_NS: Final = 2**63  # times are signed in numpy as in ROS, and unsigned in the format
@@ -69,6 +70,7 @@ _SUMMARY_ONLY: Final = (
     Opcode.ATTACHMENT_INDEX,
     Opcode.METADATA_INDEX,
 )
+# Those that are read whole.
 _RECORDS: Final[dict[int, Any]] = {
     Opcode.HEADER: records.Header,
     Opcode.FOOTER: records.Footer,
@@ -78,7 +80,7 @@ _RECORDS: Final[dict[int, Any]] = {
     Opcode.STATISTICS: records.Statistics,
     Opcode.METADATA: records.Metadata,
     Opcode.DATA_END: records.DataEnd,
-}  # those that are read whole
+}
 
 
 def can_be_record(kind: int, length: int) -> bool:

@@ -56,12 +56,8 @@ _CHECK: Final = "check the URL and the connection"
 _FETCH: Final = "fetch it with `insdvl-replay run URL`"
 _ONLINE: Final = "leave out --offline, and INSDVL_REPLAY_OFFLINE"
 _LONGER: Final = "set INSDVL_REPLAY_FETCH_GB to fetch it all the same"
-_STATE: Final = (
-    "size",
-    "ETag",
-    "Last-Modified",
-    "LastModified",
-)  # that a server says of a log, on the web and in S3
+# What a server says of a log, on the web and in S3.
+_STATE: Final = ("size", "ETag", "Last-Modified", "LastModified")
 _OF_THIS_DISK: Final = (
     errno.ENOSPC,
     errno.EDQUOT,

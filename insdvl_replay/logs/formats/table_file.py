@@ -102,12 +102,10 @@ class _Table:
     topic: str
     columns: dict[str, Array]  # by name, (k,), or (k, n) for a quantity of several numbers
     units: dict[str, str]  # by column, as far as the file has them
-    periods_ns: dict[str, int] = field(
-        default_factory=dict
-    )  # of times of day, by column: an hour or a day
-    unread: dict[str, str] = field(
-        default_factory=dict
-    )  # of columns named as times that are not read: the first cell
+    # Of times of day, by column: an hour or a day.
+    periods_ns: dict[str, int] = field(default_factory=dict)
+    # Of columns named as times that are not read: the first cell.
+    unread: dict[str, str] = field(default_factory=dict)
 
     @property
     def row_count(self) -> int:
@@ -150,13 +148,11 @@ class TableFile(LogFile):
         self._reasons: list[str] = []  # the sentences of the notes, without the name of the file
         self._is_text = True
         self._commas = 0  # numbers with a decimal comma in the table that is read
-        self._rows: list[
-            Floats
-        ] = []  # of each channel, (k, 1 + n): number of the row, then the columns
+        # Of each channel, (k, 1 + n): number of the row, then the columns.
+        self._rows: list[Floats] = []
         self._time_ns: list[TimeNs] = []
-        self.periods_ns: dict[
-            int, int
-        ] = {}  # of channels whose times are those of an unknown day or hour
+        # Of channels whose times are those of an unknown day or hour.
+        self.periods_ns: dict[int, int] = {}
         with self.watched():
             needed = 0
             for table in self._tables():

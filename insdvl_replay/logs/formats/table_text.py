@@ -6,12 +6,8 @@ from dataclasses import dataclass
 from itertools import takewhile
 from typing import Final
 
-_SEPARATORS: Final = (
-    b"\t",
-    b";",
-    b"|",
-    b",",
-)  # in text with several of them the first one separates
+# In text with several of them the first one separates.
+_SEPARATORS: Final = (b"\t", b";", b"|", b",")
 _COMMENTS: Final = (b"#", b"%")
 
 

@@ -59,9 +59,8 @@ CALENDARS: Final = (
 class TextTimes:
     """Times that were text."""
 
-    time_ns: (
-        TimeNs  # (k,) of day, or since 1970 where the cells have a date; 0 where a cell has none
-    )
+    # (k,) of day, or since 1970 where the cells have a date; 0 where a cell has none.
+    time_ns: TimeNs
     known: Mask  # (k,)
     period_ns: int  # after which they repeat: an hour, a day, or 0 with a date
 
