@@ -97,43 +97,42 @@ def _natural(path: Path) -> tuple[NaturalKey, ...]:
 
 
 def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[FoundDive]:
-    path, (listing, _, tag) = base / name, name.partition("#")
-    manifest = base / listing
+    """Return the dives that a name means: a URL, a manifest, a list, a log, a result or a folder of them."""
     if "://" in name:
         return [dive_of_url(name)]
+    listing, _, tag = name.partition("#")
+    manifest = base / listing
     if lists and manifest.suffix == MANIFEST_SUFFIX and manifest.is_file():
         from insdvl_replay.batch.manifest import manifest_dives
 
         return manifest_dives(manifest, tag)
-    if (
-        lists
-        and path.suffix == LIST_SUFFIX
-        and path.is_file()
-        and (lines := _listed(path)) is not None
-    ):
-        found = [
-            dive
-            for line in lines
-            for dive in _meant(line, path.parent, results=results, lists=False)
-        ]
-    else:
+    path = base / name
+    lines = _listed(path) if lists else None
+    if lines is None:
         found = [FoundDive(dive) for dive in _local(path, results=results)]
-    result = result_named(path)
-    if (
-        result is not None
-        and not results
-        and found in ([], [FoundDive(path)])
-        and is_result(result)
-    ):
-        raise ConfigError(f"{path}: is a result, not a log", result_hint(result))
+    else:
+        found = []
+        for line in lines:
+            found += _meant(line, path.parent, results=results, lists=False)
+    if not results and found in ([], [FoundDive(path)]):
+        _require_no_result(path)
     if not found:
         kinds = "logs, bags or results" if results else "logs, bags or tables"
         raise ConfigError(f"{path}: no dive is found there", f"check the path: it needs {kinds}")
     return found
 
 
+def _require_no_result(path: Path) -> None:
+    """Raise ConfigError where a result is named in the place of a log."""
+    result = result_named(path)
+    if result is not None and is_result(result):
+        raise ConfigError(f"{path}: is a result, not a log", result_hint(result))
+
+
 def _listed(path: Path) -> list[str] | None:
     """Return the names that a list has, line by line; None where the file is no list, but data or a log."""
+    if path.suffix != LIST_SUFFIX or not path.is_file():
+        return None
     try:
         lines = [line.strip() for line in read_text(path).splitlines()]
     except UnicodeDecodeError:
@@ -219,33 +218,48 @@ def _has_dives(folder: Path) -> bool:
 
 def _in_folder(folder: Path, seen: set[str], *, results: bool) -> Iterator[Path]:
     """Yield the dives in a folder and below it. Links are followed, and each folder is entered once."""
-    if (real := os.path.realpath(folder)) in seen:
+    real = os.path.realpath(folder)
+    if real in seen:
         return
     seen.add(real)
     try:
         if is_result(folder):
-            yield from [folder] if results else []
+            if results:
+                yield folder
             return
         if (folder / BAG_METADATA).is_file():
             yield folder
             return
-        logs = [
-            path for suffix in LOG_SUFFIXES for path in folder.glob(f"*{suffix}") if path.is_file()
-        ]
-        folders = [
-            Path(entry)
-            for entry in os.scandir(folder)
-            if entry.is_dir() and not entry.name.startswith(".")
-        ]
-        tables = [path for path in folder.iterdir() if path.suffix.lower() in TABLE_SUFFIXES]
-        # In an archive a table lies beside the dives.
-        if tables and not logs and not any(map(_has_dives, folders)):
-            yield folder
+        logs = _logs_in(folder)
+        folders = _folders_in(folder)
+        is_dive = _is_of_tables(folder, logs, folders)
     except PermissionError:
         yield folder  # as a dive that cannot be read
         return
+    if is_dive:
+        yield folder
     for path in sorted([*_once_each(logs), *folders], key=_natural):
         if path.is_dir():
             yield from _in_folder(path, seen, results=results)
         else:
             yield path
+
+
+def _logs_in(folder: Path) -> list[Path]:
+    logs = list[Path]()
+    for suffix in LOG_SUFFIXES:
+        logs += [path for path in folder.glob(f"*{suffix}") if path.is_file()]
+    return logs
+
+
+def _folders_in(folder: Path) -> list[Path]:
+    """Return the folders in a folder but for hidden ones."""
+    entries = [entry for entry in os.scandir(folder) if not entry.name.startswith(".")]
+    return [Path(entry) for entry in entries if entry.is_dir()]
+
+
+def _is_of_tables(folder: Path, logs: Sequence[Path], folders: Sequence[Path]) -> bool:
+    """Return whether a folder is a dive of tables. In an archive a table lies beside the dives."""
+    if logs or not any(path.suffix.lower() in TABLE_SUFFIXES for path in folder.iterdir()):
+        return False
+    return not any(map(_has_dives, folders))

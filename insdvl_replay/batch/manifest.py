@@ -89,39 +89,41 @@ def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[Fo
 
     A server that stalled is not asked for other dives.
     """
+    if not any(dive.sha256 or dive.url for dive in dives):
+        return list(dives)
     stopped = Event()
     stalled = set[str]()
 
     def had(dive: FoundDive) -> FoundDive:
-        host = urlsplit(dive.url).netloc
         try:
-            if dive.url and host in stalled:
+            if not dive.url:
+                _require_digest(dive)
+                return dive
+            if urlsplit(dive.url).netloc in stalled:
                 raise LogError("its server stalled before", "try again later", dive.url)
-            if dive.url:
-                return replace(
-                    dive, path=fetched(dive.url, dive.sha256, stopped.is_set, offline=offline)
-                )
-            if dive.sha256 and dive.path.exists() and (digest := _digest(dive.path)) != dive.sha256:
-                text = f"its SHA-256 is {digest}; the manifest says {dive.sha256}"
-                raise LogError(text, "restore the log", dive.path)
+            path = fetched(dive.url, dive.sha256, stopped.is_set, offline=offline)
+            return replace(dive, path=path)
         except UserError as error:
             if isinstance(error, StalledError):
-                stalled.add(host)
+                stalled.add(urlsplit(dive.url).netloc)
             return replace(dive, error=error)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
-            return replace(
-                dive,
-                error=LogError(
-                    f"cannot be read: {reason}", "check the path", dive.url or dive.path
-                ),
-            )
-        return dive
+            text = f"cannot be read: {reason}"
+            return replace(dive, error=LogError(text, "check the path", dive.url or dive.path))
 
-    if not any(dive.sha256 or dive.url for dive in dives):
-        return list(dives)
     found = parallel_map(had, dives, stop=stopped.set)
     return [dive for _, dive in zip(track_progress("fetching logs", dives), found, strict=True)]
+
+
+def _require_digest(dive: FoundDive) -> None:
+    """Raise LogError where a log on this machine is another than the manifest means."""
+    if not dive.sha256 or not dive.path.exists():
+        return
+    digest = _digest(dive.path)
+    if digest != dive.sha256:
+        text = f"its SHA-256 is {digest}; the manifest says {dive.sha256}"
+        raise LogError(text, "restore the log", dive.path)
 
 
 def _digest(path: Path) -> str:

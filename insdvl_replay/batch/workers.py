@@ -14,7 +14,7 @@ import sys
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -23,7 +23,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from functools import partial
 from types import FrameType
 from typing import Any, Final, NoReturn, TypeVar
@@ -57,7 +57,10 @@ class WorkerLostError(LogError):
 def do_each(
     work: Callable[[Item], Result], items: Sequence[Item], pool: Pool | None
 ) -> Generator[tuple[int, Result | Exception], None, None]:
-    """Do the work on each item, in this process if there is no pool; yield place and outcome as they are done."""
+    """Do the work on each item, in this process if there is no pool; yield place and outcome as they are done.
+
+    Items whose worker was lost are done again at the end, one at a time, so that the one that ends its worker is known.
+    """
     if pool is None:
         for place, item in enumerate(items):
             yield place, _outcome(partial(work, item))
@@ -67,40 +70,65 @@ def do_each(
     alone = False
     while waiting or suspects:
         if not waiting:
-            waiting = deque(suspects)
-            suspects = []
+            waiting.extend(suspects)
+            suspects.clear()
             alone = True
-        with pool(alone) as (submit, in_flight, is_idle):  # fresh workers after every loss
-            running = dict[Future[Result], int]()
-            broken = False
-            while running or (waiting and not broken):
-                while waiting and not broken and len(running) < in_flight:
-                    place = waiting.popleft()
-                    try:
-                        future = submit(work, items[place])
-                    except BrokenExecutor as error:  # since the last result
-                        future = Future()
-                        future.set_exception(error)
-                    running[future] = place
-                # A worker of a cluster may die after its work, before its result arrives. Then no worker is busy, and
-                # no result will arrive.
-                first = partial(wait, running, return_when=FIRST_COMPLETED)
-                if (
-                    not first(_ANSWERED_WITHIN_S).done
-                    and is_idle()
-                    and not first(_ANSWERED_WITHIN_S).done
-                ):
-                    for future in running:
-                        future.cancel()
-                for future in [future for future in running if future.cancelled()] or first().done:
-                    place = running.pop(future)
-                    outcome = _outcome(future.result)
-                    lost = isinstance(outcome, WorkerLostError)
-                    broken = broken or lost
-                    if lost and not alone:
-                        suspects.append(place)
-                    else:
-                        yield place, outcome
+        # Closed here, so that an interrupt in the end of workers is not lost.
+        with closing(_until_a_loss(work, items, waiting, pool, alone=alone)) as outcomes:
+            for place, outcome in outcomes:
+                if isinstance(outcome, WorkerLostError) and not alone:
+                    suspects.append(place)
+                else:
+                    yield place, outcome
+
+
+def _until_a_loss(
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    waiting: deque[int],  # places that are taken from it
+    pool: Pool,
+    *,
+    alone: bool,
+) -> Generator[tuple[int, Result | Exception], None, None]:
+    """Do the work in fresh workers until none is left, or a worker is lost."""
+    with pool(alone) as (submit, in_flight, is_idle):
+        running = dict[Future[Result], int]()
+        is_broken = False
+        while running or (waiting and not is_broken):
+            while waiting and not is_broken and len(running) < in_flight:
+                place = waiting.popleft()
+                running[_submitted(submit, work, items[place])] = place
+            for future in _ended(running, is_idle):
+                outcome = _outcome(future.result)
+                is_broken = is_broken or isinstance(outcome, WorkerLostError)
+                yield running.pop(future), outcome
+
+
+def _submitted(
+    submit: Callable[..., Future[Result]], work: Callable[[Item], Result], item: Item
+) -> Future[Result]:
+    try:
+        return submit(work, item)
+    except BrokenExecutor as error:  # since the last result
+        future = Future[Result]()
+        future.set_exception(error)
+        return future
+
+
+def _ended(
+    running: Collection[Future[Result]], is_idle: Callable[[], bool]
+) -> Collection[Future[Result]]:
+    """Wait for the first that are done, or else cancelled.
+
+    A worker of a cluster may die after its work, before its result arrives. Then no worker is busy, and no result will
+    arrive: what runs is cancelled.
+    """
+    first = partial(wait, running, return_when=FIRST_COMPLETED)
+    if not first(_ANSWERED_WITHIN_S).done and is_idle() and not first(_ANSWERED_WITHIN_S).done:
+        for future in running:
+            future.cancel()
+    cancelled = [future for future in running if future.cancelled()]
+    return cancelled or first().done
 
 
 def _outcome(result: Callable[[], Result]) -> Result | Exception:
