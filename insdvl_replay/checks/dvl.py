@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.checks.imu import AXES, ENOUGH, LONGEST_STEP_S, lies_within, since_s, turned_by
 from insdvl_replay.checks.sentences import Measured, Remark, refusal, warning
@@ -38,6 +39,7 @@ LARGEST_SCALE_ERROR: Final = 0.1
 COHERENT: Final = 0.97  # only what follows the reference this well can be measured by it
 INCOHERENT: Final = 0.95  # what follows the reference worse than this contradicts it
 
+Rows = NDArray[np.intp]
 _SCALES: Final = np.concatenate([[DEG], np.geomspace(0.3, 3.0, 93), [1.0 / DEG]])
 
 
@@ -209,6 +211,21 @@ class TrackFit:
     coherence: float
 
 
+def _pairs_of_fixes(fix_ns: TimeNs, ping_ns: TimeNs, sample_ns: TimeNs) -> tuple[Rows, Rows]:
+    """Return the rows of fixes that are ten seconds apart.
+
+    No pair has a part in a long pause of the pings or of the IMU, where nobody saw how the vehicle moved.
+    """
+    last = np.searchsorted(fix_ns, fix_ns + 10 * NS_PER_S)
+    first = np.flatnonzero(last < len(fix_ns))
+    last = last[first]
+    longest_ns = nanoseconds(LONGEST_STEP_S)
+    paused = in_pauses(fix_ns[first], fix_ns[last], ping_ns, longest_ns)
+    paused |= in_pauses(fix_ns[first], fix_ns[last], sample_ns, longest_ns)
+    usable = ~paused & (fix_ns[last] - fix_ns[first] < 20 * NS_PER_S)
+    return first[usable], last[usable]
+
+
 def track_by_positions(
     imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns, config: Config
 ) -> TrackFit | None:
@@ -220,17 +237,7 @@ def track_by_positions(
     fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
     fix_ns = reference.time_ns[fixes]
     position = reference.position[fixes]
-    # Pairs of fixes that are ten seconds apart. None has a part in a long pause of the pings or of the IMU, where
-    # nobody saw how the vehicle moved.
-    last = np.searchsorted(fix_ns, fix_ns + 10 * NS_PER_S)
-    first = np.flatnonzero(last < len(fix_ns))
-    last = last[first]
-    longest_ns = nanoseconds(LONGEST_STEP_S)
-    paused = in_pauses(fix_ns[first], fix_ns[last], ping_ns, longest_ns)
-    paused |= in_pauses(fix_ns[first], fix_ns[last], imu.time_ns, longest_ns)
-    usable = ~paused & (fix_ns[last] - fix_ns[first] < 20 * NS_PER_S)
-    first = first[usable]
-    last = last[usable]
+    first, last = _pairs_of_fixes(fix_ns, ping_ns, imu.time_ns)
     if len(first) < ENOUGH:
         return None
     north_m, east_m = north_east_m(position, position[0], position[0])

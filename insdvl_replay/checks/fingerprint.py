@@ -34,14 +34,10 @@ def imu_fingerprint(imu: ImuColumns) -> ImuFingerprint:
     inside = rows < len(imu.time_ns)
     whole = whole[inside]
     rows = rows[inside]
-    forces = np.rint(np.linalg.norm(imu.specific_force_b[rows], axis=1) / FORCE_STEP_MPS2).astype(
-        "<i8"
-    )
-    rates = np.rint(np.linalg.norm(imu.angular_rate_b[rows], axis=1) / RATE_STEP_RADPS).astype(
-        "<i8"
-    )
-    digests = [
-        hashlib.blake2b(reading.tobytes(), digest_size=DIGEST_BYTES).hexdigest()
-        for reading in np.column_stack([forces, rates])
-    ]
+    forces = np.linalg.norm(imu.specific_force_b[rows], axis=1) / FORCE_STEP_MPS2
+    rates = np.linalg.norm(imu.angular_rate_b[rows], axis=1) / RATE_STEP_RADPS
+    digests = []
+    for reading in np.rint(np.column_stack([forces, rates])).astype("<i8"):
+        digest = hashlib.blake2b(reading.tobytes(), digest_size=DIGEST_BYTES)
+        digests.append(digest.hexdigest())
     return ImuFingerprint(first_ns, last_ns, tuple((whole * step_s).tolist()), tuple(digests))

@@ -1,6 +1,6 @@
 """The observability study: which errors at the start of a dive the measurements can observe, and which not."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -162,6 +162,10 @@ def _measurements(start: Prepared, config: Config) -> dict[str, Measurement]:
 # --- The tables.
 
 
+_IDS: Final = [state.id for state in STATES]
+_FACTORS: Final = np.array([state.factor for state in STATES])
+
+
 def observability_tables(
     found: Mapping[str, Observability],  # by aiding
     directions: tuple[ErrorDirection, ...],  # the named ones
@@ -179,11 +183,9 @@ def observability_tables(
     ``states``: aiding, state, unit, prior_sd, left_sd and left_pct of the prior after the last ping, with process
     noise, and left_without_noise_pct, the remaining part of the start errors without process noise.
     """
-    factors = np.array([state.factor for state in STATES])
-    ids = [state.id for state in STATES]
     ranks = []
     seen = []
-    values = []
+    values: list[tuple[str | float, ...]] = []
     states = []
     for aiding, analysis in found.items():
         unobservable = name_unobservable(analysis, directions, prior_sd)
@@ -196,35 +198,55 @@ def observability_tables(
             if direction in unobservable:
                 status = DirectionStatus.UNOBSERVABLE
             seen.append((aiding, direction.id, direction.label, response, status))
-        orthogonal = zip(analysis.singular_values, analysis.directions, strict=True)
-        for count, (value, vector) in enumerate(orthogonal, start=1):
-            left_pct = 100.0 / np.sqrt(1.0 + value**2)
-            values.append((aiding, count, value, left_pct, *(vector * prior_sd / factors)))
-        columns = {"prior_sd": prior_sd / factors, "left_sd": left_sd[aiding] / factors}
-        columns |= {
-            "left_pct": 100.0 * left_sd[aiding] / prior_sd,
-            "left_without_noise_pct": 100.0 * analysis.left(),
-        }
-        names = {"aiding": aiding, "state": ids, "unit": [state.unit for state in STATES]}
-        states.append(pd.DataFrame({**names, **columns}))
-    catalogue = []
-    for direction in directions:
-        displayed = direction.error / factors
-        leading = displayed[np.argmax(np.abs(direction.scaled(prior_sd)))]
-        catalogue.append((direction.id, direction.label, *(displayed / leading)))
+        values += _value_rows(aiding, analysis, prior_sd)
+        states.append(_state_rows(aiding, analysis, prior_sd, left_sd[aiding]))
+    rank_columns = ["aiding", "rank", "states", "gap", "weak", "unnamed"]
+    seen_columns = ["aiding", "direction", "label", "signal_to_noise", "status"]
+    value_columns = ["aiding", "number", "singular_value", "left_without_noise_pct", *_IDS]
     return {
-        "ranks": pd.DataFrame(
-            ranks, columns=["aiding", "rank", "states", "gap", "weak", "unnamed"]
-        ),
-        "directions": pd.DataFrame(
-            seen, columns=["aiding", "direction", "label", "signal_to_noise", "status"]
-        ),
-        "catalogue": pd.DataFrame(catalogue, columns=["direction", "label", *ids]),
-        "singular_values": pd.DataFrame(
-            values, columns=["aiding", "number", "singular_value", "left_without_noise_pct", *ids]
-        ),
+        "ranks": pd.DataFrame(ranks, columns=rank_columns),
+        "directions": pd.DataFrame(seen, columns=seen_columns),
+        "catalogue": _catalogue(directions, prior_sd),
+        "singular_values": pd.DataFrame(values, columns=value_columns),
         "states": pd.concat(states, ignore_index=True),
     }
+
+
+def _value_rows(
+    aiding: str, analysis: Observability, prior_sd: Floats
+) -> Iterator[tuple[str | float, ...]]:
+    """Give the singular values with their directions, as large as the prior."""
+    orthogonal = zip(analysis.singular_values, analysis.directions, strict=True)
+    for count, (value, vector) in enumerate(orthogonal, start=1):
+        left_pct = 100.0 / np.sqrt(1.0 + value**2)
+        yield (aiding, count, value, left_pct, *(vector * prior_sd / _FACTORS))
+
+
+def _state_rows(
+    aiding: str, analysis: Observability, prior_sd: Floats, left_sd: Floats
+) -> pd.DataFrame:
+    """Return how certain each state is after the last ping."""
+    return pd.DataFrame(
+        {
+            "aiding": aiding,
+            "state": _IDS,
+            "unit": [state.unit for state in STATES],
+            "prior_sd": prior_sd / _FACTORS,
+            "left_sd": left_sd / _FACTORS,
+            "left_pct": 100.0 * left_sd / prior_sd,
+            "left_without_noise_pct": 100.0 * analysis.left(),
+        }
+    )
+
+
+def _catalogue(directions: Sequence[ErrorDirection], prior_sd: Floats) -> pd.DataFrame:
+    """Return the errors of the named directions."""
+    rows = []
+    for direction in directions:
+        displayed = direction.error / _FACTORS
+        leading = displayed[np.argmax(np.abs(direction.scaled(prior_sd)))]
+        rows.append((direction.id, direction.label, *(displayed / leading)))
+    return pd.DataFrame(rows, columns=["direction", "label", *_IDS])
 
 
 # --- Screen and pictures.

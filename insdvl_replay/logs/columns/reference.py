@@ -246,20 +246,32 @@ def _position(
     table: Table, settings: Navigation, initial: Initial, cleaner: Cleaner
 ) -> Floats | None:
     if "latitude" in table:
-        unit = ANGLE_UNITS[settings.angle_unit or "deg"]
-        latitude = of_receiver(table, "latitude") * unit
-        longitude = longitude_of(table, cleaner, unit)
-        height_m = np.full(len(table), np.nan)
-        if "depth" in table:
-            height_m = -table.column("depth")
-        elif "height" in table:
-            height_m = table.column("height")
-        height_m = heights_without_marks(cleaner, height_m)
-        # The wrapped negative is in [-pi, pi), so that its negative is in (-pi, pi].
-        return np.stack([latitude, -wrap_angle(-longitude), height_m], axis=1)
-    if "local_position" not in table:
-        return None
-    # Metres from an origin: the messages' own, else the initial position. All zero are messages about something else.
+        return _position_on_earth(table, settings, cleaner)
+    if "local_position" in table:
+        return _position_from_origin(table, settings, initial)
+    return None
+
+
+def _position_on_earth(table: Table, settings: Navigation, cleaner: Cleaner) -> Floats:
+    """Return positions that are given as latitude, longitude and perhaps height or depth, shape (k, 3)."""
+    unit = ANGLE_UNITS[settings.angle_unit or "deg"]
+    latitude = of_receiver(table, "latitude") * unit
+    longitude = longitude_of(table, cleaner, unit)
+    height_m = np.full(len(table), np.nan)
+    if "depth" in table:
+        height_m = -table.column("depth")
+    elif "height" in table:
+        height_m = table.column("height")
+    height_m = heights_without_marks(cleaner, height_m)
+    # The wrapped negative is in [-pi, pi), so that its negative is in (-pi, pi].
+    return np.stack([latitude, -wrap_angle(-longitude), height_m], axis=1)
+
+
+def _position_from_origin(table: Table, settings: Navigation, initial: Initial) -> Floats | None:
+    """Return positions that are given in metres from the messages' own origin, else from the initial position.
+
+    None without an origin, and where all are zero: then the messages are about something else.
+    """
     moved_n = local_position_n(table, settings)
     if not np.nan_to_num(moved_n[:, :2]).any():
         return None

@@ -465,11 +465,7 @@ class TableFile(LogFile):
 
     def _numbers(self, topic: str, title: str, cells: Array) -> Array:
         """Read cells that are not all numbers; a column of text has none."""
-        series: Any = pd.Series(cells)
-        quoted = series.astype(str).str.fullmatch(r'\s*"[^"]*"\s*')
-        if quoted.any():
-            inside = series[quoted].astype(str).str.strip().str.strip('"')
-            series[quoted] = inside.where(inside != "", None)
+        series = _unquoted(cells)
         numbers = pd.to_numeric(series, errors="coerce")
         is_text = (series.notna() & numbers.isna()).to_numpy()
         texts = series[is_text].astype(str)
@@ -481,28 +477,24 @@ class TableFile(LogFile):
             numbers = pd.to_numeric(series.astype(str).str.replace(",", "."), errors="coerce")
             self._commas += len(texts)
             is_text = (series.notna() & numbers.isna()).to_numpy()
-        count = int(np.count_nonzero(is_text))
         known = int(series.notna().sum())
-        if count and count == known:
+        if known and np.count_nonzero(is_text) == known:
             return np.full(len(cells), np.nan)
+        self._require_few_texts(topic, title, is_text, known)
+        return np.asarray(numbers.to_numpy())
+
+    def _require_few_texts(self, topic: str, title: str, is_text: Mask, known: int) -> None:
+        """Refuse a column of numbers with text in many of its known cells, and report a few."""
+        count = int(np.count_nonzero(is_text))
         if count > max(1.0, _FEW * known):
             text = f"column '{title}' has text in {count} of {known} cells"
-            raise LogError(
-                text,
-                "numbers with a decimal point; leave the cell empty where there is none",
-                self.path,
-            )
+            hint = "numbers with a decimal point; leave the cell empty where there is none"
+            raise LogError(text, hint, self.path)
         if count:
             clause = counted_clause(count, "cells are text and count as missing")
             where = int(np.argmax(is_text)) + 1
-            self._note(
-                "table_cells",
-                topic,
-                f"column '{title}': {clause}, the first in row {where}",
-                count,
-                "copy it again",
-            )
-        return np.asarray(numbers.to_numpy())
+            text = f"column '{title}': {clause}, the first in row {where}"
+            self._note("table_cells", topic, text, count, "copy it again")
 
     # --- Arrays.
 
@@ -778,6 +770,16 @@ def _name_by_title(path: str) -> str:
     if element:
         return clean_name(path.removesuffix(element[0])) + element[0]
     return clean_name(path)
+
+
+def _unquoted(cells: Array) -> Any:
+    """Return cells as a series, those in quotation marks without them, and missing where nothing is between them."""
+    series: Any = pd.Series(cells)
+    quoted = series.astype(str).str.fullmatch(r'\s*"[^"]*"\s*')
+    if quoted.any():
+        inside = series[quoted].astype(str).str.strip().str.strip('"')
+        series[quoted] = inside.where(inside != "", None)
+    return series
 
 
 def _read_times(table: _Table, name: str, series: Any, texts: Any) -> Array | None:
