@@ -58,7 +58,7 @@ from insdvl_replay.calibration.rows import (
 )
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats, Mask
-from insdvl_replay.core.tables import Number
+from insdvl_replay.core.tables import Number, OutageRow
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.notes import CLASSES
 from insdvl_replay.evaluation.outage_test import outage_test_table
@@ -137,7 +137,9 @@ class Calibration:
     @property
     def all_rows(self) -> tuple[ParameterRow, ...]:
         """The DVL's parameters, and those of the reference."""
-        return (*self.rows, *(() if self.reference is None else self.reference.rows))
+        if self.reference is None:
+            return self.rows
+        return (*self.rows, *self.reference.rows)
 
     @property
     def estimated(self) -> tuple[ParameterRow, ...]:
@@ -193,15 +195,7 @@ def calibrate(
         why = NO_GEOMETRY if is_hidden else ""
         noise_rows = tuple(noise_row(noise, key, status, why) for key in noise.after)
     rows = tuple(parameter_rows(PARAMETERS, certainty, change, mean_change(found), asked, refused))
-    delays_s, sds_s = own_delays(found)
-    dive_rows = []
-    for i, (dive, near) in enumerate(zip(map(noise.applied, dives), found.dives, strict=True)):
-        delay = (float(delays_s[i]), float(sds_s[i])) if free[DELAY] else (None, None)
-        scatters = [
-            scatter_of(dive.residuals(free * tried)) for tried in (NO_CHANGE, found.change(i))
-        ]
-        axes = np.concatenate([*scatters, autocorrelation(near)]).tolist()
-        dive_rows.append(DiveRow(dive.name, dive.count, dive.left_out, *delay, *axes))
+    dive_rows = tuple(_dive_rows([noise.applied(dive) for dive in dives], found, free))
     warnings = tuple(_warnings(found, certainty, free, dive_rows, noise_rows))
     before = Geometry.of(config.dvl)
     return Calibration(
@@ -209,12 +203,31 @@ def calibrate(
         before.changed(change),
         change,
         rows,
-        tuple(dive_rows),
+        dive_rows,
         warnings,
         found,
         noise,
         noise_rows,
     )
+
+
+def _dive_rows(dives: Sequence[DiveInnovations], found: Fit, free: Mask) -> Iterator[DiveRow]:
+    """Yield delay and innovations of each dive; what is not free is as configured."""
+    delays_s, sds_s = own_delays(found)
+    for i, (dive, near) in enumerate(zip(dives, found.dives, strict=True)):
+        before = scatter_of(dive.residuals(free * NO_CHANGE)).tolist()
+        after = scatter_of(dive.residuals(free * found.change(i))).tolist()
+        correlation = autocorrelation(near).tolist()
+        yield DiveRow(
+            dive.name,
+            dive.count,
+            dive.left_out,
+            float(delays_s[i]) if free[DELAY] else None,
+            float(sds_s[i]) if free[DELAY] else None,
+            *before,
+            *after,
+            *correlation,
+        )
 
 
 def _is_far(row: int, change: float) -> bool:
@@ -233,22 +246,13 @@ def _refused(certainty: Certainty, change: Floats, asked: Mask, noise_shares: Fl
         seen = (certainty.seen if row == SCALE else certainty.signal_to_noise)[row]
         if noise_shares[row] > MOSTLY:
             yield row, (Estimated.HELD, f"{NOISE_ALONE}: needs {parameter.shown_by}")
+        elif row == SCALE and SEEN <= seen < LEAST_SEEN["scale"]:
+            yield row, (Estimated.HELD, SMOOTHED)
         elif seen < LEAST_SEEN.get(parameter.group, SEEN):
-            yield (
-                row,
-                (
-                    Estimated.HELD,
-                    SMOOTHED if row == SCALE and seen >= SEEN else f"needs {parameter.shown_by}",
-                ),
-            )
+            yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
         elif row == DELAY and abs(change[row]) > LATEST_S - DELAY_STEP_S:
-            yield (
-                row,
-                (
-                    Estimated.IMPLAUSIBLE,
-                    "at the edge of the search range. Check the clocks and stamps",
-                ),
-            )
+            reason = "at the edge of the search range. Check the clocks and stamps"
+            yield row, (Estimated.IMPLAUSIBLE, reason)
         elif row == SCALE and _is_wild(change[row]):
             reason = "larger than any error of the speed of sound. The DVL may smooth, or the stamps may jitter"
             yield row, (Estimated.IMPLAUSIBLE, reason)
@@ -265,25 +269,28 @@ def parameter_rows(
     refused: Mapping[int, tuple[Estimated, str]],
 ) -> Iterator[ParameterRow]:
     """Yield the rows of the parameters: the proposed or rejected change, with its standard deviations."""
-    sds = np.array(
-        [
-            getattr(certainty, name)
-            for name in ("formal", "correlated", "between", "beams", "imu", "sd")
-        ]
-    )
     for row, parameter in enumerate(parameters):
         if not asked[row]:
             yield ParameterRow(parameter.name, parameter.unit, status=Estimated.NOT_ASKED)
             continue
         status, why = refused.get(row, (Estimated.ESTIMATED, parameter.shown_by))
         change = {Estimated.HELD: 0.0, Estimated.IMPLAUSIBLE: found[row]}.get(status, proposed[row])
-        in_units = parameter.shown_as * np.array([change, *sds[:, row]])
-        numbers = map(
-            finite_or_none, [*in_units, certainty.signal_to_noise[row], certainty.birge[row]]
+        factor = parameter.shown_as
+        yield ParameterRow(
+            parameter.name,
+            parameter.unit,
+            change=finite_or_none(factor * change),
+            formal_sd=finite_or_none(factor * certainty.formal[row]),
+            correlated_sd=finite_or_none(factor * certainty.correlated[row]),
+            between_dives_sd=finite_or_none(factor * certainty.between[row]),
+            beams_sd=finite_or_none(factor * certainty.beams[row]),
+            imu_sd=finite_or_none(factor * certainty.imu[row]),
+            sd=finite_or_none(factor * certainty.sd[row]),
+            signal_to_noise=finite_or_none(certainty.signal_to_noise[row]),
+            birge=finite_or_none(certainty.birge[row]),
+            status=status,
+            why=why,
         )
-        shown, formal, correlated, between, beams, imu, sd, signal, birge = numbers
-        measured = (shown, formal, correlated, between, beams, imu, sd, signal, birge)
-        yield ParameterRow(parameter.name, parameter.unit, *measured, status, why)
 
 
 def finite_or_none(value: float) -> Number:
@@ -306,9 +313,8 @@ def _warnings(
             f"{NAMES[row]} differs between the dives by {certainty.birge[row]:.1f} times the expected scatter. "
             "The DVL may have been moved"
         )
-    weak = ", ".join(
-        NAMES[row] for row in np.flatnonzero(free) if certainty.signal_to_noise[row] < WEAK
-    )
+    is_weak = free & (certainty.signal_to_noise < WEAK)
+    weak = ", ".join(NAMES[row] for row in np.flatnonzero(is_weak))
     if weak:
         yield f"weakly observable, signal to noise below {WEAK:g}: {weak}. Test the result on other dives (--hold-out)"
     for index in np.flatnonzero(free).tolist():
@@ -354,7 +360,7 @@ def held_out_row(
     asked = read.innovations()
     alone = read.alone
     prepared = prepare_with_heading(read.dive, alone)
-    nis: list[float] = []
+    nis = []
     outages = []
     for tried in (NO_CHANGE, change):
         nis.append(float(np.mean(asked.runner(tried)(asked.filter).nis)) / 3.0)
@@ -366,10 +372,24 @@ def held_out_row(
         )
         runs = run_candidates(read.dive, moved, plan_runs(read.dive, moved, alone, starts=0), alone)
         rows = outage_test_table(read.dive.name, runs.outages)
-        outages.append(
-            next((row for window_s in windows_s for row in rows if row.window_s == window_s), None)
-        )
-    windows = outages[0].windows if outages[0] else 0
-    noisy = None if noise is None else nis_per_dof(noise.applied(asked), change)
-    before_m, after_m = (None if row is None else row.drift_median_m for row in outages)
-    return HeldOutRow(asked.name, nis[0], nis[1], windows, before_m, after_m, noisy)
+        outages.append(_first_outage(rows, windows_s))
+    nis_before, nis_after = nis
+    outage_before, outage_after = outages
+    return HeldOutRow(
+        dive=asked.name,
+        nis_per_dof_before=nis_before,
+        nis_per_dof_after=nis_after,
+        windows=0 if outage_before is None else outage_before.windows,
+        drift_before_m=None if outage_before is None else outage_before.drift_median_m,
+        drift_after_m=None if outage_after is None else outage_after.drift_median_m,
+        nis_per_dof_noise=None if noise is None else nis_per_dof(noise.applied(asked), change),
+    )
+
+
+def _first_outage(rows: Sequence[OutageRow], windows_s: Sequence[str]) -> OutageRow | None:
+    """Return the row of the first length of windows that a dive has."""
+    by_window = {row.window_s: row for row in reversed(rows)}
+    for window_s in windows_s:
+        if window_s in by_window:
+            return by_window[window_s]
+    return None

@@ -76,9 +76,9 @@ def certainty_of(
     beams = imu = np.zeros(OWN)
     if pulled_by is not None:
         parts = mean_of @ np.column_stack([pulled_by, inner.step])
-        beams, imu = (
-            np.linalg.norm(part, axis=1) for part in np.split(parts, [BEAM_ERRORS], axis=1)
-        )
+        by_beams, by_imu = np.split(parts, [BEAM_ERRORS], axis=1)
+        beams = np.linalg.norm(by_beams, axis=1)
+        imu = np.linalg.norm(by_imu, axis=1)
     # The mean of the dives' delays has one prior for each dive.
     prior_sd = np.sqrt(mean_of**2 @ fit.prior_sd**2)
     between = birge = np.full(OWN, np.nan)
@@ -227,9 +227,8 @@ def noise_share(found: Fit, dives: Sequence[DiveInnovations]) -> Floats:
         added = (
             noisier.jacobian(found.change(i), found.free) / near.scatter[:, None] - near.jacobian
         )
-        own, whole = (
-            np.einsum("ka,kai->i", near.weights, part**2) for part in (added, near.jacobian)
-        )
+        own = np.einsum("ka,kai->i", near.weights, added**2)
+        whole = np.einsum("ka,kai->i", near.weights, near.jacobian**2)
         shares[i] = own / np.maximum(whole, np.finfo(float).tiny)
     return shares
 
@@ -240,21 +239,18 @@ def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations], noise_shares
     for i, (dive, near) in enumerate(zip(dives, smallest.dives, strict=True)):
         imu = dive.dive.imu
         noisy = noise_shares[i] > LITTLE
-        slow = (
-            averaged(readings, imu.usual_step_s)
-            for readings in (imu.specific_force_b, imu.angular_rate_b)
-        )
-        jacobian = _with_imu(dive, *slow).jacobian(smallest.change(i), smallest.free & noisy)
+        slow_force_b = averaged(imu.specific_force_b, imu.usual_step_s)
+        slow_rate_b = averaged(imu.angular_rate_b, imu.usual_step_s)
+        slow = _with_imu(dive, slow_force_b, slow_rate_b)
+        jacobian = slow.jacobian(smallest.change(i), smallest.free & noisy)
         by_motion = np.where(noisy, jacobian / near.scatter[:, None], near.jacobian)
         near_by_motion.append(replace(near, by_motion=by_motion * (noise_shares[i] <= MOSTLY)))
     here = replace(smallest, dives=tuple(near_by_motion))
     values = here.values + here.step
     values[OWN - 1 :] = np.clip(values[OWN - 1 :], -LATEST_S, LATEST_S)
-    moved = (dive.residuals(values[rows]) for rows, dive in zip(smallest.rows, dives, strict=True))
-    there = (
-        replace(near, residuals=residuals)
-        for near, residuals in zip(here.dives, moved, strict=True)
-    )
+    there = []
+    for near, rows, dive in zip(here.dives, smallest.rows, dives, strict=True):
+        there.append(replace(near, residuals=dive.residuals(values[rows])))
     return replace(here, values=values, dives=tuple(there))
 
 

@@ -19,7 +19,7 @@ from insdvl_replay.calibration.innovations import (
     ReadDive,
 )
 from insdvl_replay.calibration.reference import with_reference
-from insdvl_replay.calibration.rows import HeldOutRow
+from insdvl_replay.calibration.rows import HeldOutRow, NoiseRow, ParameterRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, counted, require_known
 from insdvl_replay.core.runtime import track_progress
@@ -75,11 +75,14 @@ def calibrate_dives(
     mountings = len(possible_axes(kept[0].dive.dvl))
     if mounting_unknown:
         config = with_mounting(config, likeliest_mounting(kept))
-        kept, held = ([dive.with_config(config) for dive in some] for some in (kept, held))
+        kept = [dive.with_config(config) for dive in kept]
+        held = [dive.with_config(config) for dive in held]
     asked = [dive.innovations() for dive in kept]
     found = calibrate(asked, config, groups, one_delay=one_delay)
-    found = with_reference(found, kept, asked, groups) if reference else found
-    found = found.from_mounting(known, mountings) if mounting_unknown else found
+    if reference:
+        found = with_reference(found, kept, asked, groups)
+    if mounting_unknown:
+        found = found.from_mounting(known, mountings)
     noise = found.noise if found.proposes_noise else None
     tested = track_progress("testing on held-out dives", held)
     others = [held_out_row(dive, found.change, noise, windows_s) for dive in tested]
@@ -107,10 +110,14 @@ def _divided(
         aside.update(len(names) - 1 - round(i * len(names) / count) for i in range(count))
     if len(aside) == len(names):
         raise ConfigError("--hold-out leaves no dive to fit", "name more dives, or hold out fewer")
-    return (
-        [read for row, read in enumerate(dives) if row not in aside],
-        [read for row, read in enumerate(dives) if row in aside],
-    )
+    kept = []
+    held = []
+    for row, read in enumerate(dives):
+        if row in aside:
+            held.append(read)
+        else:
+            kept.append(read)
+    return kept, held
 
 
 # --- The answer.
@@ -127,78 +134,104 @@ class Answer:
     def applied(self, found: Calibration) -> Calibration:
         """Return the calibration with what is better alone: the rest is held, with the reason."""
         if self.keeps_geometry:
-            rows = tuple(
-                msgspec.structs.replace(row, status=Estimated.HELD, why=MORE_DRIFT)
-                if row.status == Estimated.ESTIMATED
-                else row
-                for row in found.rows
-            )
             found = replace(
                 found,
-                rows=rows,
+                rows=tuple(_held(row) for row in found.rows),
                 after=found.before,
                 change=np.zeros_like(found.change),
                 reference=None,
             )
         if self.keeps_noise:
-            noise = tuple(
-                msgspec.structs.replace(row, status=Estimated.HELD, why=WORSE_NIS, after=row.before)
-                if row.is_proposed
-                else row
-                for row in found.noise_rows
-            )
-            found = replace(found, noise_rows=noise)
+            found = replace(found, noise_rows=tuple(_held_noise(row) for row in found.noise_rows))
         return found
+
+
+def _held(row: ParameterRow) -> ParameterRow:
+    if row.status != Estimated.ESTIMATED:
+        return row
+    return msgspec.structs.replace(row, status=Estimated.HELD, why=MORE_DRIFT)
+
+
+def _held_noise(row: NoiseRow) -> NoiseRow:
+    if not row.is_proposed:
+        return row
+    return msgspec.structs.replace(row, status=Estimated.HELD, why=WORSE_NIS, after=row.before)
 
 
 def answer_of(found: Calibration) -> Answer:
     """Judge the geometry by the drift on held-out dives, and the noise by their NIS."""
-    names = [LABELS[row.parameter] for row in found.estimated]
-    dives, before_m, after_m = _means(found.held_out, "drift_before_m", "drift_after_m")
-    keeps_geometry = bool(names) and after_m > (1.0 + LITTLE_DRIFT) * before_m
-    if not names:
-        geometry = "Keep your settings: these dives have no manoeuvre that determines others."
-    elif dives:
-        what = "Keep your settings" if keeps_geometry else "Use the new settings"
-        geometry = f"{what}: on {dives} drift in 60 s without DVL {_change(before_m, after_m)} m."
-    else:
-        more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-        untested = (
-            "The held-out dives have no window to test them"
-            if found.held_out
-            else "Test them: --hold-out 0.3"
-        )
-        geometry = f"New settings: {', '.join(names[:_SHOWN])}{more}. {untested}."
-    is_asked = any(row.status != Estimated.NOT_ASKED for row in found.all_rows)
-    lines = (
-        [Callout(geometry, "good" if names and not keeps_geometry else "bad")] if is_asked else []
-    )
-
+    drift_m = _means(found.held_out, "drift_before_m", "drift_after_m")
+    keeps_geometry = bool(found.estimated) and drift_m.after > (1.0 + LITTLE_DRIFT) * drift_m.before
+    lines = []
+    if any(row.status != Estimated.NOT_ASKED for row in found.all_rows):
+        is_good = bool(found.estimated) and not keeps_geometry
+        sentence = _geometry_sentence(found, drift_m, keeps=keeps_geometry)
+        lines.append(Callout(sentence, "good" if is_good else "bad"))
     keeps_noise = False
     if found.proposes_noise:
-        dives, before, after = _means(found.held_out, "nis_per_dof_before", "nis_per_dof_noise")
-        changes = (
-            f"{row.parameter} {_change(row.before, row.after)}"
-            for row in found.noise_rows
-            if row.is_proposed
-        )
-        noise = f"Change the noise: {', '.join(changes)}."
-        if dives:
-            keeps_noise = abs(math.log(after)) > abs(math.log(before))
-            what = "Keep your noise" if keeps_noise else "Change the noise"
-            noise = f"{what}: NIS/dof on {dives} {_change(before, after)}, expected 1."
-        lines.append(Callout(noise, "bad" if keeps_noise else "good"))
+        nis = _means(found.held_out, "nis_per_dof_before", "nis_per_dof_noise")
+        keeps_noise = nis.dives > 0 and abs(math.log(nis.after)) > abs(math.log(nis.before))
+        sentence = _noise_sentence(found, nis, keeps=keeps_noise)
+        lines.append(Callout(sentence, "bad" if keeps_noise else "good"))
     return Answer(tuple(lines), keeps_geometry, keeps_noise)
 
 
-def _means(rows: Sequence[HeldOutRow], before: str, after: str) -> tuple[str, float, float]:
-    """Count the dives that have both values, empty for none, and return geometric means: each dive counts the same."""
-    pairs = [(finite(getattr(row, before)), finite(getattr(row, after))) for row in rows]
-    pairs = [pair for pair in pairs if pair[0] > 0.0 and pair[1] > 0.0]
+@dataclass(frozen=True)
+class _Means:
+    """Geometric means over the held-out dives that have both values: each dive counts the same."""
+
+    dives: int
+    before: float  # NaN without dives, as the next
+    after: float
+
+    @property
+    def change(self) -> str:
+        """Both values, with as many digits as tell them apart."""
+        return _change(self.before, self.after)
+
+
+def _means(rows: Sequence[HeldOutRow], before: str, after: str) -> _Means:
+    pairs = []
+    for row in rows:
+        old = finite(getattr(row, before))
+        new = finite(getattr(row, after))
+        if old > 0.0 and new > 0.0:
+            pairs.append((old, new))
     if not pairs:
-        return "", math.nan, math.nan
-    old, new = np.exp(np.log(pairs).mean(axis=0)).tolist()
-    return counted(len(pairs), "held-out dive"), old, new
+        return _Means(0, math.nan, math.nan)
+    mean_old, mean_new = np.exp(np.log(pairs).mean(axis=0)).tolist()
+    return _Means(len(pairs), mean_old, mean_new)
+
+
+def _geometry_sentence(found: Calibration, drift_m: _Means, *, keeps: bool) -> str:
+    """Say whether to use the new geometry."""
+    names = [LABELS[row.parameter] for row in found.estimated]
+    if not names:
+        return "Keep your settings: these dives have no manoeuvre that determines others."
+    if drift_m.dives:
+        what = "Keep your settings" if keeps else "Use the new settings"
+        dives = counted(drift_m.dives, "held-out dive")
+        return f"{what}: on {dives} drift in 60 s without DVL {drift_m.change} m."
+    shown = ", ".join(names[:_SHOWN])
+    if len(names) > _SHOWN:
+        shown += f" and {len(names) - _SHOWN} more"
+    untested = "Test them: --hold-out 0.3"
+    if found.held_out:
+        untested = "The held-out dives have no window to test them"
+    return f"New settings: {shown}. {untested}."
+
+
+def _noise_sentence(found: Calibration, nis: _Means, *, keeps: bool) -> str:
+    """Say whether to use the new noise."""
+    if nis.dives:
+        what = "Keep your noise" if keeps else "Change the noise"
+        dives = counted(nis.dives, "held-out dive")
+        return f"{what}: NIS/dof on {dives} {nis.change}, expected 1."
+    changes = []
+    for row in found.noise_rows:
+        if row.is_proposed:
+            changes.append(f"{row.parameter} {_change(row.before, row.after)}")
+    return f"Change the noise: {', '.join(changes)}."
 
 
 def _change(before: float, after: float) -> str:

@@ -6,7 +6,7 @@ set again before a dive. Sources: Levenberg, 1944, and Marquardt, 1963, for the 
 "Robust statistics", for weights with an estimated scale.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import Final
@@ -181,6 +181,73 @@ def scatter_of(residuals: Floats) -> Floats:
     return np.maximum(scatter, np.finfo(float).tiny)
 
 
+@dataclass(frozen=True)
+class _Problem:
+    """The dives to fit, and where their parameters are among the unknowns.
+
+    The unknowns are seven for the vehicle, then the delays of the dives, or one for all.
+    """
+
+    dives: Sequence[DiveInnovations]
+    free: Mask  # (8,): parameters of a dive
+    rows: tuple[Integers, ...]  # for each dive: indices of its parameters among the unknowns, (8,)
+    prior_sd: Floats  # (count,): of each unknown
+    is_free: Mask  # (count,)
+
+    @classmethod
+    def of(cls, dives: Sequence[DiveInnovations], free: Mask, *, one_delay: bool) -> "_Problem":
+        """Number the unknowns."""
+        delays = np.zeros(len(dives), int) if one_delay else np.arange(len(dives))
+        rows = tuple(np.insert(np.arange(OWN - 1), DELAY, OWN - 1 + delay) for delay in delays)
+        parameters = np.append(SHARED_ROWS, np.full(len(np.unique(delays)), DELAY))
+        return cls(dives, free, rows, PRIOR_SD[parameters], free[parameters])
+
+    def start(self) -> Floats:
+        """Begin at the best delays of a coarse grid, to avoid a local minimum, (count,)."""
+        values = np.zeros(len(self.prior_sd))
+        if not self.free[DELAY]:
+            return values
+        grid = np.arange(-LATEST_S, LATEST_S + DELAY_STEP_S / 2.0, DELAY_STEP_S)
+        costs = np.zeros((len(values), len(grid)))
+        for dive, rows in zip(
+            track_progress("searching the delay", self.dives), self.rows, strict=True
+        ):
+            costs[rows[DELAY]] += delay_profile(dive, NO_CHANGE, grid)
+        values[_DELAYS] = grid[np.argmin(costs[_DELAYS], axis=1)]
+        return values
+
+    def residuals_at(self, values: Floats) -> list[Floats]:
+        """Return the residuals of each dive, (k, 3)."""
+        return [
+            dive.residuals(values[rows]) for dive, rows in zip(self.dives, self.rows, strict=True)
+        ]
+
+    def linearised(self, values: Floats, residuals: Sequence[Floats]) -> Fit:
+        """Differentiate the residuals at some values."""
+        near = []
+        for dive, rows, left in zip(self.dives, self.rows, residuals, strict=True):
+            scatter = scatter_of(left)
+            jacobian = dive.jacobian(values[rows], self.free) / scatter[:, None]
+            near.append(Linearised(left, scatter, jacobian, jacobian))
+        return Fit(self.rows, self.prior_sd, self.is_free, values, tuple(near))
+
+    def cost(self, values: Floats, scaled: Iterable[Floats]) -> float:
+        """Return the cost of residuals over their scatter, and of the distance from the configuration."""
+        return float(sum(map(robust_cost, scaled)) + np.sum((values / self.prior_sd) ** 2))
+
+
+_DELAYS: Final = slice(OWN - 1, None)  # their places among the unknowns
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Where the cost is not larger than before."""
+
+    values: Floats  # (count,)
+    residuals: Sequence[Floats]
+    damping: float  # with which it was found
+
+
 def fit(
     dives: Sequence[DiveInnovations],
     free: Mask,  # (8,)
@@ -189,87 +256,51 @@ def fit(
     start: Floats | None = None,
     settled: float = SETTLED,
 ) -> Fit:
-    """Find the changes under which the innovations of all dives are smallest.
-
-    The unknowns are seven for the vehicle, then the delays of the dives, or one for all.
-    """
-    rows = tuple(
-        np.insert(np.arange(OWN - 1), DELAY, OWN - 1 + (0 if one_delay else i))
-        for i in range(len(dives))
-    )
-    parameters = np.append(SHARED_ROWS, np.full(1 if one_delay else len(dives), DELAY))
-    prior_sd = PRIOR_SD[parameters]
-    is_free = free[parameters]
-    delays = slice(OWN - 1, None)
-    # Begin at the best delay of a coarse grid, to avoid a local minimum.
-    values = np.zeros(len(parameters)) if start is None else np.where(is_free, start, 0.0)
-    if start is None and free[DELAY]:
-        grid = np.arange(-LATEST_S, LATEST_S + DELAY_STEP_S / 2.0, DELAY_STEP_S)
-        costs = np.array(
-            [
-                delay_profile(dive, NO_CHANGE, grid)
-                for dive in track_progress("searching the delay", dives)
-            ]
-        )
-        values[delays] = grid[
-            np.argmin(costs.sum(axis=0, keepdims=True) if one_delay else costs, axis=1)
-        ]
-
-    def residuals_at(values: Floats) -> list[Floats]:
-        return [dive.residuals(values[places]) for dive, places in zip(dives, rows, strict=True)]
-
-    def linearised(values: Floats, residuals: Sequence[Floats]) -> Fit:
-        scatters = [scatter_of(left) for left in residuals]
-        jacobians = [
-            dive.jacobian(values[places], free) / scatter[:, None]
-            for dive, places, scatter in zip(dives, rows, scatters, strict=True)
-        ]
-        return Fit(
-            rows,
-            prior_sd,
-            is_free,
-            values,
-            tuple(map(Linearised, residuals, scatters, jacobians, jacobians)),
-        )
-
-    def cost(values: Floats, scaled: Iterable[Floats]) -> float:
-        return float(sum(map(robust_cost, scaled)) + np.sum((values / prior_sd) ** 2))
-
+    """Find the changes under which the innovations of all dives are smallest."""
+    problem = _Problem.of(dives, free, one_delay=one_delay)
+    values = problem.start() if start is None else np.where(problem.is_free, start, 0.0)
+    found = problem.linearised(values, problem.residuals_at(values))
     damping = 1e-3
-    found = linearised(values, residuals_at(values))
     for _ in track_progress("fitting the innovations", range(MOST_ROUNDS)):
         information = found.information
-        gradient = found.gradient
-        before = cost(found.values, (near.scaled for near in found.dives))
-        while damping < LARGEST_DAMPING:
-            step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
-            step[~is_free] = 0.0
-            values = found.values + step
-            values[delays] = np.clip(values[delays], -LATEST_S, LATEST_S)
-            residuals = residuals_at(values)
-            # Divide by the scatter before the step; with the new one a worse solution could look better.
-            scaled = (
-                left / near.scatter for left, near in zip(residuals, found.dives, strict=True)
-            )
-            if cost(values, scaled) <= before:
-                break
-            damping *= STEEPER
-        else:
+        step = _downhill(problem, found, information, damping)
+        if step is None:
             return found
-        damping *= FLATTER
-        step = values - found.values
+        damping = step.damping * FLATTER
         sds = np.sqrt(np.diag(np.linalg.inv(information)))
-        if np.max(np.abs(step) / sds) < settled:
-            # So close, the derivatives are the same.
-            scatters = [scatter_of(left) for left in residuals]
-            pairs = zip(found.dives, scatters, strict=True)
-            jacobians = [
-                near.jacobian * (near.scatter / scatter)[:, None] for near, scatter in pairs
-            ]
-            near_here = map(Linearised, residuals, scatters, jacobians, jacobians)
-            return replace(found, values=values, dives=tuple(near_here))
-        found = linearised(values, residuals)
+        if np.max(np.abs(step.values - found.values) / sds) < settled:
+            return _nearby(found, step)
+        found = problem.linearised(step.values, step.residuals)
     return found
+
+
+def _downhill(problem: _Problem, found: Fit, information: Floats, damping: float) -> _Step | None:
+    """Step with more and more damping until the cost is not larger; None if it always is."""
+    gradient = found.gradient
+    before = problem.cost(found.values, (near.scaled for near in found.dives))
+    while damping < LARGEST_DAMPING:
+        damped = information + damping * np.diag(np.diag(information))
+        step = np.linalg.solve(damped, gradient)
+        step[~problem.is_free] = 0.0
+        values = found.values + step
+        values[_DELAYS] = np.clip(values[_DELAYS], -LATEST_S, LATEST_S)
+        residuals = problem.residuals_at(values)
+        # Divide by the scatter before the step; with the new one a worse solution could look better.
+        scaled = [left / near.scatter for left, near in zip(residuals, found.dives, strict=True)]
+        if problem.cost(values, scaled) <= before:
+            return _Step(values, residuals, damping)
+        damping *= STEEPER
+    return None
+
+
+def _nearby(found: Fit, step: _Step) -> Fit:
+    """Return the fit after a step so small that the derivatives are the same."""
+    dives = []
+    for near, residuals in zip(found.dives, step.residuals, strict=True):
+        scatter = scatter_of(residuals)
+        jacobian = near.jacobian * (near.scatter / scatter)[:, None]
+        dives.append(Linearised(residuals, scatter, jacobian, jacobian))
+    return replace(found, values=step.values, dives=tuple(dives))
 
 
 def delay_profile(dive: DiveInnovations, change: Floats, delays_s: Floats) -> Floats:
@@ -285,14 +316,17 @@ def delay_profile(dive: DiveInnovations, change: Floats, delays_s: Floats) -> Fl
 
 # --- Search for an unknown mounting.
 
+
+def _quarter_turns() -> Iterator[Floats]:
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            turn = np.diag(signs)[:, order]
+            if np.linalg.det(turn) > 0.0:
+                yield turn
+
+
 # The 24 rotations between two right-handed sets of axes that are parallel.
-AXES: Final[tuple[Floats, ...]] = tuple(
-    turn
-    for order in permutations(range(3))
-    for signs in product((1.0, -1.0), repeat=3)
-    for turn in [np.diag(signs)[:, order]]
-    if np.linalg.det(turn) > 0.0
-)
+AXES: Final[tuple[Floats, ...]] = tuple(_quarter_turns())
 CLEARLY: Final = 0.8  # ratio of costs below which the second mounting is clearly worse
 NOT_FAR_OFF: Final = (
     4.0  # ratio to the least cost above which no arm or delay makes a mounting the best
@@ -334,9 +368,8 @@ def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
     configured = config.dvl.mounting_rpy_deg
     if config.initial.heading_deg == FIT:
         # Innovations of velocities hardly depend on the heading, and a wrong mounting fits no heading.
-        config = msgspec.structs.replace(
-            config, initial=msgspec.structs.replace(config.initial, heading_deg=0.0)
-        )
+        initial = msgspec.structs.replace(config.initial, heading_deg=0.0)
+        config = msgspec.structs.replace(config, initial=initial)
 
     def tried(rpy_deg: tuple[float, float, float], *, fitted: bool) -> TriedMounting:
         asked = [dive.with_config(with_mounting(config, rpy_deg)).innovations() for dive in dives]
@@ -353,15 +386,18 @@ def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
         roll, pitch, heading = (np.round(rpy_from_mat(turn) / DEG, 2) + 0.0).tolist()  # no -0.0
         first.append(tried((roll, pitch, heading), fitted=False))
     first.sort(key=lambda mounting: mounting.cost)
-    near = [mounting for mounting in first if mounting.cost < NOT_FAR_OFF * first[0].cost][
-        :MOST_FITTED
-    ]
-    near += [
-        mounting for mounting in first if mounting.rpy_deg == configured and mounting not in near
-    ]
+    likely = [mounting for mounting in first if mounting.cost < NOT_FAR_OFF * first[0].cost]
+    near = likely[:MOST_FITTED]
+    others = []
+    for mounting in first:
+        if mounting in near:
+            continue
+        if mounting.rpy_deg == configured:
+            near.append(mounting)
+        else:
+            others.append(mounting)
     stage = "trying mountings with arm and delay"
     fitted = [tried(mounting.rpy_deg, fitted=True) for mounting in track_progress(stage, near)]
-    others = [mounting for mounting in first if mounting not in near]
     return sorted(fitted, key=lambda mounting: mounting.cost) + others
 
 
@@ -374,18 +410,15 @@ def _free_turns(dives: Sequence[ReadDive]) -> list[Floats]:
         if free is None:
             continue
         level = LevelDvl(free, down_of(read.dive.imu), dvl.look_d)
-        # A DVL that does not say where it looks may be built in on its side.
-        found += (
-            level.minima
-            if dvl.look_d is None
-            else [turn for turn in level.minima if level.is_possible(turn)]
-        )
-        found += [] if dvl.look_d is not None else free.minima[:1]
-    return [
-        turn
-        for turn in found
-        if min(angle_between(turn, quarter) for quarter in AXES) > NEAR_QUARTER_RAD
-    ]
+        if dvl.look_d is None:  # it may be built in on its side
+            found += [*level.minima, *free.minima[:1]]
+        else:
+            found += [turn for turn in level.minima if level.is_possible(turn)]
+    return [turn for turn in found if not _is_quarter_turn(turn)]
+
+
+def _is_quarter_turn(turn: Floats) -> bool:
+    return min(angle_between(turn, quarter) for quarter in AXES) <= NEAR_QUARTER_RAD
 
 
 def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
@@ -395,10 +428,9 @@ def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
     pitch cannot distinguish it from an upside-down one.
     """
     tried = tried_mountings(dives)
-    similar = [mounting for mounting in tried if mounting.cost * CLEARLY <= tried[0].cost]
-    downwards = (
-        mounting
-        for mounting in similar
-        if mat_from_rpy(np.array(mounting.rpy_deg) * DEG)[2, 2] > 0.5
-    )
-    return next(downwards, tried[0]).rpy_deg
+    for mounting in tried:
+        is_likely = mounting.cost * CLEARLY <= tried[0].cost
+        turn = mat_from_rpy(np.array(mounting.rpy_deg) * DEG)
+        if is_likely and turn[2, 2] > 0.5:
+            return mounting.rpy_deg
+    return tried[0].rpy_deg

@@ -5,6 +5,7 @@ Geometry and axes of the sensors are known here. `noise.fit` says what is free; 
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -67,11 +68,12 @@ def fit_noise_of_logs(
 def fit_noise_of_dives(dives: Sequence[Dive], config: Config) -> FoundSettings:
     """Fit what `noise.fit` frees to dives of one vehicle. The note says which noise they are replayed with."""
     alone = _with_baseline_alone(config)
-    fixed = [key for word, keys in FREE.items() if word not in config.noise.fit for key in keys]
+    fixed: list[str] = []
+    for word, keys in FREE.items():
+        if word not in config.noise.fit:
+            fixed += [f"{key}." for key in keys]
     values = [key for key, _ in flattened(msgspec.to_builtins(alone))]
-    given = Given(
-        alone, [key for key in values if any(f"{key}.".startswith(f"{name}.") for name in fixed)]
-    )
+    given = Given(alone, [key for key in values if f"{key}.".startswith(tuple(fixed))])
     preset = max((imu_class(dive.imu) for dive in dives), key=GRADES.index)
     found = as_given(of_class(preset, alone), given)
     notes = list[Note]()
@@ -102,8 +104,11 @@ def with_noise_of(config: Config, fitted: Config) -> Config:
 
 def _values(config: Config, word: str) -> dict[str, object]:
     """Return the values of the keys that a word of `noise.fit` frees, by their names in their section."""
-    pairs = (key.split(".") for key in FREE[word])
-    return {name: getattr(getattr(config, section), name) for section, name in pairs}
+    values = {}
+    for key in FREE[word]:
+        section, name = key.split(".")
+        values[name] = getattr(getattr(config, section), name)
+    return values
 
 
 def _with_baseline_alone(config: Config) -> Config:
@@ -137,11 +142,10 @@ def with_noise(config: Config, found: Calibration, given: Given) -> Config:
     """Set the noise that a calibration proposes, except for what is given."""
     changed = config
     for row in found.noise_rows:
-        is_of_dvl = row.parameter in DVL
-        if row.is_proposed and not (is_of_dvl and given.has(*FREE["dvl"])):
-            changed = with_values(
-                changed, "dvl" if is_of_dvl else "noise", **{row.parameter: row.after}
-            )
+        section = "dvl" if row.parameter in DVL else "noise"
+        is_kept = section == "dvl" and given.has(*FREE["dvl"])
+        if row.is_proposed and not is_kept:
+            changed = with_values(changed, section, **{row.parameter: row.after})
     return as_given(changed, given)
 
 
@@ -192,6 +196,55 @@ def halves(read: Sequence[ReadDive]) -> list[ReadDive]:
     return [_within(dive, from_s, divide_s), _within(dive, divide_s, to_s)]
 
 
+@dataclass(frozen=True)
+class _Levelling:
+    """Scales noise by how large the innovations of the dives' baseline are."""
+
+    dives: Sequence[Dive]
+    given: Given
+    started: Initial
+
+    def size_with(self, config: Config) -> float:
+        """Return the mean NIS over degrees of freedom, 1 as expected."""
+        replayed = msgspec.structs.replace(config, initial=self.started)
+        return float(np.mean([baseline_fit(dive, replayed)[0] for dive in self.dives]))
+
+    def scaled(self, config: Config, *keys: str) -> tuple[Config, float]:
+        """Scale some noise until the innovations are about as large as expected; return their size, too."""
+        size = self.size_with(config)
+        if self.given.has(*keys):
+            return config, size
+        for _ in range(MOST_ROUNDS):
+            tried = _scaled(config, keys, np.sqrt(size))
+            if WELL_ABOVE < size < WELL_BELOW or tried == config:
+                break
+            config = tried
+            size = self.size_with(config)
+        return config, size
+
+
+def _scaled(config: Config, keys: Sequence[str], factor: float) -> Config:
+    """Scale some noise, as far as a sensor can have it."""
+    for key in keys:
+        section, name = key.split(".")
+        value = float(f"{getattr(getattr(config, section), name) * factor:.3g}")
+        if not beyond_the_sensor(name, value):
+            config = with_values(config, section, **{name: value})
+    return config
+
+
+def _as_quiet_as_readings(config: Config, dives: Sequence[Dive]) -> Config:
+    """Lower the noise of the IMU to the scatter of its readings, which is the most that it can be."""
+    for name, field in INERTIAL.items():
+        most = max(
+            readings_scatter(getattr(dive.imu, field), dive.imu.usual_step_s) for dive in dives
+        )
+        quieter = float(f"{min(getattr(config.noise, name), most):.3g}")
+        if not beyond_the_sensor(name, quieter):
+            config = with_values(config, "noise", **{name: quieter})
+    return config
+
+
 def levelled_to_dives(
     dives: Sequence[Dive],
     config: Config,
@@ -202,42 +255,18 @@ def levelled_to_dives(
 ) -> Config:
     """Scale the noise of the DVL until the innovations are as large as expected, where they are not."""
     key = "velocity_sd_mps" if config.dvl.beam_sd_mps is None else "beam_sd_mps"
-
-    def size_with(tried: Config) -> float:
-        replayed = msgspec.structs.replace(tried, initial=started)
-        return float(np.mean([baseline_fit(dive, replayed)[0] for dive in dives]))
-
-    def scaled(config: Config, size: float, *keys: tuple[str, str]) -> tuple[Config, float]:
-        is_free = not given.has(*(f"{section}.{name}" for section, name in keys))
-        for _ in range(MOST_ROUNDS if is_free else 0):
-            tried = config
-            for section, name in keys:
-                value = float(f"{getattr(getattr(config, section), name) * np.sqrt(size):.3g}")
-                if not beyond_the_sensor(name, value):
-                    tried = with_values(tried, section, **{name: value})
-            if WELL_ABOVE < size < WELL_BELOW or tried == config:
-                break
-            config = tried
-            size = size_with(tried)
-        return config, size
-
-    config, size = scaled(config, size_with(config), ("dvl", key))
+    levelling = _Levelling(dives, given, started)
+    config, size = levelling.scaled(config, f"dvl.{key}")
     if size < LEAST_NIS and not given.has("noise"):
-        # The noise of the IMU decides. It is at most the scatter of the readings.
-        for name, field in INERTIAL.items():
-            most = max(
-                readings_scatter(getattr(dive.imu, field), dive.imu.usual_step_s) for dive in dives
-            )
-            quieter = float(f"{min(getattr(config.noise, name), most):.3g}")
-            if not beyond_the_sensor(name, quieter):
-                config = with_values(config, "noise", **{name: quieter})
-        both = ("dvl", key), ("noise", "accel_white_mps_rts")
-        config, size = scaled(config, size_with(config), *both)
+        # The noise of the IMU decides.
+        both = (f"dvl.{key}", "noise.accel_white_mps_rts")
+        config, _ = levelling.scaled(_as_quiet_as_readings(config, dives), *both)
         config, preset = with_biases_of_class(config, given, preset)
-        config, size = scaled(config, size_with(config), *both)
-    is_fitting = LEAST_NIS < size < MOST_NIS
+        config, size = levelling.scaled(config, *both)
     text = f"{_noise_sentence(config, given, key, preset)}; NIS/dof of the baseline {size:.2g}"
-    text += "" if is_fitting else ", which no noise of these sensors explains"
+    is_fitting = LEAST_NIS < size < MOST_NIS
+    if not is_fitting:
+        text += ", which no noise of these sensors explains"
     notes.append(found_note(FITTED_NOTE, text, TO_SET, warn=not is_fitting))
     return config
 
@@ -248,9 +277,13 @@ def _noise_sentence(config: Config, given: Given, dvl_key: str, preset: str) -> 
     words = {"fitted": list[str](), "of the class": list[str](), "given": list[str]()}
     for name in INERTIAL:
         value = getattr(config.noise, name)
-        source = "of the class" if value == getattr(usual, name) else "fitted"
-        words["given" if given.has(f"noise.{name}") else source].append(f"{name} {value:.3g}")
-    dvl = f"{dvl_key} {getattr(config.dvl, dvl_key):.3g}"
-    words["given" if given.has(f"dvl.{dvl_key}") else "fitted"].append(dvl)
+        source = "fitted"
+        if given.has(f"noise.{name}"):
+            source = "given"
+        elif value == getattr(usual, name):
+            source = "of the class"
+        words[source].append(f"{name} {value:.3g}")
+    source = "given" if given.has(f"dvl.{dvl_key}") else "fitted"
+    words[source].append(f"{dvl_key} {getattr(config.dvl, dvl_key):.3g}")
     parts = [f"{', '.join(values)} ({source})" for source, values in words.items() if values]
     return f"noise fitted to these dives, class {preset}: {'; '.join(parts)}"

@@ -31,16 +31,19 @@ class Given:
         if "imu" not in self.config.noise.fit:
             named |= {*FREE["imu"]}
         values = flattened(msgspec.to_builtins(self.config))
-        keys = [
-            key
-            for key, value in values
-            if value not in (default.get(key), without.get(key)) or key in named
-        ]
-        return [key for key in keys if not key.startswith(("span.", "evaluation.", "noise.fit"))]
+        keys = []
+        for key, value in values:
+            if key.startswith(("span.", "evaluation.", "noise.fit")):
+                continue
+            is_default = value in (default.get(key), without.get(key))
+            if key in named or not is_default:
+                keys.append(key)
+        return keys
 
     def has(self, *names: str) -> bool:
         """Return whether any of some keys is given, or any key of some sections."""
-        return any(f"{key}.".startswith(f"{name}.") for key in self.keys for name in names)
+        beginnings = tuple(f"{name}." for name in names)
+        return any(f"{key}.".startswith(beginnings) for key in self.keys)
 
 
 def with_values(config: Config, section: str, **values: Any) -> Config:
@@ -93,12 +96,11 @@ def as_given(found: Config, given: Given) -> Config:
     """Return settings with those that are given."""
     for section in ("imu", "dvl", "reference", "initial", "noise"):
         now = getattr(given.config, section)
-        values = {
-            key: getattr(now, key) for key in now.__struct_fields__ if given.has(f"{section}.{key}")
-        }
-        found = with_values(
-            found, section, **{key: value for key, value in values.items() if value is not None}
-        )
+        values = {}
+        for key in now.__struct_fields__:
+            if given.has(f"{section}.{key}"):
+                values[key] = getattr(now, key)
+        found = with_values(found, section, **values)
     are_given = given.has("filters") or given.config.filters != Config().filters
     if are_given:
         return msgspec.structs.replace(found, filters=given.config.filters)

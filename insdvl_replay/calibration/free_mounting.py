@@ -150,7 +150,8 @@ def angle_between(mat: Floats, other: Floats) -> float:
 
 
 _GENERATORS: Final = np.stack([skew(axis) for axis in np.eye(3)])
-_CURVATURES: Final = 0.5 * np.stack([[a @ b + b @ a for b in _GENERATORS] for a in _GENERATORS])
+_PRODUCTS: Final = _GENERATORS[:, None] @ _GENERATORS  # of each pair
+_CURVATURES: Final = 0.5 * (_PRODUCTS + np.swapaxes(_PRODUCTS, 0, 1))
 
 
 @dataclass(frozen=True)
@@ -195,9 +196,8 @@ class FreeMounting:
             total = self.windows.total(np.arange(count) != window)
             quadratic = Quadratic.of(total)
             square = self.windows.squares[window]
-            fitted, fixed = (
-                _solution(total, quadratic, turn) for turn in (quadratic.descended(mat), other)
-            )
+            fitted = _solution(total, quadratic, quadratic.descended(mat))
+            fixed = _solution(total, quadratic, other)
             by_fit += float(fitted @ square @ fitted)
             by_other += float(fixed @ square @ fixed)
         return by_other / by_fit
@@ -452,8 +452,8 @@ def averaged_imu(imu: ImuColumns) -> ImuColumns:
     blocks = len(imu.time_ns) // size
     time_ns = imu.time_ns[: blocks * size].reshape(blocks, size)
     middle_ns = time_ns[:, 0] + ((time_ns - time_ns[:, :1]).mean(axis=1)).astype(np.int64)
-    force, rate = (
-        readings[: blocks * size].reshape(blocks, size, 3).mean(axis=1)
-        for readings in (imu.specific_force_b, imu.angular_rate_b)
-    )
-    return ImuColumns(middle_ns, force, rate)
+
+    def means(readings: Floats) -> Floats:
+        return np.asarray(readings[: blocks * size].reshape(blocks, size, 3).mean(axis=1))
+
+    return ImuColumns(middle_ns, means(imu.specific_force_b), means(imu.angular_rate_b))

@@ -90,7 +90,9 @@ NAMES: Final = tuple(parameter.name for parameter in PARAMETERS)
 NOISE: Final = "noise"
 ALL_GROUPS: Final = ("arm", "mounting", "delay", "scale", NOISE)
 REFERENCE_GROUPS: Final = (*ALL_GROUPS, "reference_arm", "reference_mounting", "reference_clock")
-DELAY, SCALE, HEADING = (NAMES.index(name) for name in ("delay", "scale", "mounting_z"))
+DELAY: Final = NAMES.index("delay")
+SCALE: Final = NAMES.index("scale")
+HEADING: Final = NAMES.index("mounting_z")
 MOUNTING = slice(1, 4)
 ARM = slice(4, 7)
 CLOCK: Final = len(PARAMETERS)
@@ -145,9 +147,12 @@ class Geometry(Struct, frozen=True):
 
     def rounded(self) -> "Geometry":
         """Return the settings with six decimals, finer than any sd."""
-        vectors = self.lever_arm_m, self.mounting_rpy_deg
-        arm_m, rpy_deg = (tuple(round(value, 6) for value in vector) for vector in vectors)
-        return Geometry(round(self.latency_s, 6), arm_m, rpy_deg, round(self.scale, 6))  # type: ignore[arg-type]
+        return Geometry(
+            round(self.latency_s, 6),
+            _rounded(self.lever_arm_m),
+            _rounded(self.mounting_rpy_deg),
+            round(self.scale, 6),
+        )
 
     def changed(self, change: Floats) -> "Geometry":
         """Return the settings after a change, (7,) or with a scale (8,); a group without change is equal to the bit."""
@@ -160,6 +165,11 @@ class Geometry(Struct, frozen=True):
             (roll, pitch, heading) if turn.any() else self.mounting_rpy_deg,
             self.scale * float(np.exp(change[SCALE:].sum())),
         )
+
+
+def _rounded(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = vector
+    return round(x, 6), round(y, 6), round(z, 6)
 
 
 # --- Dives and their innovations.
@@ -214,7 +224,8 @@ class ReadDive:
         end_ns = min(prepared.end_ns, start_ns + nanoseconds(READ_S))
         inside = prepared.velocities.within(start_ns + room_ns, end_ns - room_ns)
         velocities = inside.where(steady(inside.velocity_b))
-        if (count := len(velocities.time_ns) - 2 * SKIPPED) < FEWEST:
+        count = len(velocities.time_ns) - 2 * SKIPPED
+        if count < FEWEST:
             raise LogError(
                 f"{self.dive.name}: {max(count, 0)} pings are too few to calibrate; {FEWEST} are needed",
                 "leave the dive out, or widen span.start_s and span.end_s",
@@ -322,10 +333,12 @@ def central_differences(
     """Differentiate a function by its n arguments, (*shape, n); 0 for held ones."""
     chosen = np.flatnonzero(free)
     columns = np.zeros((*shape, len(at)))
-    tried = [at + sign * steps[i] * np.eye(len(at))[i] for i in chosen for sign in (1.0, -1.0)]
-    found = list(parallel_map(function, tried))
-    for i, after, before in zip(chosen, found[::2], found[1::2], strict=True):
-        columns[..., i] = (after - before) / (2.0 * steps[i])
+    moved = np.diag(steps)[chosen]
+    found = list(parallel_map(function, [*(at + moved), *(at - moved)]))
+    after = found[: len(chosen)]
+    before = found[len(chosen) :]
+    for i, value, other in zip(chosen, after, before, strict=True):
+        columns[..., i] = (value - other) / (2.0 * steps[i])
     return columns
 
 

@@ -143,7 +143,8 @@ def _with_noise(baseline: ResolvedFilter, noise: Mapping[str, float]) -> Resolve
     inertial = msgspec.structs.replace(
         baseline.inertial_noise, **{key: noise[key] for key in INERTIAL}
     )
-    (dvl,) = (DvlNoise(key, noise[key]) for key in DVL if key in noise)
+    [dvl_key] = [key for key in DVL if key in noise]
+    dvl = DvlNoise(dvl_key, noise[dvl_key])
     return replace(baseline, inertial_noise=inertial, dvl_noise=dvl)
 
 
@@ -165,10 +166,10 @@ class _Search:
 
     def noise(self, logarithms: Floats) -> dict[str, float]:
         factors = np.exp(np.clip(logarithms, -np.log(LARGEST_FACTOR), np.log(LARGEST_FACTOR)))
-        return {
-            key: float(value * factor)
-            for (key, value), factor in zip(self.before.items(), factors, strict=True)
-        }
+        noise = {}
+        for (key, value), factor in zip(self.before.items(), factors, strict=True):
+            noise[key] = float(value * factor)
+        return noise
 
     def innovations(self, noise: Mapping[str, float]) -> list[Innovations]:
         tried = _with_noise(self.filter, noise)
@@ -200,7 +201,10 @@ def fit_noise(dives: Sequence[DiveInnovations], changes: Sequence[Floats]) -> Fi
         inertial = {key: first.before[key] for key in INERTIAL}
         of_beam = baseline.beam_sd_mps(dives[0].prepared.velocities)
         searches.append(replace(first, before=inertial | {"beam_sd_mps": of_beam}))
-    pairs = [(search, np.log(start)) for search in searches for start in STARTS]
+    pairs = []
+    for search in searches:
+        for factors in STARTS:
+            pairs.append((search, np.log(factors)))
     search, start = min(pairs, key=lambda pair: pair[0].cost(pair[1]))
     simplex = start + np.vstack([np.zeros(3), FIRST_STEP * np.eye(3)])
     found = minimize(
@@ -226,13 +230,13 @@ def levelled(
     factor = 0.0
     for _ in range(LEVELLINGS):
         innovations = search.innovations(search.noise(factor * free))
-        factor += 0.5 * float(
-            np.log(np.mean(np.concatenate([_sizes(found) for found in innovations])))
-        )
-    after = {
-        key: float(f"{value:.{DIGITS}g}") if is_free else fitted.after[key]
-        for (key, value), is_free in zip(search.noise(factor * free).items(), free, strict=True)
-    }
+        sizes = np.concatenate([_sizes(found) for found in innovations])
+        factor += 0.5 * float(np.log(np.mean(sizes)))
+    after = dict(fitted.after)
+    scaled = search.noise(factor * free)
+    for key, is_free in zip(scaled, free, strict=True):
+        if is_free:
+            after[key] = float(f"{scaled[key]:.{DIGITS}g}")
     return FittedNoise(fitted.before, after)
 
 
@@ -248,18 +252,35 @@ def relative_sds(
     Errors of beams and of the IMU change slowly and look like noise, which falls as the noise of the filter grows.
     """
     search = _Search.of(fitted.after, dives, changes)
-    steps = [sign * SCORE_STEP * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
-    stepped = [search.innovations(search.noise(step)) for step in steps]
     information = RIDGE * np.eye(3)
     scatter = np.zeros((3, 3))
-    for i in range(len(dives)):
-        costs = np.array([_costs(innovations[i]) for innovations in stepped])
-        scores = (costs[1::2] - costs[::2]).T / (4.0 * SCORE_STEP)
+    for scores in _scores(search):
         information += scores.T @ scores
         scatter += newey_west(scores)
     inverse = np.linalg.inv(information)
     by_chance = np.sqrt(np.maximum(np.diag(inverse @ scatter @ inverse), np.diag(inverse)))
     return np.asarray(np.hypot(by_chance, 0.5 * nis_by_errors * np.diag(inverse)))
+
+
+def _scores(search: _Search) -> list[Floats]:
+    """Return for each dive the scores of its pings, (k, 3): minus half the derivative of their costs."""
+    by_noise = []
+    for step in SCORE_STEP * np.eye(3):
+        louder = search.innovations(search.noise(step))
+        quieter = search.innovations(search.noise(-step))
+        of_dives = []
+        for after, before in zip(louder, quieter, strict=True):
+            of_dives.append((_costs(before) - _costs(after)) / (4.0 * SCORE_STEP))
+        by_noise.append(of_dives)
+    return [np.array(of_dive).T for of_dive in zip(*by_noise, strict=True)]
+
+
+@dataclass(frozen=True)
+class _Status:
+    """What becomes of one noise, and why."""
+
+    word: Estimated
+    why: str = ""
 
 
 def determined_noise(
@@ -276,63 +297,123 @@ def determined_noise(
     DVL an upper limit.
     """
     sds = dict(zip(fitted.after, relative_sds(fitted, dives, changes, nis_by_errors), strict=True))
-    scatter = {key: _scatter(key, dives) for key in fitted.after}
-    impossible = {
-        key: beyond_the_sensor(key, value, scatter[key]) for key, value in fitted.after.items()
+    impossible = _impossible(fitted.after, dives)
+    is_drowned = nis_by_errors > MOST_BY_ERRORS * 3 * sum(dive.count for dive in dives)
+    statuses = {
+        key: _status_of(key, fitted, sds[key], impossible, own, is_drowned=is_drowned)
+        for key in fitted.after
     }
-    any_impossible = any(impossible.values())
-    drowned = nis_by_errors > MOST_BY_ERRORS * 3 * sum(dive.count for dive in dives)
-    statuses = dict.fromkeys(fitted.after, (Estimated.ESTIMATED, ""))
-    for key, value in fitted.after.items():
-        # The keys of a filter override those of the common sections.
-        if any(getattr(own, name) is not None for name in ((key,) if key in INERTIAL else DVL)):
-            statuses[key] = Estimated.HELD, OWN_NOISE
-        elif impossible[key]:
-            statuses[key] = (
-                Estimated.IMPLAUSIBLE,
-                f"{value:g} {UNITS[key]} was found, which is {impossible[key]}",
-            )
-        elif any_impossible or not sds[key] < UNSURE or (drowned and key in INERTIAL):
-            statuses[key] = Estimated.NOT_DETERMINED, AS_IT_WAS
-    # Scale the proposed noise, with the others as configured.
-    levelled_status = Estimated.NOT_DETERMINED if any_impossible else Estimated.ESTIMATED
-    free = np.array([float(status == levelled_status) for status, _ in statuses.values()])
-    held = {
-        key: fitted.after[key] if statuses[key][0] == levelled_status else fitted.before[key]
-        for key in statuses
-    }
-    proposed = (
-        fitted if free.all() else levelled(FittedNoise(fitted.before, held), dives, changes, free)
-    )
-    is_bad = any(
-        beyond_the_sensor(key, value, scatter[key]) and value != fitted.before[key]
-        for key, value in proposed.after.items()
-    )
-    if any_impossible:
-        is_limit = not is_bad
-        kept = FittedNoise(fitted.before, fitted.before) if is_bad else proposed
+    # Where one noise is impossible, nothing is determined: what is left is scaled, with the others as configured.
+    scaled_status = Estimated.NOT_DETERMINED if impossible else Estimated.ESTIMATED
+    scaled = [key for key, status in statuses.items() if status.word == scaled_status]
+    proposed = fitted
+    if len(scaled) < len(statuses):
+        proposed = _scaled_alone(fitted, scaled, dives, changes)
+    kept = proposed
+    if impossible:
+        is_limit = not _changes_impossibly(proposed, dives)
+        if not is_limit:
+            kept = FittedNoise(fitted.before, fitted.before)
     else:
-        search = _Search.of(fitted.before, dives, changes)
-        is_limit = not free.all() and (
-            is_bad
-            or search.likelihood(proposed.after) > search.likelihood(fitted.after) + CONTRADICTED
-        )
-        kept = fitted if is_limit else proposed
-    unknown = [key for key, (status, _) in statuses.items() if status == Estimated.NOT_DETERMINED]
-    if not is_limit:
-        return kept, _noise_rows(kept, fitted, statuses, sds)
-    for key in unknown:
-        statuses[key] = Estimated.NOT_DETERMINED, AT_MOST
+        is_limit = proposed is not fitted and _contradicts(proposed, fitted, dives, changes)
+        if is_limit:
+            kept = fitted
+    if is_limit:
+        kept, limits = _limits(kept, statuses, dives, changes)
+        statuses |= limits
+    return kept, _noise_rows(kept, fitted, statuses, sds)
+
+
+def _status_of(
+    key: str,
+    fitted: FittedNoise,
+    sd: float,  # of its logarithm
+    impossible: Mapping[str, str],
+    own: Filter,
+    *,
+    is_drowned: bool,  # by errors of beams and IMU
+) -> _Status:
+    """Judge one noise, and the others by which it would be pulled."""
+    if _has_own(own, key):
+        return _Status(Estimated.HELD, OWN_NOISE)
+    if key in impossible:
+        why = f"{fitted.after[key]:g} {UNITS[key]} was found, which is {impossible[key]}"
+        return _Status(Estimated.IMPLAUSIBLE, why)
+    is_sure = sd < UNSURE and not (is_drowned and key in INERTIAL)
+    if impossible or not is_sure:
+        return _Status(Estimated.NOT_DETERMINED, AS_IT_WAS)
+    return _Status(Estimated.ESTIMATED)
+
+
+def _impossible(noise: Mapping[str, float], dives: Sequence[DiveInnovations]) -> dict[str, str]:
+    """Return for each noise that no sensor has what it is."""
+    found = {}
+    for key, value in noise.items():
+        what = beyond_the_sensor(key, value, _scatter(key, dives))
+        if what:
+            found[key] = what
+    return found
+
+
+def _has_own(own: Filter, key: str) -> bool:
+    """Return whether a filter sets a noise itself: its keys override those of the common sections."""
+    names = (key,) if key in INERTIAL else DVL
+    return any(getattr(own, name) is not None for name in names)
+
+
+def _scaled_alone(
+    fitted: FittedNoise,
+    keys: Sequence[str],
+    dives: Sequence[DiveInnovations],
+    changes: Sequence[Floats],
+) -> FittedNoise:
+    """Scale some noise, with the others as configured."""
+    noise = dict(fitted.before)
+    for key in keys:
+        noise[key] = fitted.after[key]
+    free = np.array([float(key in keys) for key in noise])
+    return levelled(FittedNoise(fitted.before, noise), dives, changes, free)
+
+
+def _changes_impossibly(proposed: FittedNoise, dives: Sequence[DiveInnovations]) -> bool:
+    """Return whether a noise would become one that no sensor has."""
+    impossible = _impossible(proposed.after, dives)
+    return any(proposed.after[key] != proposed.before[key] for key in impossible)
+
+
+def _contradicts(
+    proposed: FittedNoise,
+    fitted: FittedNoise,
+    dives: Sequence[DiveInnovations],
+    changes: Sequence[Floats],
+) -> bool:
+    """Return whether the dives contradict a noise that keeps some as configured."""
+    if _changes_impossibly(proposed, dives):
+        return True
+    search = _Search.of(fitted.before, dives, changes)
+    return search.likelihood(proposed.after) > search.likelihood(fitted.after) + CONTRADICTED
+
+
+def _limits(
+    kept: FittedNoise,
+    statuses: Mapping[str, _Status],
+    dives: Sequence[DiveInnovations],
+    changes: Sequence[Floats],
+) -> tuple[FittedNoise, dict[str, _Status]]:
+    """Make noise that is not determined an upper limit, and that of the IMU the noise of its class."""
+    unknown = [key for key, status in statuses.items() if status.word == Estimated.NOT_DETERMINED]
+    limits = dict.fromkeys(unknown, _Status(Estimated.NOT_DETERMINED, AT_MOST))
     of_imu = [key for key in unknown if key in INERTIAL]
     if of_imu:
         preset = _class_of(kept, of_imu, dives)
         kept = _with_class(kept, of_imu, preset, dives, changes)
+        of_class = _Status(Estimated.OF_CLASS, OF_CLASS.format(preset=preset))
         for key in of_imu:
             if kept.after[key] == kept.before[key]:
-                statuses[key] = Estimated.NOT_DETERMINED, AS_IT_WAS
+                limits[key] = _Status(Estimated.NOT_DETERMINED, AS_IT_WAS)
             else:
-                statuses[key] = Estimated.OF_CLASS, OF_CLASS.format(preset=preset)
-    return kept, _noise_rows(kept, fitted, statuses, sds)
+                limits[key] = of_class
+    return kept, limits
 
 
 def _scatter(key: str, dives: Sequence[DiveInnovations]) -> float:
@@ -346,23 +427,24 @@ def _scatter(key: str, dives: Sequence[DiveInnovations]) -> float:
 def _noise_rows(
     kept: FittedNoise,
     fitted: FittedNoise,
-    statuses: Mapping[str, tuple[Estimated, str]],
+    statuses: Mapping[str, _Status],
     sds: Mapping[str, float],
 ) -> tuple[NoiseRow, ...]:
     """Return a row for each noise, with its standard deviation where the dives show one."""
     rows = []
-    for key, (status, why) in statuses.items():
-        sd = float(f"{sds[key] * fitted.after[key]:.2g}") if sds[key] < UNBOUNDED else None
-        rows.append(noise_row(kept, key, status, why, sd))
+    for key, status in statuses.items():
+        sd = None
+        if sds[key] < UNBOUNDED:
+            sd = float(f"{sds[key] * fitted.after[key]:.2g}")
+        rows.append(noise_row(kept, key, status.word, status.why, sd))
     return tuple(rows)
 
 
 def _class_of(found: FittedNoise, keys: Sequence[str], dives: Sequence[DiveInnovations]) -> str:
     """Return the preset of the class of an IMU by upper limits of its noise, and by the scatter of its readings."""
     by_readings = max((imu_class(dive.dive.imu) for dive in dives), key=GRADES.index)
-    by_limits = max(
-        (sensor_class(key, found.after[key]) or by_readings for key in keys), key=GRADES.index
-    )
+    limits = [sensor_class(key, found.after[key]) or by_readings for key in keys]
+    by_limits = max(limits, key=GRADES.index)
     return min(by_readings, by_limits, key=GRADES.index)
 
 
@@ -380,9 +462,8 @@ def _with_class(
     usual = load_config(preset).noise
     of_class = {key: getattr(usual, key) for key in keys}
     with_class = FittedNoise(found.before, {**found.after, **of_class})
-    raised = levelled(
-        with_class, dives, changes, np.array([float(key in DVL) for key in found.after])
-    )
+    are_of_dvl = np.array([float(key in DVL) for key in found.after])
+    raised = levelled(with_class, dives, changes, are_of_dvl)
     after = dict(with_class.after)
     for key in DVL:
         if key in after:

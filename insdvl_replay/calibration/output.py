@@ -5,11 +5,12 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 
-from insdvl_replay.calibration.calibration import AXES, Calibration
+from insdvl_replay.calibration.calibration import AXES, Calibration, ReferenceCalibration
 from insdvl_replay.calibration.certainty import correlation_matrix, mean_change, one_by_one
-from insdvl_replay.calibration.dives import answer_of
+from insdvl_replay.calibration.dives import Answer, answer_of
 from insdvl_replay.calibration.fit import delay_profile
 from insdvl_replay.calibration.innovations import (
     DELAY,
@@ -75,72 +76,104 @@ def calibration_result(
 ) -> Result:
     """Return the answer, estimates, tables and warnings."""
     answer = answer_of(found)
-    reference = found.reference
-    names = [LABELS[row.parameter] for row in found.estimated] + ["noise"] * found.proposes_noise
+    names = _estimated(found)
     estimated = f"Estimated: {', '.join(names)}." if names else NOT_ESTIMATED
     reasons = [*_reasons(found), *map(Remark, found.warnings)]
     title = f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"
     parts: list[Part] = [Title(title), *answer.lines, estimated]
-    parts += [f"The mounting was unknown: {found.tried}."] if found.tried else []
+    if found.tried:
+        parts.append(f"The mounting was unknown: {found.tried}.")
     parts += _tables(found)
     correlations = [_correlation_table(found)] if found.fit.free.any() else []
-    parts += correlations if verbose else [Only(PAGE, tuple(correlations))]
-    parts += [Sentences(tuple(reasons))] if reasons else []
+    if verbose:
+        parts += correlations
+    else:
+        parts.append(Only(PAGE, tuple(correlations)))
+    if reasons:
+        parts.append(Sentences(tuple(reasons)))
     if written and names:
-        parts.append(
-            f"Nothing is applied automatically. To use it: `insdvl-replay run LOG -c ... -c {written}`"
-        )
-        kept = ["geometry"] * answer.keeps_geometry + ["noise"] * answer.keeps_noise
-        if kept and not even_if_worse:
-            parts.append(
-                f"{written} leaves out the new {' and '.join(kept)}. To write all: --even-if-worse"
-            )
-    parts += [Heading("Pictures"), *figures] if figures else []
-    tables = {
-        "parameters": found.all_rows,
-        "noise": found.noise_rows,
-        "dives": found.dives,
-        "held_out": found.held_out,
-        "reference": reference.dives if reference else (),
-        "starts": reference.starts if reference else (),
-    }
-    facts: dict[str, Any] = {
-        "before": {"dvl": found.before},
-        "after": {"dvl": found.after},
-        "warnings": found.warnings,
-    }
-    facts |= {"keeps_geometry": answer.keeps_geometry, "keeps_noise": answer.keeps_noise}
-    if reference:
-        for name, settings in (("before", reference.before), ("after", reference.after)):
-            facts[name]["reference"] = {
-                key: getattr(settings, key) for key in Geometry.__struct_fields__ if key != "scale"
-            }
+        parts += _how_to_use(written, answer, even_if_worse=even_if_worse)
+    if figures:
+        parts += [Heading("Pictures"), *figures]
     return Result(
         "calibration",
         title,
         [*answer.lines, estimated, *reasons],
-        {name: rows for name, rows in tables.items() if rows},
+        _blocks(found),
         config=config,
-        facts=facts,
+        facts=_facts(found, answer),
         document=parts,
     )
 
 
+def _estimated(found: Calibration) -> list[str]:
+    """Name the parameters that are proposed, and the noise."""
+    names = [LABELS[row.parameter] for row in found.estimated]
+    if found.proposes_noise:
+        names.append("noise")
+    return names
+
+
+def _how_to_use(written: str, answer: Answer, *, even_if_worse: bool) -> Iterator[str]:
+    """Say how to use the settings file, and what it leaves out."""
+    yield f"Nothing is applied automatically. To use it: `insdvl-replay run LOG -c ... -c {written}`"
+    left_out = []
+    if answer.keeps_geometry:
+        left_out.append("geometry")
+    if answer.keeps_noise:
+        left_out.append("noise")
+    if left_out and not even_if_worse:
+        yield f"{written} leaves out the new {' and '.join(left_out)}. To write all: --even-if-worse"
+
+
+def _blocks(found: Calibration) -> dict[str, Sequence[Any]]:
+    """Return the tables that have rows."""
+    tables: dict[str, Sequence[Any]] = {
+        "parameters": found.all_rows,
+        "noise": found.noise_rows,
+        "dives": found.dives,
+        "held_out": found.held_out,
+    }
+    if found.reference is not None:
+        tables["reference"] = found.reference.dives
+        tables["starts"] = found.reference.starts
+    return {name: rows for name, rows in tables.items() if rows}
+
+
+def _facts(found: Calibration, answer: Answer) -> dict[str, Any]:
+    """Return the settings before and after, and what becomes of them."""
+    before: dict[str, Any] = {"dvl": found.before}
+    after: dict[str, Any] = {"dvl": found.after}
+    if found.reference is not None:
+        before["reference"] = _without_scale(found.reference.before)
+        after["reference"] = _without_scale(found.reference.after)
+    return {
+        "before": before,
+        "after": after,
+        "warnings": found.warnings,
+        "keeps_geometry": answer.keeps_geometry,
+        "keeps_noise": answer.keeps_noise,
+    }
+
+
+def _without_scale(geometry: Geometry) -> dict[str, Any]:
+    """Return the settings of a reference, which has no scale."""
+    settings = msgspec.structs.asdict(geometry)
+    del settings["scale"]
+    return settings
+
+
 def _reasons(found: Calibration) -> list[Remark]:
     """Return why parameters are not proposed, grouped by reason."""
-
-    rows = [
-        (what, row)
-        for status, what in _KEPT.items()
-        for row in found.all_rows
-        if row.status == status
-    ]
-    reasons = [(LABELS[row.parameter], what + row.why) for what, row in rows]
-    kept = (Estimated.HELD, Estimated.NOT_DETERMINED, Estimated.OF_CLASS)
-    reasons += [(row.parameter, row.why) for row in found.noise_rows if row.status in kept]
     names: dict[str, list[str]] = {}
-    for name, why in reasons:
-        names.setdefault(why, []).append(name)
+    for status, what in _KEPT.items():
+        for row in found.all_rows:
+            if row.status == status:
+                names.setdefault(what + row.why, []).append(LABELS[row.parameter])
+    kept = (Estimated.HELD, Estimated.NOT_DETERMINED, Estimated.OF_CLASS)
+    for noise in found.noise_rows:
+        if noise.status in kept:
+            names.setdefault(noise.why, []).append(noise.parameter)
     return [Remark(f"{', '.join(same)}: {why}") for why, same in names.items()]
 
 
@@ -218,13 +251,13 @@ def _correlation_table(found: Calibration) -> DisplayTable:
     free = np.flatnonzero(found.fit.free)
     matrix = correlation_matrix(found.fit)
     names = [PARAMETERS[row].label for row in free]
-    rows = [
-        (names[i], *(f"{matrix[row, column]:+.2f}" if column < row else "" for column in free[:-1]))
-        for i, row in enumerate(free)
-    ]
+    rows = []
+    for row, name in zip(free[1:], names[1:], strict=True):
+        cells = [f"{matrix[row, column]:+.2f}" if column < row else "" for column in free[:-1]]
+        rows.append((name, *cells))
     title = "Correlations of the estimates; near -1 or +1 the dives cannot separate two parameters"
     header = ("", *(name.replace(" ", "\n") for name in names[:-1]))
-    return DisplayTable(title, header, f"l{'r' * (len(names) - 1)}", tuple(rows[1:]), folded=True)
+    return DisplayTable(title, header, f"l{'r' * (len(names) - 1)}", tuple(rows), folded=True)
 
 
 def _axes(name: str, row: DiveRow) -> str:
@@ -250,49 +283,52 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
 
     ``started_ns``: start of each dive since 1970, on its own clock.
     """
-    days = sorted(
-        {
-            datetime.fromtimestamp(start_ns / NS_PER_S, UTC).date().isoformat()
-            for start_ns in started_ns
-        }
-    )
-    span = f"{days[0]} to {days[-1]}" if len(days) > 1 else days[0]
     names = ", ".join(visible(dive.dive) for dive in found.dives)
+    dives = counted(len(found.dives), "dive")
     lines = [
-        f"# insdvl-replay {__version__} calibrate: {counted(len(found.dives), 'dive')} of {span}: {names}"
+        f"# insdvl-replay {__version__} calibrate: {dives} of {_days(started_ns)}: {names}",
+        "[dvl]",
+        *_geometry_lines(found.rows, found.before, found.after),
     ]
-    lines += ["[dvl]", *_geometry_lines(found.rows, found.before, found.after)]
-    lines += [
-        line
-        for row in found.noise_rows
-        if row.parameter not in INERTIAL
-        for line in _noise_lines(row)
-    ]
+    of_imu: list[str] = []
+    for row in found.noise_rows:
+        if row.parameter in INERTIAL:
+            of_imu += _noise_lines(row)
+        else:
+            lines += _noise_lines(row)
     if found.proposes_noise:
-        lines += ["", "[noise]"]
-        lines += [
-            line
-            for row in found.noise_rows
-            if row.parameter in INERTIAL
-            for line in _noise_lines(row)
-        ]
-    if (reference := found.reference) is not None:
-        lines += [
-            "",
-            "[reference]",
-            *_geometry_lines(reference.rows, reference.before, reference.after),
-        ]
-        lines += ["", "[initial]"] if reference.starts else []
-        lines += [
+        lines += ["", "[noise]", *of_imu]
+    if found.reference is not None:
+        lines += _reference_lines(found.reference)
+    lines += [f"# warning: {visible(warning)}" for warning in found.warnings]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _days(started_ns: Sequence[int]) -> str:
+    """Return the first and the last day of some dives, or the only one."""
+    days = set()
+    for start_ns in started_ns:
+        days.add(datetime.fromtimestamp(start_ns / NS_PER_S, UTC).date().isoformat())
+    first = min(days)
+    last = max(days)
+    if first == last:
+        return first
+    return f"{first} to {last}"
+
+
+def _reference_lines(reference: ReferenceCalibration) -> Iterator[str]:
+    """Write the settings of a reference, and the headings at the start by its positions."""
+    yield from ("", "[reference]")
+    yield from _geometry_lines(reference.rows, reference.before, reference.after)
+    if not reference.starts:
+        return
+    yield from ("", "[initial]")
+    for start in reference.starts:
+        yield (
             f"# {visible(start.dive)}: heading {start.heading_deg:g} deg, sd {start.heading_sd_deg:.2g} deg; gyro bias "
             f"about down {start.gyro_bias_degph:g} deg/h, sd {start.gyro_bias_sd_degph:.2g} deg/h"
-            for start in reference.starts
-        ]
-        lines += [f"heading_deg = {toml_value(FIT)}"] if reference.starts else []
-    return (
-        "\n".join([*lines, *(f"# warning: {visible(warning)}" for warning in found.warnings)])
-        + "\n"
-    )
+        )
+    yield f"heading_deg = {toml_value(FIT)}"
 
 
 def _geometry_lines(
@@ -306,10 +342,19 @@ def _geometry_lines(
             continue
         yield from (f"# {_comment(row)}" for row in own)
         if old != new or any(row.status == Estimated.ESTIMATED for row in own):
-            # Insignificant digits are dropped; unchanged values stay equal to the bit.
-            pairs = zip(np.atleast_1d(old).tolist(), np.atleast_1d(new).tolist(), strict=True)
-            values = tuple(now if now == was else round(now, DIGITS) for was, now in pairs)
-            yield f"{key} = {toml_value(values if isinstance(new, tuple) else values[0])}"
+            if isinstance(new, tuple):
+                pairs = zip(old, new, strict=True)
+                value: object = tuple(_rounded(was, now) for was, now in pairs)
+            else:
+                value = _rounded(old, new)
+            yield f"{key} = {toml_value(value)}"
+
+
+def _rounded(before: float, after: float) -> float:
+    """Drop insignificant digits; an unchanged value stays equal to the bit."""
+    if after == before:
+        return after
+    return round(after, DIGITS)
 
 
 def _comment(row: ParameterRow) -> str:

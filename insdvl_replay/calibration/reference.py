@@ -11,7 +11,6 @@ depend on the sum of the mountings of reference and DVL, innovations only on tha
 """
 
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -172,45 +171,18 @@ class ReferenceDive:
         theirs = theirs.rows(np.isin(np.arange(len(theirs.time_ns)), rows))
         time_s = seconds(theirs.time_ns, self.asked.prepared.alignment.start_ns)
         mat_nb = history.mat_nb[ours]
-        parts = []
+        families: list[Compared] = []
         if theirs.has_attitude:
-            apart = vector_from_mat(np.swapaxes(theirs.mat_nb, 1, 2) @ mat_nb)
-            level = np.array([[*apart[:, :2].mean(axis=0), np.nan]])
-            parts += [(ATTITUDE, time_s[1:], np.diff(apart, axis=0)), (LEVEL, time_s[:1], level)]
-        own = np.zeros((sum(len(values) for _, _, values in parts), 3, OWN))
+            families += _attitudes(time_s, mat_nb, theirs)
         if theirs.has_velocity:
-            ours_b = np.einsum("kji,kj->ki", mat_nb, history.velocity_n[ours])
-            by_heading = np.column_stack([-ours_b[:, 1], ours_b[:, 0], np.zeros(len(ours_b))])
-            their_mat_nb = theirs.mat_nb if theirs.has_attitude else mat_nb
-            at_s = time_s
-            apart = ours_b - np.einsum("kji,kj->ki", their_mat_nb, theirs.velocity_n)
+            families.append(_velocities(time_s, mat_nb, history.velocity_n[ours], theirs))
         else:
-            # Displacements between positions, north and east.
-            known = np.flatnonzero(theirs.known["positions"])
-            ends = known[thinned(theirs.time_ns[known], WAY_S)]
-            origin = theirs.position[ends[0]]
-            ours_m, theirs_m = (
-                np.column_stack(north_east_m(position[ends], origin, origin))
-                for position in (history.position[ours], theirs.position)
-            )
-            moved_m = np.diff(ours_m, axis=0)
-            at_s = (time_s[ends[1:]] + time_s[ends[:-1]]) / 2.0
-            by_heading = np.column_stack([-moved_m[:, 1], moved_m[:, 0], np.zeros(len(moved_m))])
-            apart = np.column_stack(
-                [moved_m - np.diff(theirs_m, axis=0), np.full(len(moved_m), np.nan)]
-            )
-            if theirs.has_attitude:
-                off = vector_from_mat(mat_nb[ends] @ np.swapaxes(theirs.mat_nb[ends], 1, 2))[:, 2]
-                apart -= ((off[1:] + off[:-1]) / 2.0)[:, None] * by_heading
-        parts.append((MOTION, at_s, apart))
-        # A reference with attitude gives the heading error of the filter.
-        lost = by_heading * (not theirs.has_attitude)
-        drift = lost * (at_s / time_s[-1])[:, None]
+            families.append(_displacements(time_s, mat_nb, history.position[ours], theirs))
         return Compared(
-            np.concatenate([time for _, time, _ in parts]),
-            np.concatenate([np.full(len(time), family) for family, time, _ in parts]),
-            np.concatenate([values for _, _, values in parts]),
-            np.concatenate([own, np.stack([lost, drift], axis=-1)]),
+            np.concatenate([family.time_s for family in families]),
+            np.concatenate([family.family for family in families]),
+            np.concatenate([family.values for family in families]),
+            np.concatenate([family.own for family in families]),
         )
 
     def jacobian(self, shared: Floats, free: Mask) -> Floats:
@@ -258,11 +230,10 @@ class ReferenceDive:
         scatter = np.ones_like(off)
         for family in np.unique(compared.family):
             rows = compared.family == family
-            scatter[rows] = (
-                self.level_sd
-                if family == LEVEL
-                else scatter_of(np.where(known[rows], off[rows], 0.0))
-            )
+            if family == LEVEL:
+                scatter[rows] = self.level_sd
+            else:
+                scatter[rows] = scatter_of(np.where(known[rows], off[rows], 0.0))
         jacobian = np.concatenate([self.jacobian(shared, free), -compared.own], axis=2)
         jacobian = np.where(known[:, :, None], jacobian / scatter[:, :, None], 0.0)
         return compared.time_s, Linearised(
@@ -276,6 +247,64 @@ class ReferenceDive:
         compared = self.compared(shared, history)
         track = filter_track_fit(reference_errors(history, reference), reference)
         return float(np.sqrt(np.nanmean(compared.values[compared.family == MOTION] ** 2))), track
+
+
+def _attitudes(time_s: Floats, mat_nb: Floats, theirs: ReferenceColumns) -> Iterator[Compared]:
+    """Compare the changes of the difference of attitudes from row to row, and level by its mean."""
+    apart = vector_from_mat(np.swapaxes(theirs.mat_nb, 1, 2) @ mat_nb)
+    level = np.array([[*apart[:, :2].mean(axis=0), np.nan]])
+    yield _of_family(ATTITUDE, time_s[1:], np.diff(apart, axis=0))
+    yield _of_family(LEVEL, time_s[:1], level)
+
+
+def _velocities(
+    time_s: Floats, mat_nb: Floats, velocity_n: Floats, theirs: ReferenceColumns
+) -> Compared:
+    """Compare velocities in body axes, each with its own attitude."""
+    ours_b = np.einsum("kji,kj->ki", mat_nb, velocity_n)
+    their_mat_nb = theirs.mat_nb if theirs.has_attitude else mat_nb
+    apart = ours_b - np.einsum("kji,kj->ki", their_mat_nb, theirs.velocity_n)
+    own = _by_heading(ours_b, time_s, time_s[-1], theirs)
+    return _of_family(MOTION, time_s, apart, own)
+
+
+def _displacements(
+    time_s: Floats, mat_nb: Floats, position: Floats, theirs: ReferenceColumns
+) -> Compared:
+    """Compare displacements between positions, north and east."""
+    known = np.flatnonzero(theirs.known["positions"])
+    ends = known[thinned(theirs.time_ns[known], WAY_S)]
+    origin = theirs.position[ends[0]]
+    moved_m = np.diff(np.column_stack(north_east_m(position[ends], origin, origin)), axis=0)
+    theirs_m = np.column_stack(north_east_m(theirs.position[ends], origin, origin))
+    at_s = (time_s[ends[1:]] + time_s[ends[:-1]]) / 2.0
+    unknown_down = np.full(len(moved_m), np.nan)
+    apart = np.column_stack([moved_m - np.diff(theirs_m, axis=0), unknown_down])
+    if theirs.has_attitude:
+        off = vector_from_mat(mat_nb[ends] @ np.swapaxes(theirs.mat_nb[ends], 1, 2))[:, 2]
+        apart -= ((off[1:] + off[:-1]) / 2.0)[:, None] * _turned_by_heading(moved_m)
+    return _of_family(MOTION, at_s, apart, _by_heading(moved_m, at_s, time_s[-1], theirs))
+
+
+def _by_heading(moved: Floats, at_s: Floats, end_s: float, theirs: ReferenceColumns) -> Floats:
+    """Return the derivative of motion by the heading error of the filter and by its drift, (k, 3, 2).
+
+    It is 0 where the reference has an attitude, which gives the heading error.
+    """
+    lost = _turned_by_heading(moved) * (not theirs.has_attitude)
+    drift = lost * (at_s / end_s)[:, None]
+    return np.stack([lost, drift], axis=-1)
+
+
+def _turned_by_heading(moved: Floats) -> Floats:
+    return np.column_stack([-moved[:, 1], moved[:, 0], np.zeros(len(moved))])
+
+
+def _of_family(family: int, time_s: Floats, values: Floats, own: Floats | None = None) -> Compared:
+    """Compare rows of one family; the dive's own unknowns change them only where that is given."""
+    if own is None:
+        own = np.zeros((len(values), 3, OWN))
+    return Compared(time_s, np.full(len(time_s), family), values, own)
 
 
 def thinned(time_ns: TimeNs, apart_s: float) -> Integers:
@@ -302,9 +331,8 @@ def reference_dive(
     inside = (reference.time_ns >= start_ns) & (reference.time_ns <= end_ns)
     if reference.has_attitude:
         inside &= reference.known["attitudes"]
-    kept = reference.rows(
-        inside & reference.known["velocities" if reference.has_velocity else "positions"]
-    )
+    motion = "velocities" if reference.has_velocity else "positions"
+    kept = reference.rows(inside & reference.known[motion])
     kept = kept.rows(np.isin(np.arange(len(kept.time_ns)), thinned(kept.time_ns, APART_S)))
     if len(kept.time_ns) < 2 or (kept.time_ns[-1] - kept.time_ns[0]) * 1e-9 < 2.0 * WAY_S:
         return None
@@ -340,21 +368,27 @@ class ReferenceFit(Fit):
         seen = np.flatnonzero(self.information_of_pings)
         correlated[seen] += 1.0 / self.information_of_pings[seen]
         correlated[CLOCK] += FINEST_CLOCK_S**2
-        formal, correlated = (
-            np.sqrt(variances)[:COUNT] for variances in (np.diag(cov) + considered, correlated)
-        )
-        between = birge = np.full(COUNT, np.nan)
-        if len(self.dives) > 1:
-            own, own_sd = np.empty((2, len(self.dives), COUNT))
-            for i in range(len(self.dives)):
-                alone = self.alone(i)
-                cov, considered = solved(alone, alone.information)
-                own[i] = (alone.values + cov @ alone.gradient)[:COUNT]
-                own_sd[i] = np.sqrt(np.diag(cov) + considered)[:COUNT]
-            between, birge = differing(own, own_sd, np.ones_like(own))
+        formal = np.sqrt(np.diag(cov) + considered)[:COUNT]
+        correlated = np.sqrt(correlated)[:COUNT]
+        between, birge = self._between_dives()
         return Certainty(
             SHARED_SD, formal, correlated, between, birge, np.zeros(COUNT), np.zeros(COUNT)
         )
+
+    def _between_dives(self) -> tuple[Floats, Floats]:
+        """Return the sd by how the dives differ, and the Birge ratio; NaN for one dive."""
+        count = len(self.dives)
+        if count < 2:
+            unknown = np.full(COUNT, np.nan)
+            return unknown, unknown
+        own = np.empty((count, COUNT))
+        own_sd = np.empty((count, COUNT))
+        for i in range(count):
+            alone = self.alone(i)
+            cov, considered = solved(alone, alone.information)
+            own[i] = (alone.values + cov @ alone.gradient)[:COUNT]
+            own_sd[i] = np.sqrt(np.diag(cov) + considered)[:COUNT]
+        return differing(own, own_sd, np.ones_like(own))
 
 
 def solved(fit: Fit, information: Floats) -> tuple[Floats, Floats]:
@@ -382,13 +416,14 @@ def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats)
     pings = np.sum([dive.information_of_pings for dive in dives], axis=0) * free
 
     def linearised(values: Floats) -> ReferenceFit:
-        found = [
-            dive.linearised(values[places], free) for dive, places in zip(dives, rows, strict=True)
-        ]
-        times_s, near = zip(*found, strict=True)
-        return ReferenceFit(
-            rows, prior_sd, np.ones_like(values, bool), values, near, times_s, pings
-        )
+        times_s = []
+        near = []
+        for dive, places in zip(dives, rows, strict=True):
+            own_times_s, own_rows = dive.linearised(values[places], free)
+            times_s.append(own_times_s)
+            near.append(own_rows)
+        are_free = np.ones_like(values, bool)
+        return ReferenceFit(rows, prior_sd, are_free, values, tuple(near), tuple(times_s), pings)
 
     fit = linearised(np.zeros(len(prior_sd)))
     for done in track_progress("fitting the reference", range(MOST_ROUNDS)):
@@ -419,14 +454,7 @@ def with_reference(
         No dive has a reference that is long enough.
     """
     before = Geometry.of(reads[0].config.reference)
-    compared: list[ReferenceDive] = []
-    for i, (read, asked) in enumerate(zip(reads, dives, strict=True)):
-        if read.as_read is not None:
-            gives_start = read.config.initial.source == "reference"
-            noisy = found.noise.applied(asked)
-            change = found.change_of_dive(i)
-            dive = reference_dive(noisy, read.as_read, before, change, gives_start=gives_start)
-            compared += [dive] if dive is not None else []
+    compared = _compared_dives(found, reads, dives, before)
     if not compared:
         raise LogError(
             "no dive has a usable reference",
@@ -435,14 +463,11 @@ def with_reference(
     wanted = np.array([parameter.group in groups for parameter in SHARED])
     free = wanted.copy()
     if not all(dive.reference.has_attitude for dive in compared):
-        free[REFERENCE_MOUNTING] = free[REFERENCE_ARM] = False
-    # The innovations give the prior of the DVL, except for its scale, which smoothing inside the DVL would bias.
-    sds = SHARED_SD.copy()
-    for row, dvl_row in enumerate(found.rows):
-        if row != SCALE and dvl_row.status == Estimated.ESTIMATED and dvl_row.sd is not None:
-            sds[row] = min(dvl_row.sd / SHARED[row].shown_as, PRIOR_SD[row])
+        free[REFERENCE_MOUNTING] = False
+        free[REFERENCE_ARM] = False
     by_innovations = np.concatenate([found.change, np.zeros(COUNT - CLOCK)])
     # First with all parameters, then without those that are not observable.
+    sds = _prior_sds(found)
     first = fit_reference(compared, free, sds)
     certainty = first.certainty
     total = first.values[:COUNT] + by_innovations
@@ -462,22 +487,14 @@ def with_reference(
             dvl_rows[row] = msgspec.structs.replace(rows[row], why=WAY)
             change[row] = proposed[row]
     after = found.before.changed(change)
-    warnings = _warnings(
-        certainty, kept, dive_rows, independent=reads[0].config.reference.independent
-    )
-    # Headings at the start from positions, with the proposed DVL settings.
-    starts = []
-    for read in reads:
-        known = read.dive.reference
-        if known is not None and known.has_position and not known.has_attitude:
-            with suppress(LogError):
-                start = fitted_start(read.dive, with_dvl(read.config, after))
-                gyro = (start.gyro_bias_degph, start.gyro_bias_sd_degph)
-                starts.append(
-                    StartRow(read.dive.name, start.heading_deg, start.heading_sd_deg, *gyro)
-                )
+    independent = reads[0].config.reference.independent
+    warnings = _warnings(certainty, kept, dive_rows, independent=independent)
     reference = ReferenceCalibration(
-        before, before.changed(proposed[CLOCK:]), rows[CLOCK:], dive_rows, tuple(starts)
+        before,
+        before.changed(proposed[CLOCK:]),
+        rows[CLOCK:],
+        dive_rows,
+        tuple(_start_rows(reads, after)),
     )
     return replace(
         found,
@@ -489,6 +506,60 @@ def with_reference(
     )
 
 
+def _compared_dives(
+    found: Calibration,
+    reads: Sequence[ReadDive],
+    dives: Sequence[DiveInnovations],
+    before: Geometry,
+) -> list[ReferenceDive]:
+    """Return the dives that have a reference, and one that is long enough."""
+    compared = []
+    for i, (read, asked) in enumerate(zip(reads, dives, strict=True)):
+        if read.as_read is None:
+            continue
+        dive = reference_dive(
+            found.noise.applied(asked),
+            read.as_read,
+            before,
+            found.change_of_dive(i),
+            gives_start=read.config.initial.source == "reference",
+        )
+        if dive is not None:
+            compared.append(dive)
+    return compared
+
+
+def _prior_sds(found: Calibration) -> Floats:
+    """Return the prior sds: the innovations give that of the DVL, except for its scale.
+
+    Smoothing inside the DVL would bias that.
+    """
+    sds = SHARED_SD.copy()
+    for row, dvl_row in enumerate(found.rows):
+        if row != SCALE and dvl_row.status == Estimated.ESTIMATED and dvl_row.sd is not None:
+            sds[row] = min(dvl_row.sd / SHARED[row].shown_as, PRIOR_SD[row])
+    return sds
+
+
+def _start_rows(reads: Sequence[ReadDive], after: Geometry) -> Iterator[StartRow]:
+    """Yield the headings at the start from positions, with the proposed settings of the DVL."""
+    for read in reads:
+        known = read.dive.reference
+        if known is None or not known.has_position or known.has_attitude:
+            continue
+        try:
+            start = fitted_start(read.dive, with_dvl(read.config, after))
+        except LogError:
+            continue
+        yield StartRow(
+            read.dive.name,
+            start.heading_deg,
+            start.heading_sd_deg,
+            start.gyro_bias_degph,
+            start.gyro_bias_sd_degph,
+        )
+
+
 def _refused(certainty: Certainty, change: Floats, free: Mask) -> Refusals:
     for row in np.flatnonzero(free).tolist():
         parameter = SHARED[row]
@@ -496,35 +567,34 @@ def _refused(certainty: Certainty, change: Floats, free: Mask) -> Refusals:
             continue
         # Check this first: at the edge of the search range no sd is right.
         if row == CLOCK and abs(change[row]) > LATEST_CLOCK_S - parameter.step:
-            yield (
-                row,
-                (
-                    Estimated.IMPLAUSIBLE,
-                    "at the edge of the search range. Check the clocks and stamps",
-                ),
-            )
+            reason = "at the edge of the search range. Check the clocks and stamps"
+            yield row, (Estimated.IMPLAUSIBLE, reason)
         elif certainty.signal_to_noise[row] < SEEN:
             yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
         elif row == SCALE and abs(np.expm1(change[row])) > PLAUSIBLE_SCALE:
             reason = "larger than any error of the speed of sound. Check the unit of the reference's velocity"
             yield row, (Estimated.IMPLAUSIBLE, reason)
         elif abs(change[row]) > PLAUSIBLE_SDS * parameter.prior_sd:
-            yield (
-                row,
-                (Estimated.IMPLAUSIBLE, "too far from the configuration. Check axes and clocks"),
-            )
+            reason = "too far from the configuration. Check axes and clocks"
+            yield row, (Estimated.IMPLAUSIBLE, reason)
 
 
 def _dive_row(dive: ReferenceDive, fit: ReferenceFit) -> ReferenceDiveRow:
     # Before: as configured, without the result of the innovations.
     rms_before, track_before = replace(dive, change=NO_CHANGE).apart(np.zeros(COUNT))
     rms, track = dive.apart(fit.values[:COUNT])
-    numbers = (track_before.scale_pct, track.scale_pct, track.scale_sd_pct)
-    turns = (track_before.turn_deg, track.turn_deg, track.turn_sd_deg)
-    unit = "m/s" if dive.reference.has_velocity else "m"
-    count = len(dive.reference.time_ns)
     return ReferenceDiveRow(
-        dive.asked.name, count, unit, rms_before, rms, *map(finite_or_none, (*numbers, *turns))
+        dive=dive.asked.name,
+        rows=len(dive.reference.time_ns),
+        unit="m/s" if dive.reference.has_velocity else "m",
+        rms_before=rms_before,
+        rms_after=rms,
+        track_scale_before_pct=finite_or_none(track_before.scale_pct),
+        track_scale_after_pct=finite_or_none(track.scale_pct),
+        track_scale_sd_pct=finite_or_none(track.scale_sd_pct),
+        track_turn_before_deg=finite_or_none(track_before.turn_deg),
+        track_turn_after_deg=finite_or_none(track.turn_deg),
+        track_turn_sd_deg=finite_or_none(track.turn_sd_deg),
     )
 
 

@@ -62,7 +62,7 @@ def _with_geometry(
     notes: list[Note],
 ) -> Config | None:
     """Return the settings with a better geometry, with a note on it; None where they stay as they are."""
-    found, answer = _judged(found, read, config, groups)
+    found, answer = _decided(found, read, config, groups)
     tested = _drift_sentence(found)
     if answer.keeps_geometry:
         text = f"calibration of the DVL not applied: {tested}"
@@ -84,7 +84,7 @@ def _with_geometry(
     return None
 
 
-def _judged(
+def _decided(
     found: Calibration, read: Sequence[ReadDive], config: Config, groups: Sequence[str]
 ) -> tuple[Calibration, Answer]:
     """Judge a calibration by the drift of what was held out, else by its innovations."""
