@@ -301,17 +301,17 @@ def without_frozen(
     frozen = _frozen_rows(reference.time_ns, reference.position[:, :2], moves)
     if frozen.any():
         doing = "the DVL measures a velocity"
-        notes.append(_frozen_note("position", doing, reference.time_ns, frozen))
+        notes.append(_frozen_note(reference.time_ns, frozen, quantity="position", doing=doing))
         reference = replace(reference, position=_without_rows(reference.position, frozen))
     frozen = _frozen_rows(reference.time_ns, reference.mat_nb.reshape(-1, 9), turns)
     if frozen.any():
         doing = "the gyros measure a turn"
-        notes.append(_frozen_note("attitude", doing, reference.time_ns, frozen))
+        notes.append(_frozen_note(reference.time_ns, frozen, quantity="attitude", doing=doing))
         reference = replace(reference, mat_nb=_without_rows(reference.mat_nb, frozen))
     return reference, tuple(notes)
 
 
-def _frozen_note(quantity: str, doing: str, time_ns: TimeNs, frozen: Mask) -> Note:
+def _frozen_note(time_ns: TimeNs, frozen: Mask, *, quantity: str, doing: str) -> Note:
     """Note the rows of a quantity that stay the same."""
     starts, ends = find_runs(frozen)
     longest_s = float(seconds(time_ns[ends - 1], time_ns[starts - 1]).max())
