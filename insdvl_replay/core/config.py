@@ -730,34 +730,30 @@ class Config(Section, frozen=True):
     @property
     def code(self) -> tuple[str, ...]:
         """The user's code that filters name."""
-        return tuple(
-            dict.fromkeys(word for filter_ in self.filters.values() for word in filter_.code)
-        )
+        words: dict[str, None] = {}  # each once
+        for filter_ in self.filters.values():
+            words |= dict.fromkeys(filter_.code)
+        return tuple(words)
 
     @property
     def sensors(self) -> tuple[str, ...]:
         """The sensors that a replay reads: those that aid filters, that they start from, or that are held out."""
-        asked = {
-            *self.evaluation.held_out,
-            *(word for filter_ in self.filters.values() for word in filter_.aiding),
-        }
-        asked |= (
-            {"heading"} if BY_SENSOR in (self.initial.source, self.initial.heading_deg) else set()
-        )
+        asked = {*self.evaluation.held_out}
+        for filter_ in self.filters.values():
+            asked.update(filter_.aiding)
+        if BY_SENSOR in (self.initial.source, self.initial.heading_deg):
+            asked.add("heading")
         return tuple(name for name in SENSORS if name in asked)
 
     def without_code(self) -> "Config":
         """Return the settings without the user's code; a filter without other aiding is left out."""
-        kept = {
-            name: msgspec.structs.replace(
-                filter_,
-                aiding=tuple(word for word in filter_.aiding if ":" not in word),
-                noise_factors=None,
-                version=None,
-            )
-            for name, filter_ in self.filters.items()
-            if filter_.solution is not None or any(":" not in word for word in filter_.aiding)
-        }
+        kept = {}
+        for name, filter_ in self.filters.items():
+            aiding = tuple(word for word in filter_.aiding if ":" not in word)
+            if aiding or filter_.solution is not None:
+                kept[name] = msgspec.structs.replace(
+                    filter_, aiding=aiding, noise_factors=None, version=None
+                )
         return msgspec.structs.replace(self, filters=kept or _default_filters())
 
     def of_dive(self, name: str) -> "Config":

@@ -22,7 +22,6 @@ from msgspec import Struct
 from insdvl_replay.core.config import (
     FREE,
     MOST_BYTES,
-    TOPIC_KEYS,
     Config,
     ConfigFile,
     Filter,
@@ -31,9 +30,8 @@ from insdvl_replay.core.config import (
     Topic,
     flattened,
     key_of,
-    spelled_out,
 )
-from insdvl_replay.core.config_limits import impossible_values
+from insdvl_replay.core.config_checks import KeyPath, candidate_keys, dotted, problems
 from insdvl_replay.core.errors import (
     LISTED,
     ConfigError,
@@ -50,23 +48,12 @@ from insdvl_replay.core.errors import (
     visible,
 )
 from insdvl_replay.core.path_kinds import looks_like_log, require_kind_of_toml
-from insdvl_replay.core.quantities import DECIDERS
-from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
 
-KeyPath = tuple[
-    str | int, ...
-]  # Names of tables and keys from the top, and places in arrays among them.
 S = TypeVar("S", bound=Struct)
 
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
 FITTED_LIKE: Final = (
     "fog"  # whose filters a fitted noise belongs to; those of the other classes are the same
-)
-# The keys of filters that are not the tool's own, by kind.
-CANDIDATE_KEYS: Final = (
-    ("solution",),
-    ("program", "timeout_s", "input", "version"),
-    ("candidate", "timeout_s", "version"),
 )
 FOUND: Final = "found"  # the table of a file of found settings that sets nothing
 SECTIONS: Final = frozenset(ConfigFile.__struct_fields__)
@@ -74,6 +61,7 @@ LARGEST: Final = 1e30  # No measured value is larger, and powers of smaller valu
 _HINT: Final = "`insdvl-replay config` prints all keys with type and unit"
 _IF_UNREADABLE: Final = "check the path given to -c"
 _IF_INVALID: Final = "`insdvl-replay config` prints a valid one"
+_LONGEST_SHOWN: Final = 80  # letters of a wrong value
 # Similarity from which a name is surely a misspelling, whatever other names share words with it.
 _MISSPELLED: Final = 0.85
 _ALSO_CALLED: Final[Mapping[str, str]] = {
@@ -92,13 +80,6 @@ _BOUNDS: Final = {">=": "of at least", ">": "above", "<=": "of at most", "<": "b
 _EXPECTED: Final = re.compile(
     r"Expected `(?P<kinds>[\w |]+)`(?: (?P<sign>[<>]=?) (?P<bound>\S+?))?(?: of length (?P<length>.+?))?(?:, got .*)?"
 )
-# States that need one of these measurements among the aiding or the held-out sensors.
-_MEASURED_BY: Final = {
-    "dvl_scale": DVL_AIDING,
-    "dvl_yaw": DVL_AIDING,
-    "depth_zero": ("depth",),
-    "heading_bias": ("heading",),
-}
 
 
 @dataclass(frozen=True)
@@ -168,38 +149,60 @@ def _explained(
     error: msgspec.ValidationError, table: Any, kind: type[Struct], source: TomlSource, at: KeyPath
 ) -> ConfigError:
     """Return the error for a wrong key or value in a table."""
-    message = str(error)
-    found = re.fullmatch(r"(.*?)(?: - at `\$\.?([^`]*)`)?", message, re.DOTALL)
-    reason, place = (message, "") if found is None else found.groups("")
-    keys = tuple(int(part) if part.isdigit() else part for part in re.findall(r"\w+", place))
-    value = table
-    wanted = kind
-    for key in keys:
-        value = value[key]
-        if isinstance(key, str) and (structure := _structure(wanted)) is not None:
-            wanted = get_type_hints(structure)[key]
-    name = _dotted(*at, *keys)
-    if (
-        unknown := re.fullmatch(r"Object contains unknown field `(.*)`", reason, re.DOTALL)
-    ) is not None:
-        known = structure.__struct_fields__ if (structure := _structure(wanted)) is not None else ()
-        return _unknown_key(
-            unknown[1],
-            known,
-            name,
-            [f"{_dotted(*at)}.{path}" for path in _known_paths(kind)],
-            source,
-        )
-    if isinstance(value, str) and (words := tuple(_words(wanted))) and value not in words:
-        return ConfigError(f"{name} '{value}' is not known", hint_for(value, words))
-    shown = repr(value) if len(repr(value)) <= 80 else f"{repr(value)[:80]}..."
-    if reason.startswith("Expected `object`") and name and not name.endswith("]"):
+    reason, keys = _reason_and_keys(str(error))
+    value, wanted = _value_at(table, kind, keys)
+    name = dotted(*at, *keys)
+    unknown = re.fullmatch(r"Object contains unknown field `(.*)`", reason, re.DOTALL)
+    if unknown is not None:
+        structure = _structure(wanted)
+        known = () if structure is None else structure.__struct_fields__
+        elsewhere = [f"{dotted(*at)}.{path}" for path in _known_paths(kind)]
+        return _unknown_key(unknown[1], known, name, elsewhere, source)
+    if isinstance(value, str):
+        words = tuple(_words(wanted))
+        if words and value not in words:
+            return ConfigError(f"{name} '{value}' is not known", hint_for(value, words))
+    shown = _shortened(repr(value))
+    is_section = reason.startswith("Expected `object`")
+    if is_section and name and not name.endswith("]"):
         return ConfigError(f"{name} is a section, found {shown}", f"write [{name}]")
-    example = _list_meant(value, wanted) if reason.startswith("Expected `array`") else ""
-    return ConfigError(
-        f"{f'{name}: ' if name else ''}{value_wanted(reason)}{f', found {shown}' if keys else ''}",
-        f"write a list: {source.assigned.format(name, example)}" if example else source.hint,
-    )
+    what = value_wanted(reason)
+    if name:
+        what = f"{name}: {what}"
+    if keys:
+        what += f", found {shown}"
+    hint = source.hint
+    if reason.startswith("Expected `array`"):
+        example = _list_meant(value, wanted)
+        if example:
+            hint = f"write a list: {source.assigned.format(name, example)}"
+    return ConfigError(what, hint)
+
+
+def _reason_and_keys(message: str) -> tuple[str, KeyPath]:
+    """Take a message of msgspec apart: what is wrong, and the path to the value."""
+    found = re.fullmatch(r"(.*?)(?: - at `\$\.?([^`]*)`)?", message, re.DOTALL)
+    if found is None:
+        return message, ()
+    reason, place = found.groups("")
+    keys = (int(part) if part.isdigit() else part for part in re.findall(r"\w+", place))
+    return reason, tuple(keys)
+
+
+def _value_at(table: Any, kind: Any, keys: KeyPath) -> tuple[Any, Any]:
+    """Return a value of a table by its path, and the type that it should have."""
+    for key in keys:
+        table = table[key]
+        structure = _structure(kind)
+        if isinstance(key, str) and structure is not None:
+            kind = get_type_hints(structure)[key]
+    return table, kind
+
+
+def _shortened(text: str) -> str:
+    if len(text) <= _LONGEST_SHOWN:
+        return text
+    return f"{text[:_LONGEST_SHOWN]}..."
 
 
 def _unknown_key(
@@ -207,22 +210,32 @@ def _unknown_key(
 ) -> ConfigError:
     """Return the error for an unknown key, with similar known keys, here or in other tables."""
     inside = f"{within}.".removeprefix(".")
-    near = nearest(key, known)
-    meant = (
-        most_like(key, known, most=1, least=_MISSPELLED)
-        or _with_words(key, known, 1)
-        or ([near] if near else [])
-    )
-    meant = [inside + name for name in meant]
+    meant = [inside + name for name in _keys_meant(key, known)]
     if not meant:
-        paths = [path.removeprefix(".") for path in elsewhere]
-        meant = [path for path in paths if path.rpartition(".")[2] == key][:3] or _with_words(
-            key, paths, 2
-        )
-    hint = f"known: {listed(known)}{f'; {source.hint}' if len(known) > LISTED else ''}"
+        meant = _keys_elsewhere(key, [path.removeprefix(".") for path in elsewhere])
+    hint = f"known: {listed(known)}"
+    if len(known) > LISTED:
+        hint += f"; {source.hint}"
     if meant:
-        hint = f"did you mean {', '.join(meant[:-1])}{' or ' if meant[1:] else ''}{meant[-1]}?"
+        *first, last = meant
+        either = f"{', '.join(first)} or {last}" if first else last
+        hint = f"did you mean {either}?"
     return ConfigError(f"key '{inside}{key}' is not known", hint)
+
+
+def _keys_meant(key: str, known: Sequence[str]) -> list[str]:
+    """Return the known keys of a table that an unknown one may stand for."""
+    similar = most_like(key, known, most=1, least=_MISSPELLED) or _with_words(key, known, 1)
+    near = nearest(key, known)
+    if not similar and near:
+        return [near]
+    return similar
+
+
+def _keys_elsewhere(key: str, paths: Sequence[str]) -> list[str]:
+    """Return the keys of other tables that an unknown one may stand for, by their paths."""
+    same = [path for path in paths if path.rpartition(".")[2] == key]
+    return same[:3] or _with_words(key, paths, 2)
 
 
 def value_wanted(reason: str) -> str:
@@ -232,25 +245,23 @@ def value_wanted(reason: str) -> str:
     found = _EXPECTED.fullmatch(reason)
     if found is None:
         return reason[:1].lower() + reason[1:]
-    kinds = [
-        _KINDS.get(kind.strip(), kind.strip())
-        for kind in found["kinds"].split("|")
-        if kind.strip() != "null"
-    ]
+    names = [kind.strip() for kind in found["kinds"].split("|")]
+    kinds = [_KINDS.get(name, name) for name in names if name != "null"]
     if "a number" in kinds and "a whole number" in kinds:
         kinds.remove("a whole number")
-    bound = f" {_BOUNDS[found['sign']]} {float(found['bound']):g}" if found["sign"] else ""
-    length = f" of {found['length']} values" if found["length"] else ""
-    return f"needs {' or '.join(kinds)}{bound}{length}"
+    needs = f"needs {' or '.join(kinds)}"
+    if found["sign"]:
+        needs += f" {_BOUNDS[found['sign']]} {float(found['bound']):g}"
+    if found["length"]:
+        needs += f" of {found['length']} values"
+    return needs
 
 
 def _list_meant(value: object, kind: Any) -> str:
     """Return as TOML the list that a wrong value such as ``"[depth, position]"`` meant; empty if unclear."""
-    parts: list[Any] = (
-        [part.strip() for part in value.strip(" []").split(",")]
-        if isinstance(value, str)
-        else [value]
-    )
+    parts: list[Any] = [value]
+    if isinstance(value, str):
+        parts = [part.strip() for part in value.strip(" []").split(",")]
     with suppress(ValueError):
         parts = [float(part) if isinstance(part, str) else part for part in parts]
     for entries in (parts, [0.0, 0.0, 0.0]):
@@ -260,19 +271,14 @@ def _list_meant(value: object, kind: Any) -> str:
     return ""
 
 
-def _dotted(*keys: str | int) -> str:
-    """Write the path of a key as in TOML, with places in arrays in brackets."""
-    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).removeprefix(
-        "."
-    )
-
-
 def _structure(hint: object) -> type[Struct] | None:
     """Return the structure that a field holds, if it is one."""
-    kinds = () if get_origin(hint) in (dict, tuple) else (hint, *get_args(hint))
-    return next(
-        (kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Struct)), None
-    )
+    if get_origin(hint) in (dict, tuple):
+        return None
+    for kind in (hint, *get_args(hint)):
+        if isinstance(kind, type) and issubclass(kind, Struct):
+            return kind
+    return None
 
 
 def _known_paths(kind: type[Struct], above: str = "") -> Iterator[str]:
@@ -301,9 +307,9 @@ def _with_words(name: str, known: Collection[str], least: int) -> list[str]:
     def words_of(text: str) -> set[str]:
         return {word for word in re.split(r"[_.]", text.lower()) if word and word not in _UNITS}
 
-    wanted = {
-        word for part in words_of(name) for word in (part, *_ALSO_CALLED.get(part, "").split())
-    }
+    wanted: set[str] = set()
+    for part in words_of(name):
+        wanted.update((part, *_ALSO_CALLED.get(part, "").split()))
     shared = {other: len(wanted & words_of(other)) for other in known}
     most = max(shared.values(), default=0)
     similar = [other for other, count in shared.items() if count == most]
@@ -401,12 +407,17 @@ def _free_noise(
     }
     free = []
     for word, keys in FREE.items():
-        is_given = any(layer.has(*key.split(".")) for layer in layers for key in keys)
+        paths = [key.split(".") for key in keys]
+        is_given = any(_gives(layer, paths) for layer in layers)
         if not is_given and not own.get(word, False):
             free.append(word)
     if preset is None and "imu" in free:
         return tuple(free)
     return ()
+
+
+def _gives(layer: TomlSource, paths: Sequence[Sequence[str]]) -> bool:
+    return any(layer.has(*path) for path in paths)
 
 
 def _changed(settings: Any, changes: Sequence[TomlSource]) -> Config:
@@ -423,7 +434,7 @@ def _changed(settings: Any, changes: Sequence[TomlSource]) -> Config:
 
 def _require_possible(config: Config, layers: Sequence[TomlSource], *, allow_code: bool) -> None:
     """Raise the first problem of settings; it names the last layer with the wrong key."""
-    for key, what, hint in _problems(config, allow_code=allow_code):
+    for key, what, hint in problems(config, allow_code=allow_code):
         if not key:
             raise ConfigError(what, hint)
         places = [layer.name for layer in layers if layer.has(*key)]
@@ -438,10 +449,12 @@ def given_keys(
     A preset gives the keys that any preset sets.
     """
     given = [*map(_file, files), *(_parse_override("--set", override) for override in overrides)]
-    given += map(_preset, PRESETS) if preset else []
-    return frozenset(
-        key for source in given for key, value in flattened(source.content) if value is not None
-    )
+    if preset:
+        given += map(_preset, PRESETS)
+    keys = set[str]()
+    for source in given:
+        keys.update(key for key, value in flattened(source.content) if value is not None)
+    return frozenset(keys)
 
 
 def _preset(name: str) -> TomlSource:
@@ -556,7 +569,7 @@ def _resolved(settings: Mapping[str, Any], source: TomlSource) -> Config:
             hint = "`insdvl-replay config` prints its unit"
         else:
             continue
-        raise ConfigError(f"{source.name}: {_dotted(*path)} {what}", hint)
+        raise ConfigError(f"{source.name}: {dotted(*path)} {what}", hint)
     return config
 
 
@@ -571,15 +584,24 @@ def _numbers(value: object, *path: Any) -> Iterator[tuple[KeyPath, float]]:
 def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Make the paths of solution files absolute, in place."""
     filters = content.get("filters")
-    for entry in filters.values() if isinstance(filters, Mapping) else ():
-        solution = entry.get("solution") if isinstance(entry, Mapping) else None
-        if isinstance(entry, dict) and isinstance(program := entry.get("program"), list):
-            entry["program"] = [_whole_path(word, folder) for word in program]
-        if isinstance(solution, str) and key_of(solution) == "file":
-            entry["solution"] = str((folder / solution).absolute())
-        elif isinstance(solution, dict) and isinstance(file := solution.get("file"), str):
-            solution["file"] = str((folder / file).absolute())
+    if not isinstance(filters, Mapping):
+        return content
+    for entry in filters.values():
+        if isinstance(entry, dict):
+            _make_paths_whole(entry, folder)
     return content
+
+
+def _make_paths_whole(entry: dict[str, Any], folder: Path) -> None:
+    """Make the paths of one filter's solution and program absolute, in place."""
+    program = entry.get("program")
+    solution = entry.get("solution")
+    if isinstance(program, list):
+        entry["program"] = [_whole_path(word, folder) for word in program]
+    if isinstance(solution, str) and key_of(solution) == "file":
+        entry["solution"] = str((folder / solution).absolute())
+    elif isinstance(solution, dict) and isinstance(solution.get("file"), str):
+        solution["file"] = str((folder / solution["file"]).absolute())
 
 
 def _whole_path(word: Any, folder: Path) -> Any:
@@ -619,195 +641,6 @@ def _with_digests(config: Config) -> Config:
     return msgspec.structs.replace(config, filters=filters)
 
 
-# --- Checks across keys
-
-Problem = tuple[KeyPath, str, str]  # key, whose layer the message names; what is wrong; hint
-
-
-def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
-    """Yield unknown words, invalid names, inconsistent filters, and code that is not allowed."""
-    yield from impossible_values(config)
-    held_out = config.evaluation.held_out
-    yield from _wrong_words(held_out, SENSORS, "evaluation", "held_out")
-    primary = config.evaluation.primary
-    candidate = config.evaluation.candidate
-    if primary and primary not in DECIDERS:
-        yield (
-            ("evaluation", "primary"),
-            f"evaluation.primary '{primary}' is not known",
-            hint_for(primary, DECIDERS),
-        )
-    candidates = [*config.filters][1:]
-    if candidate and candidate not in candidates:
-        what = f"evaluation.candidate '{candidate}' is no candidate"
-        yield ("evaluation", "candidate"), what, hint_for(candidate, candidates)
-    if config.evaluation.primary:
-        yield from _wrong_words((config.evaluation.primary,), DECIDERS, "evaluation", "primary")
-    if not config.filters:
-        yield (
-            ("filters",),
-            "no filter is configured",
-            'add [filters.baseline] with aiding = ["velocity"]',
-        )
-    for name in config.topics:
-        if not (name.isascii() and name.isidentifier()):
-            what = f"topic name '{name}' must be a letter followed by letters, digits and _"
-            yield (), what, '[topics.range] topic = "/range", values = "range"'
-    for name, filter_ in config.filters.items():
-        path = "filters", name
-        if not (name.isascii() and name.isidentifier()):
-            what = f"filter name '{name}' must be a letter followed by letters, digits and _"
-            yield path, what, "it is used in topics and tables"
-        known = (*AIDING, "module:Class", *(word for word in filter_.aiding if ":" in word))
-        yield from _wrong_words(filter_.aiding, known, *path, "aiding")
-        yield from _wrong_words(filter_.states, MORE_STATES, *path, "states")
-        checks = _filter_checks(filter_, held_out, _dotted(*path))
-        if filter_.solution is not None or filter_.is_user_code:
-            checks = _candidate_checks(filter_, _dotted(*path), is_baseline=name == config.baseline)
-        yield from ((path, what, hint) for is_wrong, what, hint in checks if is_wrong)
-    hint = "add --allow-code to `run`, `check` or `calibrate`; the code runs with your permissions"
-    for name, filter_ in config.filters.items() if not allow_code else ():
-        found: list[tuple[tuple[str | int, ...], str]] = [
-            (("aiding", place), word) for place, word in enumerate(filter_.aiding) if ":" in word
-        ]
-        found += [
-            ((key,), word)
-            for key in ("noise_factors", "candidate")
-            if (word := getattr(filter_, key)) is not None
-        ]
-        found += [(("program",), " ".join(filter_.program))] if filter_.program is not None else []
-        for path_of_key, word in found:
-            key = _dotted("filters", name, *path_of_key)
-            yield ("filters", name, str(path_of_key[0])), f"{key} names code: {word}", hint
-
-
-def _wrong_words(words: Sequence[str], known: Collection[str], *path: str) -> Iterator[Problem]:
-    for place, word in enumerate(words):
-        key = _dotted(*path, place)
-        if word not in known:
-            yield path, f"{key} '{word}' is not known", hint_for(word, known)
-        if word in words[:place]:
-            yield path, f"{key} '{word}' is given twice", "leave one of them out"
-
-
-def _candidate_checks(
-    filter_: Filter, key: str, *, is_baseline: bool
-) -> list[tuple[bool, str, str]]:
-    """Check that a solution, a program or a class is not the baseline, and has no keys of the tool's own filters."""
-    own = next(keys for keys in CANDIDATE_KEYS if getattr(filter_, keys[0]) is not None)
-    kind = own[0]
-    default = Filter()
-    program = filter_.program
-    others = [
-        name
-        for name in Filter.__struct_fields__
-        if getattr(filter_, name) != getattr(default, name)
-    ]
-    names = " and ".join(f"{key}.{name}" for name in others if name not in own)
-    what = "your code"
-    not_run = ""
-    why = "the tool judges it against one of its own filters"
-    if kind == "solution":
-        what = "read"
-        not_run = " and not run"
-        why = "all filters begin from the baseline's start"
-    lacking = [
-        place
-        for place in ("{dive}", "{solution}")
-        if not any(place in word for word in program or ())
-    ]
-    example = 'program = ["./my_filter", "{dive}", "{start}", "{solution}"]'
-    solution = spelled_out(filter_.solution or "")
-    of_topic = next(
-        (name for name in ("fix", *TOPIC_KEYS) if getattr(solution, name) is not None), ""
-    )
-    return [
-        (
-            is_baseline,
-            f"{key}.{kind} is {what} and cannot be the baseline: {why}",
-            'put a filter with aiding first, such as [filters.baseline] with aiding = ["velocity"]',
-        ),
-        (
-            names != "",
-            f"{key}.{kind} is {what}{not_run}, so {names} has no use",
-            "leave one of them out",
-        ),
-        (
-            kind == "solution" and (solution.topic is None) == (solution.file is None),
-            f"{key}.solution {'names no topic and no file' if solution.topic is None else 'names a topic and a file'}",
-            'solution = "/odometry", or solution = "onboard.tum"',
-        ),
-        (
-            solution.file is not None and of_topic != "",
-            f"{key}.solution is a file, and {key}.solution.{of_topic} is for topics only",
-            "leave it out. Each line has time x y z qx qy qz qw; solution.axes names the axes",
-        ),
-        (program == (), f"{key}.program is empty", example),
-        (
-            bool(program and lacking),
-            f"{key}.program has no argument with {' and '.join(lacking)}",
-            example,
-        ),
-        (
-            kind == "candidate" and not _is_class(filter_.candidate),
-            f"{key}.candidate '{filter_.candidate}' is not of the form module:Class",
-            'candidate = "my_package.module:MyFilter"',
-        ),
-    ]
-
-
-def _is_class(word: str | None) -> bool:
-    return re.fullmatch(r"[^:]+:[^:]+", word or "") is not None
-
-
-def _filter_checks(
-    filter_: Filter, held_out: Sequence[str], key: str
-) -> list[tuple[bool, str, str]]:
-    aiding = set(filter_.aiding)
-    acceleration = filter_.acceleration
-    order, window = (acceleration.order, acceleration.window) if acceleration else (0, 1)
-    return [
-        (not aiding, f"{key}.aiding is empty", 'aiding = ["velocity"]'),
-        (
-            filter_.noise_factors is not None and not _is_class(filter_.noise_factors),
-            f"{key}.noise_factors '{filter_.noise_factors}' is not of the form module:Class",
-            'noise_factors = "my_package.module:MyNoise"',
-        ),
-        *(
-            (
-                getattr(filter_, name) is not None and not filter_.code,
-                f"{key}.{name} has no use without code of yours",
-                "leave it out",
-            )
-            for name in ("version", "input", "timeout_s")
-        ),
-        (
-            {"velocity", "beams"} <= aiding,
-            f"{key} uses every ping twice, as velocity and as beams",
-            'aiding = ["beams"]',
-        ),
-        (
-            "acceleration" in aiding and acceleration is None,
-            f"{key} is aided by acceleration but has no acceleration settings",
-            f'[{key}] acceleration = {{ model = "windowed", window = 3 }}',
-        ),
-        *(
-            (
-                not {*measured_by} & {*aiding, *held_out},
-                f"{key} estimates {state}, but none of its sensors measures it",
-                f"add {' or '.join(measured_by)} to {key}.aiding, or remove {state} from {key}.states",
-            )
-            for state, measured_by in _MEASURED_BY.items()
-            if state in filter_.states
-        ),
-        (
-            order >= window,
-            f"{key}.acceleration.order = {order} needs a window above {order}, found {window}",
-            f"window = {order + 1}",
-        ),
-    ]
-
-
 # --- Writing
 
 
@@ -824,24 +657,9 @@ def render_toml(config: Config, *, changed_only: bool = False) -> str:
 
 def _toml_lines(section: Struct, path: str, *, changed_only: bool) -> Iterator[str]:
     hints = get_type_hints(type(section), include_extras=True)
-    usual = _AS_BY_DEFAULT.get(path.rstrip("."))  # of a section that is always there
-    default = (
-        {field.name: field.default for field in msgspec.structs.fields(section)}
-        if path
-        else _AS_BY_DEFAULT
-    )
-    default = msgspec.structs.asdict(usual) if isinstance(usual, Struct) else default
+    default = _defaults_of(section, path)
     tables: list[tuple[str, Struct]] = []
-    names = section.__struct_fields__
-    if isinstance(section, Filter):
-        # Of an onboard solution, a program or a class only its own keys.
-        others = tuple(
-            name for name in names if name not in ("program", "timeout_s", "input", "candidate")
-        )
-        names = next(
-            (keys for keys in CANDIDATE_KEYS if getattr(section, keys[0]) is not None), others
-        )
-    for name in names:
+    for name in _written_keys(section):
         value = getattr(section, name)
         if changed_only and value == default[name]:
             continue
@@ -855,6 +673,29 @@ def _toml_lines(section: Struct, path: str, *, changed_only: bool) -> Iterator[s
     for table_path, table in tables:
         yield f"\n[{table_path}]"
         yield from _toml_lines(table, f"{table_path}.", changed_only=changed_only)
+
+
+def _defaults_of(section: Struct, path: str) -> dict[str, Any]:
+    """Return what is left out where only changes are written: of the whole, of a section that is always there, else
+    of its kind.
+    """
+    if not path:
+        return _AS_BY_DEFAULT
+    usual = _AS_BY_DEFAULT.get(path.rstrip("."))
+    if isinstance(usual, Struct):
+        return msgspec.structs.asdict(usual)
+    return {field.name: field.default for field in msgspec.structs.fields(section)}
+
+
+def _written_keys(section: Struct) -> Sequence[str]:
+    """Return the keys of a section; of an onboard solution, a program or a class only its own."""
+    names = section.__struct_fields__
+    if not isinstance(section, Filter):
+        return names
+    own = candidate_keys(section)
+    if own:
+        return own
+    return [name for name in names if name not in ("program", "timeout_s", "input", "candidate")]
 
 
 def toml_value(value: object) -> str:

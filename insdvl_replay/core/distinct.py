@@ -58,7 +58,9 @@ def distinct_dives(reports: Sequence[AnyReport]) -> tuple[list[AnyReport], list[
     seen: dict[object, list[int]] = {}  # reports by what two of one dive have in common
     for number, report in enumerate(reports):
         keys = _keys(report)
-        alike = {other for key in keys for other in seen.get(key, ())}
+        alike: set[int] = set()  # by what they have in common
+        for key in keys:
+            alike.update(seen.get(key, ()))
         same = {first_of[other] for other in alike if is_same_dive(report, reports[other])}
         first = min(same, default=number)
         if same:

@@ -117,6 +117,11 @@ def is_dive_name(name: str) -> bool:
     )
 
 
+def _endings(parts: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Return a name alone, then after one folder more and more."""
+    return [parts[-length:] for length in range(1, len(parts) + 1)]
+
+
 def unique_names(paths: Sequence[Path]) -> list[str]:
     """Name each dive after its file, and those that would share a name after as many folders as tell them apart.
 
@@ -124,15 +129,14 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     and ``test``. A ConfigError names two dives that folders do not tell apart either.
     """
     whole = [(*_whole(path).parts[1:-1], dive_name(path)) for path in paths]
-    deepest = max(map(len, whole), default=0)
-    times = [Counter(parts[-length:] for parts in whole) for length in range(1, deepest + 1)]
+    times: Counter[tuple[str, ...]] = Counter()  # of each ending of a path, by the dives
+    for parts in whole:
+        times.update(_endings(parts))
     names = []
     for parts in whole:
-        endings = [parts[-length:] for length in range(1, len(parts) + 1)]
-        alone = (
-            ending for ending, count in zip(endings, times, strict=False) if count[ending] == 1
-        )
-        names.append(_writable("_".join(next(alone, parts))))
+        alone = [ending for ending in _endings(parts) if times[ending] == 1]
+        shortest = alone[0] if alone else parts
+        names.append(_writable("_".join(shortest)))
     for name, count in Counter(names).items():
         if count > 1:
             both = " and ".join(

@@ -31,14 +31,17 @@ def explanations() -> dict[str, dict[str, Explanation]]:
 
 def explanation(code: str) -> Explanation:
     """Return what a code means; ConfigError, with the nearest code, where it is not known."""
-    known = {
-        pattern: found for subject in explanations().values() for pattern, found in subject.items()
-    }
+    known: dict[str, Explanation] = {}
+    for subject in explanations().values():
+        known |= subject
+    if code in known:
+        return known[code]
     patterns = [pattern for pattern in known if fnmatchcase(code, pattern)]
-    if code in known or patterns:
-        return known[code if code in known else max(patterns, key=len)]
-    meant = nearest(
-        code, dict.fromkeys(pattern.replace("*", source) for pattern in known for source in SOURCES)
-    )
+    if patterns:
+        return known[max(patterns, key=len)]
+    written_out: list[str] = []
+    for pattern in known:
+        written_out += [pattern.replace("*", source) for source in SOURCES]
+    meant = nearest(code, dict.fromkeys(written_out))
     hint = f"did you mean {meant}?" if meant else "`insdvl-replay explain` lists all codes"
     raise ConfigError(f"code '{code}' is not known", hint)

@@ -170,7 +170,10 @@ def sources_digest(patterns: tuple[str, ...] = ("**/*",)) -> str:
 
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    for path in sorted({path for pattern in patterns for path in package.glob(pattern)}):
+    paths: set[Path] = set()
+    for pattern in patterns:
+        paths.update(package.glob(pattern))
+    for path in sorted(paths):
         if path.is_file() and path.parent.name != "__pycache__":
             digest.update(
                 f"{path.relative_to(package).as_posix()}\0{path.stat().st_size}\0".encode()

@@ -5,6 +5,7 @@ Twelve states are the paper's, and every filter has them. More can be added to a
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Final
 
 # Units in SI. Inside everything is SI; what is shown is divided by these.
@@ -75,10 +76,10 @@ MORE_STATES: Final[dict[str, tuple[State, ...]]] = {
 
 def states_with(more: Collection[str]) -> tuple[State, ...]:
     """Return the twelve states and those of some blocks of `MORE_STATES`, each with its row."""
-    states = [
-        *STATES,
-        *(state for name, block in MORE_STATES.items() if name in more for state in block),
-    ]
+    states = [*STATES]
+    for name, block in MORE_STATES.items():
+        if name in more:
+            states += block
     return tuple(replace(state, index=row) for row, state in enumerate(states))
 
 
@@ -132,9 +133,11 @@ BY_SENSOR: Final = (
 
 def states_for(aiding: Iterable[str]) -> tuple[str, ...]:
     """Return the blocks of states beside the twelve that a filter with this aiding needs."""
-    return tuple(
-        dict.fromkeys(block for word in aiding if word in SENSORS for block in SENSORS[word].states)
-    )
+    blocks: dict[str, None] = {}  # each once
+    for word in aiding:
+        if word in SENSORS:
+            blocks |= dict.fromkeys(SENSORS[word].states)
+    return tuple(blocks)
 
 
 # Columns of a trajectory by groups: a difference is small if it is small compared with the largest of its group.
@@ -157,7 +160,7 @@ GROUPS: Final = {
         "heading_error_deg",
     ),
 }
-COLUMNS: Final = tuple(column for group in GROUPS.values() for column in group)
+COLUMNS: Final[tuple[str, ...]] = tuple(chain.from_iterable(GROUPS.values()))
 ANGLES: Final = (
     "roll_deg",
     "pitch_deg",

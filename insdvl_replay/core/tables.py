@@ -5,10 +5,10 @@ tables are derived from it. Missing numbers are NaN in computations and None in 
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Annotated, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
 
 from msgspec import Meta, Struct
 
@@ -95,38 +95,30 @@ class TableLayout:
     """The layout of a table, from its row type."""
 
     def __init__(self, name: str, row: type[Struct]) -> None:
-        hints = get_type_hints(row, include_extras=True)
         self.name = name  # as in ``report.json`` and in the name of the CSV file
         self.row = row
         self.columns: dict[str, Col] = {}
         self.kinds: dict[str, Kind] = {}
-        for column in row.__struct_fields__:
-            kind, *parts = (
-                get_args(hints[column])
-                if get_origin(hints[column]) is Annotated
-                else (hints[column],)
-            )
-            described = next(
-                (part.description or "" for part in parts if isinstance(part, Meta)), ""
-            )
-            self.columns[column] = next((part for part in parts if isinstance(part, Col)), Col())
-            if described and not self.columns[column].comment:
-                self.columns[column] = replace(
-                    self.columns[column], comment=f"{described[0].upper()}{described[1:]}."
-                )
-            self.kinds[column] = "text" if kind is str else "count" if kind is int else "number"
+        self.better: dict[str, Better] = {}
+        self.words: dict[str, tuple[str, ...]] = {}
+        self.primary = ""
         # The column that names a row together with log and filter, and its possible names; empty if users choose them.
-        self.key = next(
-            (column for column, found in self.columns.items() if found.names is not None), "filter"
-        )
-        self.rows = self.columns[self.key].names or () if self.key in self.columns else ()
-        self.better = {
-            column: found.better for column, found in self.columns.items() if found.better
-        }
-        self.primary = next((column for column, found in self.columns.items() if found.primary), "")
-        self.words = {
-            column: found.best_first for column, found in self.columns.items() if found.best_first
-        }
+        self.key = "filter"
+        self.rows: tuple[str, ...] = ()
+        hints = get_type_hints(row, include_extras=True)
+        for column in row.__struct_fields__:
+            kind, found = _column_of(hints[column])
+            self.kinds[column] = kind
+            self.columns[column] = found
+            if found.better is not None:
+                self.better[column] = found.better
+            if found.best_first:
+                self.words[column] = found.best_first
+            if found.primary:
+                self.primary = column
+            if found.names is not None:
+                self.key = column
+                self.rows = found.names
         self.about: str = getattr(row, "about", row.__doc__ or "")  # meaning of a row
         self.baseline_too: bool = getattr(
             row, "baseline_too", False
@@ -138,11 +130,34 @@ class TableLayout:
 
     def unit_of(self, column: str, row_unit: str) -> str:
         """Return a column's unit: by the end of its name, none for a ratio, else the row's unit."""
-        if unit := next((unit for ending, unit in UNITS.items() if column.endswith(ending)), ""):
-            return unit
+        for ending, unit in UNITS.items():
+            if column.endswith(ending):
+                return unit
         if column in self.better and not column.startswith(RATIO):
             return row_unit
         return ""
+
+
+def _column_of(hint: Any) -> tuple[Kind, Col]:
+    """Return what a column holds and its description, from the type of its field."""
+    held = hint
+    parts: list[Any] = []
+    if get_origin(hint) is Annotated:
+        held, *parts = get_args(hint)
+    column = Col()
+    meaning = ""
+    for part in parts:
+        if isinstance(part, Col):
+            column = part
+        elif isinstance(part, Meta):
+            meaning = part.description or ""
+    if meaning and not column.comment:
+        column = replace(column, comment=f"{meaning[0].upper()}{meaning[1:]}.")
+    if held is str:
+        return "text", column
+    if held is int:
+        return "count", column
+    return "number", column
 
 
 @cache
@@ -151,13 +166,17 @@ def layout_of(name: str, row: type[Struct]) -> TableLayout:
     return TableLayout(name, row)
 
 
+def _each_with_axes(measurements: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Name each measurement, and then its axes."""
+    for name, axes in measurements.items():
+        yield name
+        for axis in axes:
+            yield axis_of(name, axis)
+
+
 _WHY: Final = Col("Reason, if the verdict differs from the interval.")
 _STATE: Final = Col(names=tuple(state.id for state in STATES), head="state", form="label")
-_MEASUREMENTS: Final = tuple(
-    row
-    for name, axes in MEASUREMENTS.items()
-    for row in (name, *(axis_of(name, axis) for axis in axes))
-)
+_MEASUREMENTS: Final = tuple(_each_with_axes(MEASUREMENTS))
 _CREDIBILITY: Final = (
     *CREDIBILITY_QUANTITIES,
     *POSITION_QUANTITIES,
@@ -1010,9 +1029,13 @@ class CandidateVerdict(Struct, frozen=True):
     ] = None
 
 
-TABLES: Final[tuple[TableLayout, ...]] = tuple(
-    layout_of(name, row) for name, rows in get_type_hints(Tables).items() for row in get_args(rows)
-)
+def _layouts() -> Iterator[TableLayout]:
+    for name, rows in get_type_hints(Tables).items():
+        (row,) = get_args(rows)
+        yield layout_of(name, row)
+
+
+TABLES: Final[tuple[TableLayout, ...]] = tuple(_layouts())
 # The block ``filters`` of a report as a table with one row for each candidate.
 CANDIDATES: Final = layout_of("filters", CandidateVerdict)
 LAKE: Final = layout_of("lake", LakeRow)

@@ -48,7 +48,7 @@ USUAL_UNITS: Final = {
     "specific force": "m/s2", "angular rate": "rad/s", "velocity": "m/s", "angle": "deg", "pressure": "Pa",
     "length": "m", "time": "s",
 }  # fmt: skip
-KNOWN_UNITS: Final = frozenset(unit for units in UNITS_BY_KIND.values() for unit in units)
+KNOWN_UNITS: Final[frozenset[str]] = frozenset().union(*UNITS_BY_KIND.values())
 
 # Other spellings, in lower case and after the words and signs below are replaced.
 _SPELLINGS: Final = {

@@ -61,7 +61,8 @@ def _secrets(url: str) -> list[str]:
     _, _, rest = url.partition("://")
     place, _, query = rest.partition("?")
     login = place.rpartition("@")[0]
-    values = [value for part in re.split("[&#]", query) for value in (part, part.partition("=")[2])]
-    found = {query, login, login.partition(":")[2], *values}
+    found = {query, login, login.partition(":")[2]}
+    for part in re.split("[&#]", query):
+        found |= {part, part.partition("=")[2]}
     found |= {unquote(one) for one in found}
     return sorted((one for one in found if len(one) > 2), key=len, reverse=True)
