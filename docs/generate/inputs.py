@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from written import PROJECT, markdown_table, renewed
 
 from insdvl_replay.core.states import SENSORS
-from insdvl_replay.logs.columns.topics import LOG_TIME, NEEDS, TYPES, KnownType, Types
+from insdvl_replay.logs.columns.topics import LOG_TIME, ROLES, TYPES, KnownType, Types
 from insdvl_replay.logs.formats.fields import ENCODINGS
 from insdvl_replay.logs.formats.recording import OTHER_FORMATS
 
@@ -61,7 +61,7 @@ def _sensors() -> str:
     rows = [
         (types, f"{name}, attitude" if gives == "attitude" else name, stamp, about)
         for name in SENSORS
-        for group in (*NEEDS[name].groups, *NEEDS[name].if_named)
+        for group in (*ROLES[name].groups, *ROLES[name].if_named)
         for types, gives, stamp, about in _rows(TYPES[group])
     ]
     return markdown_table(("type", "gives", "stamp", "remarks"), rows)

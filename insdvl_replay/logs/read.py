@@ -38,11 +38,11 @@ from insdvl_replay.logs.columns.sensors import decode_log_topic, decode_sensor
 from insdvl_replay.logs.columns.tables import SAMPLED, Table, clock_notes, read_tables, stamp_unit
 from insdvl_replay.logs.columns.topics import (
     LOG_TOPIC,
-    NEEDS,
+    ROLES,
     Source,
-    TopicRequirement,
+    TopicRole,
     Topics,
-    requirement,
+    role_with,
     solution_name,
     solution_role,
 )
@@ -160,11 +160,11 @@ def read_solution(path: Path) -> tuple[SolutionColumns, list[Note]]:
             return read_tum(path, Solution(), "solution")
     log = open_recording(path)
     topics = Topics(str(path), log.channels)
-    fix = requirement("solution", Solution(), "fix")
-    required = requirement("solution", Solution())
+    fix = role_with("solution", Solution(), "fix")
+    role = role_with("solution", Solution())
     fixes = topics.candidates(fix, ())
     named = [topic for topic in by_topic(log.channels) if topic not in fixes]
-    wanted = [topics.source(required, topic) for topic in named or fixes]
+    wanted = [topics.source(role, topic) for topic in named or fixes]
     if len(wanted) != 1 or len(fixes) > 1:
         text = f"has {len(named)} topics beside {len(fixes)} fixes"
         hint = "write one topic, such as nav_msgs/Odometry, and at most one of NavSatFix"
@@ -300,27 +300,25 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     """
     topics = Topics(place, channels)
 
-    def needed(required: TopicRequirement) -> Finding:
-        return _explained(topics, required, lambda: (topics.need(required),))
+    def needed(role: TopicRole) -> Finding:
+        return _explained(topics, role, lambda: (topics.need(role),))
 
-    imu = needed(requirement("imu", config.imu))
-    dvl = needed(requirement("dvl", config.dvl))
+    imu = needed(role_with("imu", config.imu))
+    dvl = needed(role_with("dvl", config.dvl))
     besides = {source.topic for source in dvl.sources}
     besides.update(own.topic for own in config.solutions.values() if own.topic)
-    required = requirement("reference", config.reference)
+    role = role_with("reference", config.reference)
     reference = Finding("reference", (), "ignored by the settings")
     if not config.reference.ignore:
-        reference = _explained(
-            topics, required, lambda: _references(topics, config, besides), besides
-        )
-    others = [needed(requirement(name, getattr(config, name))) for name in config.sensors]
+        reference = _explained(topics, role, lambda: _references(topics, config, besides), besides)
+    others = [needed(role_with(name, getattr(config, name))) for name in config.sensors]
     for name, section in config.topics.items():
-        others.append(needed(requirement(f"{LOG_TOPIC}{name}", section, "topic")))
+        others.append(needed(role_with(f"{LOG_TOPIC}{name}", section, "topic")))
     for name, settings in config.solutions.items():
         if settings.topic is not None:
             others.append(_solution(topics, name, settings, reference))
-    bias = TopicRequirement("truth", NEEDS["truth"])
-    truth = _explained(topics, bias, lambda: tuple(filter(None, [topics.find(bias)])))
+    of_truth = ROLES["truth"]
+    truth = _explained(topics, of_truth, lambda: tuple(filter(None, [topics.find(of_truth)])))
     if truth.sources or truth.error:
         others.append(truth)
     return imu, dvl, reference, *others
@@ -336,10 +334,10 @@ def sources_of(findings: Iterable[Finding]) -> list[Source]:
 
 def _solution(topics: Topics, name: str, settings: Solution, reference: Finding) -> Finding:
     """Find the topics of an onboard solution, whose fields must not be those of the reference."""
-    role = solution_role(name)
-    wanted = [requirement(role, settings, "solution")]
+    section = solution_role(name)
+    wanted = [role_with(section, settings, "solution")]
     if settings.fix is not None:
-        wanted.append(requirement(role, settings, "fix", "fix"))
+        wanted.append(role_with(section, settings, "fix", "fix"))
 
     def look() -> tuple[Source, ...]:
         sources = tuple(map(topics.need, wanted))
@@ -372,59 +370,57 @@ def idle_sensors(
     taken: set[str] = set()
     for finding in findings:
         taken.update(source.topic for source in (*finding.sources, *finding.candidates))
-    unused = [requirement(name, getattr(config, name)) for name in SENSORS if name not in asked]
-    found = {required.role: topics.candidates(required, taken) for required in unused}
+    unused = [role_with(name, getattr(config, name)) for name in SENSORS if name not in asked]
+    found = {role.name: topics.candidates(role, taken) for role in unused}
     return {name: candidates for name, candidates in found.items() if candidates}
 
 
 def _explained(
     topics: Topics,
-    required: TopicRequirement,
+    role: TopicRole,
     look: Callable[[], tuple[Source, ...]],
     besides: Collection[str] = (),
 ) -> Finding:
     """Return the sources of a role, or the reason why there are none and the readable topics that are possible."""
     possible: list[str] = []
-    if required.topic is None:
-        possible = topics.candidates(required, besides)
+    if role.topic is None:
+        possible = topics.candidates(role, besides)
     try:
         with error_context(topics.place):
             sources = look()
     except LogError as error:
-        candidates = tuple(_readable(topics, required, possible))
+        candidates = tuple(_readable(topics, role, possible))
         reason = "see the blockers"
         if candidates:
             reason = f"possible topics: {', '.join(source.topic for source in candidates)}"
-        elif required.topic is None and not possible:
+        elif role.topic is None and not possible:
             reason = topics.reason_for_none
-        return Finding(required.role, (), reason, error, candidates)
-    reason = f"set by {required.key}"
+        return Finding(role.name, (), reason, error, candidates)
+    reason = f"set by {role.key}"
     if not sources:
         reason = topics.reason_for_none
-    elif required.topic is None:
+    elif role.topic is None:
         reason = "the only topic of a known type"
-    return Finding(required.role, sources, reason)
+    return Finding(role.name, sources, reason)
 
 
-def _readable(
-    topics: Topics, required: TopicRequirement, possible: Sequence[str]
-) -> Iterator[Source]:
+def _readable(topics: Topics, role: TopicRole, possible: Sequence[str]) -> Iterator[Source]:
     """Give those of several topics that could play a role."""
     if len(possible) < 2:
         return
     for topic in possible:
         with suppress(LogError):
-            yield topics.source(required, topic)
+            yield topics.source(role, topic)
 
 
 def _references(topics: Topics, config: Config, besides: Collection[str]) -> tuple[Source, ...]:
-    required = requirement("reference", config.reference)
-    solution = topics.find(required, besides)
-    if solution is None and any(required.paths.values()):
-        solution = topics.need(required)
+    role = role_with("reference", config.reference)
+    solution = topics.find(role, besides)
+    if solution is None and any(role.paths.values()):
+        solution = topics.need(role)
     if solution is not None:
         has_place = bool(solution.fields.keys() & {"latitude", "origin"})
         if has_place and config.reference.fix is None:
             return (solution,)
-    fix = topics.find(requirement("reference", config.reference, "fix", "fix"), besides)
+    fix = topics.find(role_with("reference", config.reference, "fix", "fix"), besides)
     return tuple(source for source in (solution, fix) if source is not None)

@@ -6,7 +6,7 @@ The message types that are known by name are in `known_types.toml`, by the group
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -94,56 +94,6 @@ for _group in _SOLUTIONS:
 TYPES["solution"] = _of_groups(_SOLUTIONS)
 
 
-@dataclass(frozen=True)
-class Needs:
-    """What a role needs of a topic: a type that is known by name, or the field paths of the settings."""
-
-    quantities: Sequence[str] = ()  # whose paths the settings may name
-    groups: Sequence[str] = ()  # of known types; the first of which the log has a type is taken
-    # Groups of types that only a topic may have that the settings name.
-    if_named: Sequence[str] = ()
-    enough: Sequence[AbstractSet[str]] = ()  # the quantities of one of these sets must be there
-    together: Sequence[AbstractSet[str]] = ()  # of each of these sets all must be there or none
-
-
-_POSITION: Final = {"latitude", "longitude"}
-_ANGLES: Final = (_POSITION, {"roll", "pitch", "heading"})
-_MOTION: Final = ({"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES)
-_IMU: Final = ("specific_force", "angular_rate")
-_FIXES: Final = ("fix", "extended_fix")
-_SENSOR_GROUPS: Final = {"heading": ("heading", "heading_of_imu"), "position": _FIXES}
-
-
-def _needs_of(name: str, sensor: Sensor) -> Needs:
-    """Return what a sensor other than IMU and DVL needs of its topic."""
-    if_named = f"{name}_if_named"
-    return Needs(
-        sensor.quantities,
-        _SENSOR_GROUPS.get(name, (name,)),
-        [if_named] if if_named in TYPES else [],
-        sensor.enough,
-        [sensor.together],
-    )
-
-
-_DVL: Final = ("beam_velocity", "beam_valid", "velocity", "valid", "invalid")
-NEEDS: Final = {
-    "imu": Needs((*_IMU, "increment_s"), ("imu", "imu_of_drivers"), enough=[set(_IMU)]),
-    "dvl": Needs(
-        _DVL, ("dvl_beams", "dvl_velocity"), ["dvl_if_named"], [{"beam_velocity"}, {"velocity"}]
-    ),
-    "reference": Needs(
-        TOPIC_KEYS, ("nav_solution", "odometry"), (*_FIXES, "poses"), _MOTION, _ANGLES
-    ),
-    "fix": Needs(groups=_FIXES, enough=[_POSITION]),
-    "solution": Needs(
-        TOPIC_KEYS, (), ["solution"], [*_MOTION, _POSITION, {"local_position"}], _ANGLES
-    ),
-    "truth": Needs(groups=["truth"], enough=[{"accel_bias", "gyro_bias"}]),
-    "topic": Needs(["values"], enough=[{"values"}]),
-    **{name: _needs_of(name, sensor) for name, sensor in SENSORS.items()},
-}
-
 # Of quantities with a unit: its kind, and the key of the role's settings that names it, if there is one.
 _KINDS: Final = {
     "specific_force": ("specific force", "specific_force_unit"),
@@ -229,30 +179,35 @@ class Source:
 
 
 @dataclass(frozen=True)
-class TopicRequirement:
-    """What a role needs of a topic, with what its settings say of topic, fields and stamp."""
+class TopicRole:
+    """A role that a topic may play: what it needs of a topic, and what its settings say of topic, fields and stamp."""
 
-    role: str
-    needs: Needs
-    key: str = ""  # of the settings that names the topic; empty where none does
-    topic: str | None = None  # that the settings name
-    # Field paths of the settings by quantity.
-    paths: Mapping[str, str | None] = field(default_factory=dict)
+    name: str
+    # What it needs: a type that is known by name, or the field paths of the settings.
+    quantities: Sequence[str] = ()  # whose paths the settings may name
+    groups: Sequence[str] = ()  # of known types; the first of which the log has a type is taken
+    if_named: Sequence[str] = ()  # and of those that only a topic may have that the settings name
+    enough: Sequence[AbstractSet[str]] = ()  # the quantities of one of these sets must be there
+    together: Sequence[AbstractSet[str]] = ()  # of each of these sets all must be there or none
+    # What the settings say.
+    key: str = ""  # that names the topic; empty where none does
+    topic: str | None = None  # that they name
+    paths: Mapping[str, str | None] = field(default_factory=dict)  # of fields, by quantity
     stamp: str | None = None
     latency_s: float = 0.0  # from validity to stamp
     frames: tuple[str, str] | None = None  # parent and child of the transforms that count
-    unit_keys: AbstractSet[str] = frozenset()  # keys of units that the settings have
+    unit_keys: AbstractSet[str] = frozenset()  # keys of units that they have
     has_increments: bool = False  # whether the readings of an IMU are increments
 
     @property
     def by_type(self) -> list[Types]:
         """The groups of types that are looked for."""
-        return [TYPES[group] for group in self.needs.groups]
+        return [TYPES[group] for group in self.groups]
 
     @property
     def types(self) -> Types:
         """All types that the topic may have."""
-        return _of_groups((*self.needs.if_named, *self.needs.groups))
+        return _of_groups((*self.if_named, *self.groups))
 
     def source(self, topic: str, channels: Sequence[LogChannel]) -> Source:
         """Make a topic the source of the role."""
@@ -268,16 +223,16 @@ class TopicRequirement:
         element = self._element(topic, known)
         stamp = _stamp_of(known, paths) if self.stamp is None else self.stamp
         if first.untimed and stamp == LOG_TIME:
-            by_rate = f'or count rows: {self.role}.stamp = "100 Hz"'
+            by_rate = f'or count rows: {self.name}.stamp = "100 Hz"'
             hint = f"write seconds, the unit in the title as in time [h], or dates; {by_rate}"
             raise LogError(first.untimed, hint)
         factors: Mapping[str, float] = {}
         if first.encoding == TABLE:
             factors = self._factors(first, fields)
-            if self.role == "dvl":
+            if self.name == "dvl":
                 fields |= _unused_flags(paths, fields)
         return Source(
-            role=self.role,
+            role=self.name,
             topic=topic,
             type_name=first.type_name,
             channels=tuple(channels),
@@ -302,18 +257,18 @@ class TopicRequirement:
     def _require_whole(self, topic: str, fields: Collection[str]) -> None:
         """Refuse quantities without others that they are of no use without."""
         given = {quantity.removesuffix(BOW_DOWN) for quantity in fields}
-        for quantities in self.needs.together:
+        for quantities in self.together:
             lacking = sorted(quantities - given)
             alone = sorted(quantities & given)
             if lacking and alone:
                 what = f"topic '{topic}' has {' and '.join(alone)}, but no {' and '.join(lacking)}"
-                raise LogError(what, f'{self.role}.{lacking[0]} = "field.path"')
+                raise LogError(what, f'{self.name}.{lacking[0]} = "field.path"')
 
     def _require_enough(
         self, topic: str, type_name: str, known: KnownType, fields: Collection[str]
     ) -> None:
         """Refuse a topic that has too little for the role."""
-        if any(quantities <= set(fields) for quantities in self.needs.enough):
+        if any(quantities <= set(fields) for quantities in self.enough):
             return
         reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
         if known.fields:
@@ -326,8 +281,8 @@ class TopicRequirement:
         if known.element:
             return Element(known.element[0], known.element[1:], self.frames or ())
         if self.frames is not None:
-            text = f"topic '{topic}' has no transforms, but {self.role}.frames is set"
-            raise LogError(text, f"remove {self.role}.frames")
+            text = f"topic '{topic}' has no transforms, but {self.name}.frames is set"
+            raise LogError(text, f"remove {self.name}.frames")
         return None
 
     def _factors(self, channel: LogChannel, fields: Mapping[str, str]) -> dict[str, float]:
@@ -360,9 +315,9 @@ class TopicRequirement:
         """End a hint on an unknown unit with the key that tells the unit, or that the readings are increments."""
         kind, _ = _INCREMENTS.get(quantity, ("", ""))
         if kind and unit in UNITS_BY_KIND[kind]:
-            return f"; of increments set {self.role}.increment_s, the interval in seconds"
+            return f"; of increments set {self.name}.increment_s, the interval in seconds"
         if key:
-            return f", or set {self.role}.{key}"
+            return f", or set {self.name}.{key}"
         return ""
 
     def how_to_name(self) -> str:
@@ -370,10 +325,10 @@ class TopicRequirement:
         if not self.paths:
             return f"known types: {', '.join(self.types)}"
         ways = []
-        for quantities in sorted(sorted(quantities) for quantities in self.needs.enough):
-            keys = [f'{self.role}.{name} = "field.path"' for name in quantities]
+        for quantities in sorted(sorted(quantities) for quantities in self.enough):
+            keys = [f'{self.name}.{name} = "field.path"' for name in quantities]
             ways.append(" and ".join(keys))
-        does = "for a proposal" if self.role in PROPOSED else "for a list of topics"
+        does = "for a proposal" if self.name in PROPOSED else "for a list of topics"
         by_name = f'{self.key} = "/topic" with {" or ".join(ways)}'
         return f"for other types: {by_name}; {does}: `insdvl-replay inspect`"
 
@@ -401,15 +356,73 @@ def _unused_flags(paths: Collection[str], fields: Mapping[str, str]) -> dict[str
     return {UNUSED_FLAGS: ", ".join(flags)}
 
 
-def requirement(role: str, section: Any, kind: str = "", key: str = "topic") -> TopicRequirement:
-    """State what a role of some kind needs; its section of the settings names topic, fields and stamp."""
-    needs = NEEDS[kind or role]
-    given = {quantity: getattr(section, quantity) for quantity in needs.quantities}
+_POSITION: Final = {"latitude", "longitude"}
+_ANGLES: Final = (_POSITION, {"roll", "pitch", "heading"})
+_MOTION: Final = ({"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES)
+_IMU: Final = ("specific_force", "angular_rate")
+_FIXES: Final = ("fix", "extended_fix")
+_SENSOR_GROUPS: Final = {"heading": ("heading", "heading_of_imu"), "position": _FIXES}
+
+
+def _role_of_sensor(name: str, sensor: Sensor) -> TopicRole:
+    """Return the role of a sensor other than IMU and DVL."""
+    if_named = f"{name}_if_named"
+    return TopicRole(
+        name,
+        quantities=sensor.quantities,
+        groups=_SENSOR_GROUPS.get(name, (name,)),
+        if_named=[if_named] if if_named in TYPES else [],
+        enough=sensor.enough,
+        together=[sensor.together],
+    )
+
+
+# By kind; all onboard solutions share one, and so do all topics of user-defined measurements.
+ROLES: Final = {
+    "imu": TopicRole(
+        "imu",
+        quantities=(*_IMU, "increment_s"),
+        groups=("imu", "imu_of_drivers"),
+        enough=[set(_IMU)],
+    ),
+    "dvl": TopicRole(
+        "dvl",
+        quantities=("beam_velocity", "beam_valid", "velocity", "valid", "invalid"),
+        groups=("dvl_beams", "dvl_velocity"),
+        if_named=["dvl_if_named"],
+        enough=[{"beam_velocity"}, {"velocity"}],
+    ),
+    "reference": TopicRole(
+        "reference",
+        quantities=TOPIC_KEYS,
+        groups=("nav_solution", "odometry"),
+        if_named=(*_FIXES, "poses"),
+        enough=_MOTION,
+        together=_ANGLES,
+    ),
+    "fix": TopicRole("fix", groups=_FIXES, enough=[_POSITION]),
+    "solution": TopicRole(
+        "solution",
+        quantities=TOPIC_KEYS,
+        if_named=["solution"],
+        enough=[*_MOTION, _POSITION, {"local_position"}],
+        together=_ANGLES,
+    ),
+    "truth": TopicRole("truth", groups=["truth"], enough=[{"accel_bias", "gyro_bias"}]),
+    "topic": TopicRole("topic", quantities=["values"], enough=[{"values"}]),
+    **{name: _role_of_sensor(name, sensor) for name, sensor in SENSORS.items()},
+}
+
+
+def role_with(name: str, section: Any, kind: str = "", key: str = "topic") -> TopicRole:
+    """Return a role of some kind with what its section of the settings says of topic, fields and stamp."""
+    role = ROLES[kind or name]
+    given = {quantity: getattr(section, quantity) for quantity in role.quantities}
     unit_keys = {name for _, name in _KINDS.values() if name}
-    return TopicRequirement(
-        role=role,
-        needs=needs,
-        key=f"{role}.{key}",
+    return replace(
+        role,
+        name=name,
+        key=f"{name}.{key}",
         topic=getattr(section, key),
         paths={
             quantity: path if isinstance(path, str) else None for quantity, path in given.items()
@@ -448,28 +461,28 @@ class Topics:
         if self._channels:
             self.reason_for_none = "no topic has a known type for it"
 
-    def source(self, required: TopicRequirement, topic: str) -> Source:
+    def source(self, role: TopicRole, topic: str) -> Source:
         """Make a topic the source of a role."""
         if topic in self._channels:
-            return required.source(topic, self._channels[topic])
-        what = f"has no messages on topic '{topic}' ({required.key})"
-        raise LogError(what, self._hint_for_topic(required, topic))
+            return role.source(topic, self._channels[topic])
+        what = f"has no messages on topic '{topic}' ({role.key})"
+        raise LogError(what, self._hint_for_topic(role, topic))
 
-    def _hint_for_topic(self, required: TopicRequirement, topic: str) -> str:
+    def _hint_for_topic(self, role: TopicRole, topic: str) -> str:
         """Say what may be meant by the name of a topic that is not there."""
-        if required.key.endswith(".solution.topic") and key_of(topic) == "file":
-            return f'for a file: {required.key.removesuffix("topic")}file = "{topic}"'
+        if role.key.endswith(".solution.topic") and key_of(topic) == "file":
+            return f'for a file: {role.key.removesuffix("topic")}file = "{topic}"'
         meant = nearest(topic, self._channels)
         if meant:
-            return f'the nearest is {required.key} = "{meant}"'
+            return f'the nearest is {role.key} = "{meant}"'
         if self._channels:
             return f"topics with messages: {listed(sorted(self._channels))}"
         return self._nothing_recorded
 
-    def candidates(self, required: TopicRequirement, besides: Collection[str]) -> list[str]:
+    def candidates(self, role: TopicRole, besides: Collection[str]) -> list[str]:
         """Name the topics of the first group of types that the log has, the better types first."""
         type_names = {topic: type_of(same[0]) for topic, same in self._channels.items()}
-        for types in required.by_type:
+        for types in role.by_type:
             order = list(types)
             found = [topic for topic in type_names if type_names[topic] in types]
             found = [topic for topic in found if topic not in besides]
@@ -477,50 +490,51 @@ class Topics:
                 return sorted(found, key=lambda topic: order.index(type_names[topic]))
         return []
 
-    def find(self, required: TopicRequirement, besides: Collection[str] = ()) -> Source | None:
+    def find(self, role: TopicRole, besides: Collection[str] = ()) -> Source | None:
         """Find the topic of a role, not looking at those of others."""
-        if required.topic is not None:
-            return self.source(required, required.topic)
-        candidates = self.candidates(required, besides)
+        if role.topic is not None:
+            return self.source(role, role.topic)
+        candidates = self.candidates(role, besides)
         if len(candidates) > 1:
             hint = "keep one of them"
-            if required.key:
-                hint = " or ".join(f'{required.key} = "{topic}"' for topic in candidates)
-            what = f"{' and '.join(candidates)} could each be the {required.key or required.role}"
+            if role.key:
+                hint = " or ".join(f'{role.key} = "{topic}"' for topic in candidates)
+            what = f"{' and '.join(candidates)} could each be the {role.key or role.name}"
             raise LogError(what, hint)
         if candidates:
-            return self.source(required, candidates[0])
+            return self.source(role, candidates[0])
         return None
 
-    def need(self, required: TopicRequirement) -> Source:
+    def need(self, role: TopicRole) -> Source:
         """Find the topic of a role that a replay needs."""
-        source = self.find(required)
+        source = self.find(role)
         if source is None:
-            raise self._error_for_none(required)
+            raise self._error_for_none(role)
         return source
 
-    def _error_for_none(self, required: TopicRequirement) -> LogError:
+    def _error_for_none(self, role: TopicRole) -> LogError:
         """Return the error for a role that no topic plays."""
-        role = required.role
-        lack = f"has no {role.upper() if role in ('imu', 'dvl') else f'topic for the {role}'}"
+        lack = f"has no topic for the {role.name}"
+        if role.name in ("imu", "dvl"):
+            lack = f"has no {role.name.upper()}"
         if not self._channels:
             return LogError(f"{lack}: it has no messages at all", self._nothing_recorded)
         if all(_is_table(channels) for channels in self._channels.values()):
             topics = listed(sorted(self._channels))
             what = f"{lack}: no setting names a table for it; it has {topics}"
-            return LogError(what, _hint_for_tables(required))
+            return LogError(what, _hint_for_tables(role))
         slow = sorted(topic for topic in self._channels if _TELEMETRY.search(topic))
-        if role == "imu" and slow:
+        if role.name == "imu" and slow:
             text = f"{lack} that can be replayed: {listed(slow, 3)} is telemetry and too slow"
             return LogError(text, _FULL_RATE)
         wanted: list[str] = []
-        for types in required.by_type:
+        for types in role.by_type:
             wanted += types
         what = f"{lack}: no topic has one of its known types ({', '.join(wanted)}); it has {listed(self._types())}"
         empty = [topic for topic in self._empty if full_name(self._empty[topic]) in wanted]
         if empty:
             what += f"; {listed(sorted(empty))} has a known type, but no messages"
-        return LogError(what, required.how_to_name())
+        return LogError(what, role.how_to_name())
 
     def _types(self) -> list[str]:
         """Name the types of the messages; of those without type, their topics."""
@@ -534,10 +548,10 @@ def _is_table(channels: Sequence[LogChannel]) -> bool:
     return all(channel.encoding == TABLE for channel in channels)
 
 
-def _hint_for_tables(required: TopicRequirement) -> str:
+def _hint_for_tables(role: TopicRole) -> str:
     """Say how tables are given whole, and which keys name the fields of a role."""
     ways = []
-    for quantities in required.needs.enough:
-        ways.append(" and ".join(f"{required.role}.{name}" for name in sorted(quantities)))
+    for quantities in role.enough:
+        ways.append(" and ".join(f"{role.name}.{name}" for name in sorted(quantities)))
     whole = "give the folder of all tables, or all of them with --one-dive"
     return f"{whole}; to name its fields: {' or '.join(ways)}"
