@@ -34,7 +34,7 @@ from insdvl_replay.nav.levelling import (
     levelling_samples,
     start_cov,
 )
-from insdvl_replay.preparation.filters import resolve_filters
+from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filters
 from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.start_sources import (
     AttitudeSource,
@@ -106,268 +106,443 @@ def align(
     What the reference lacks comes from other sensors, from gravity (roll, pitch), from the DVL (velocity) and from the
     settings (heading, position), each with a note. Started level or by an AHRS, the reference gives the position alone.
     """
-    imu = dive.imu
+    given = _Given(dive, config, velocities, start_ns, end_ns, fitted_heading_sd)
     reference = dive.reference
-    initial = config.initial
-    notes = list[Note]()
-    used_ns = dict[str, int]()
-    moving = reference if initial.source == "reference" else None
-    posed = moving if moving is not None and moving.has_attitude else None
-    is_located = reference is not None and reference.has_position
-    heading_deg = initial.heading_deg if isinstance(initial.heading_deg, float | int) else None
-
-    def nearest(sensor: str) -> tuple[Floats, float]:
-        """Return the reading that is nearest to the start, and how far it is away, s."""
-        time_ns = dive.sensors[sensor].time_ns
-        row = int(np.argmin(np.abs(time_ns - start_ns)))
-        used_ns[sensor] = int(time_ns[row])
-        return dive.sensors[sensor].values[row], abs(used_ns[sensor] - start_ns) / NS_PER_S
-
-    # Other sensors: a whole attitude where it is asked for; heading and position where they are open.
-    sensed_mat_nb = None
-    is_heading_sensed = False
-    level_sd_deg = 0.0
-    fix = None
-    if initial.source == BY_SENSOR:
-        is_heading_sensed = heading_deg is None
-        level_sd_deg = config.heading.level_sd_deg
-        start_ns, sensed_mat_nb, found = _sensor_attitude(dive, heading_deg, start_ns, end_ns)
-        notes.append(found)
-    elif posed is None and "heading" in dive.sensors and initial.heading_deg in (None, BY_SENSOR):
-        values, away_s = nearest("heading")
-        if away_s > FAR_S:
-            raise LogError(
-                f"the heading reading nearest to the start is {away_s:.1f} s away",
-                "choose a --start with a heading reading, or --set initial.heading_deg=...",
-            )
-        heading_deg = float(values[0]) / DEG % 360.0
-        is_heading_sensed = True
-        notes.append(note("start_heading_sensor", heading=heading_deg, away=away_s))
-        initial = changed(initial, heading_deg=heading_deg)
-    sensor_sd_deg = level_sd_deg, level_sd_deg, config.heading.sd_deg if is_heading_sensed else 0.0
-    sds_deg = tuple(
-        map(max, initial.misalignment_sd_deg, sensor_sd_deg)
-    )  # no surer than the sensor is
-    initial = changed(initial, misalignment_sd_deg=sds_deg)
-    if not is_located and "position" in dive.sensors and initial.latitude_deg is None:
-        fix, away_s = nearest("position")
-        severity = Severity.WARNING if away_s > FAR_S else Severity.INFO
-        notes.append(note("start_position_sensor", severity=severity, away=away_s))
-        if np.isnan(fix[2]):
-            notes.append(note("start_height_configured", height=initial.height_m))
-        height_m = float(fix[2])
-        sd_m = config.position.sd_m
-        sds_m = initial.position_sd_m
-        initial = changed(
-            initial,
-            latitude_deg=float(fix[0]) / DEG,
-            longitude_deg=float(fix[1]) / DEG,
-            height_m=initial.height_m if np.isnan(height_m) else height_m,
-            position_sd_m=(max(sds_m[0], sd_m), max(sds_m[1], sd_m), sds_m[2]),
-        )
-    check_start(
-        initial,
-        has_reference=reference is not None,
-        has_position=is_located,
-        has_attitude=reference is not None and reference.has_attitude,
-        has_heading=sensed_mat_nb is not None,
-    )
-
-    # Time and position.
-    if posed is not None:
-        start_ns = _first_attitude_ns(posed, start_ns, end_ns)
-    if reference is not None and is_located:
-        position, position_notes = _reference_position(reference, initial, start_ns)
-        notes += position_notes
-    else:
-        latitude_deg = start_latitude_deg(initial)
-        position = np.array([latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
-        if fix is None:
-            notes.append(note("start_position_configured", latitude=latitude_deg))
-
-    # Attitude.
-    arm_b = np.array(config.dvl.lever_arm_m)
-    baseline = resolve_filters(config)[0]
-    accel_bias_b = np.array(initial.accel_bias_mg) * MG
-    gyro_bias_b = np.array(initial.gyro_bias_degph) * DEG_PER_HOUR
-    level = None
-    samples = levelling_samples(imu, start_ns)
-    if posed is not None:
-        mat_nb = posed.mat_nb[np.searchsorted(posed.time_ns, start_ns)]
-    elif sensed_mat_nb is not None and len(samples.time_ns) < FEWEST_SAMPLES:
-        mat_nb = sensed_mat_nb
-    else:
-        if len(samples.time_ns) < FEWEST_SAMPLES:
-            raise LogError(
-                f"only {len(samples.time_ns)} IMU samples without a gap in the {LEVELLING_S:g} s after the start, too "
-                "few for levelling",
-                "choose another --start",
-            )
-        if sensed_mat_nb is None and heading_deg is None:
-            raise ValueError("the heading is still to be fitted: run.prepare_with_heading does it")
-        heading = (
-            (heading_deg or 0.0) * DEG
-            if sensed_mat_nb is None
-            else float(rpy_from_mat(sensed_mat_nb)[2])
-        )
-        unbiased = ImuColumns(
-            samples.time_ns,
-            samples.specific_force_b - accel_bias_b,
-            samples.angular_rate_b - gyro_bias_b,
-        )
-        level = find_level(
-            unbiased,
-            velocities,
-            baseline.velocity_cov(velocities),
-            baseline.inertial_noise.accel_white_mps_rts,
-            arm_b,
-            start_ns,
-            heading=heading,
-            latitude=float(position[0]),
-        )
-        mat_nb = (
-            mat_from_rpy(np.array([*level.roll_pitch, heading]))
-            if sensed_mat_nb is None
-            else sensed_mat_nb
-        )
-
-    # Velocity: the reference's, else that of the nearest ping; after levelling, of the first, carried to the start.
-    by_dvl = None
-    dvl_velocity_n = None
-    if (
-        moving is not None
-        and apart_s(moving.time_ns, moving.velocity_n, np.array([start_ns]))[0] <= FAR_S
-    ):
-        velocity_n = at_time(moving.time_ns, moving.velocity_n, start_ns)
-    else:
-        rate_ie_b = mat_nb.T @ earth_rate_n(position[0])
-        covs_b = baseline.velocity_cov(velocities)
-        by_dvl = _velocity_by_dvl(
-            imu, velocities, covs_b, level, start_ns, arm_b, gyro_bias_b + rate_ie_b
-        )
-        velocity_n = dvl_velocity_n = mat_nb @ by_dvl.velocity_b
-        notes.append(note("start_velocity_dvl", away=abs(by_dvl.ping_ns - start_ns) * 1e-9))
-    levelled_by = level if sensed_mat_nb is None else None
-    cov = start_cov(initial_sd(initial), mat_nb, levelled_by, dvl_velocity_n)
-    spread_cov = None
-    heading_source = _heading_source(
-        posed=posed is not None, sensed=is_heading_sensed, fitted=fitted_heading_sd is not None
-    )
-    if initial.uncertainty == "source":
-        sources = StartSources(
-            _attitude_source(posed=posed is not None, sensed=sensed_mat_nb is not None),
-            heading_source,
-            _position_source(located=is_located, fixed=fix is not None),
-            dvl_velocity_n is None,
-            fitted_heading_sd,
-        )
-        found_sd = source_sd(dive, config, velocities, sources, start_ns, float(position[0]))
-        velocity_cov_n = None if by_dvl is None else by_dvl.cov_n(mat_nb)
-        spread_cov = cov
-        cov = start_cov(found_sd.states, mat_nb, levelled_by, dvl_velocity_n, velocity_cov_n)
-        initial = changed(initial, position_sd_m=found_sd.position_m)
-        notes.append(source_note(sources, cov))
-
-    # What does not fit together. A configured height stays; the rest of a fix moves from the antenna to the IMU.
-    if level is not None:
-        notes += _level_notes(level, mat_nb, cov, is_sensed=sensed_mat_nb is not None)
-    start_heading_deg = float(rpy_from_mat(mat_nb)[2]) / DEG
-    if posed is None:
-        notes += _heading_notes(reference, start_heading_deg, start_ns)
-    elif (
-        heading_deg is not None
-        and _apart_deg(heading_deg, start_heading_deg) > GIVEN_HEADING_LIMIT_DEG
-    ):
-        notes.append(
-            note("start_heading_idle", configured=heading_deg, found=start_heading_deg % 360.0)
-        )
-    if fix is not None:
-        moved = moved_position(position, -(mat_nb @ np.array(config.position.lever_arm_m)))
-        position = np.where(np.isfinite(fix), moved, position)
-    start = Start(
-        position,
-        velocity_n,
-        mat_nb,
-        cov,
-        accel_bias_b,
-        gyro_bias_b,
-        is_heading_sensed=is_heading_sensed,
-    )
-    return Alignment(start_ns, start, tuple(notes), initial, spread_cov, used_ns, heading_source)
+    if config.initial.source == BY_SENSOR:
+        return _start_by_ahrs(given)
+    # A start on a reference that is not there is refused by `_require_start`.
+    if config.initial.source == "level" or reference is None:
+        return _start_level(given)
+    if reference.has_attitude:
+        return _start_on_reference(given, reference)
+    return _start_level_with_reference(given, reference)
 
 
 @dataclass(frozen=True)
-class _DvlVelocity:
-    """A velocity of the IMU over ground by a ping."""
+class _Given:
+    """What a start is found from."""
 
-    velocity_b: Floats  # (3,) m/s
-    cov_b: Floats  # (3, 3) of its noise, m^2/s^2
-    ping_ns: int
+    dive: Dive
+    config: Config
+    velocities: DvlVelocities
+    start_ns: int
+    end_ns: int
+    fitted_heading_sd: float | None  # rad
 
-    def cov_n(self, mat_nb: Floats) -> Floats:
-        """Return the covariance in n, (3, 3); no less than the rounding of readings."""
-        return np.asarray(mat_nb @ self.cov_b @ mat_nb.T + LEAST_DVL_SD_MPS**2 * np.eye(3))
+    @property
+    def located(self) -> ReferenceColumns | None:
+        """The reference, if it has positions."""
+        reference = self.dive.reference
+        if reference is None or not reference.has_position:
+            return None
+        return reference
+
+    @property
+    def heading_deg(self) -> float | None:
+        """The heading of the settings; None where they name another source, or none."""
+        heading_deg = self.config.initial.heading_deg
+        if isinstance(heading_deg, float | int):
+            return heading_deg
+        return None
+
+    @property
+    def baseline(self) -> ResolvedFilter:
+        """The baseline, whose noise the start has."""
+        return resolve_filters(self.config)[0]
+
+    @property
+    def arm_b(self) -> Floats:
+        """From the IMU to the DVL, shape (3,), m."""
+        return np.array(self.config.dvl.lever_arm_m)
+
+    @property
+    def accel_bias_b(self) -> Floats:
+        """Of the settings, shape (3,), m/s^2."""
+        return np.array(self.config.initial.accel_bias_mg) * MG
+
+    @property
+    def gyro_bias_b(self) -> Floats:
+        """Of the settings, shape (3,), rad/s."""
+        return np.array(self.config.initial.gyro_bias_degph) * DEG_PER_HOUR
 
 
-def _velocity_by_dvl(
-    imu: ImuColumns,
-    velocities: DvlVelocities,
-    covs_b: Floats,  # (m, 3, 3) of the noise of each ping
-    level: Level | None,
-    start_ns: int,
-    arm_b: Floats,  # (3,) IMU to DVL, m
-    still_rate_b: Floats,  # (3,) what the gyros measure without any turn over ground, rad/s
-) -> _DvlVelocity:
-    """Return the velocity at the start by the level's first ping, else by the nearest one."""
+# --- The four starts: on the reference, by an AHRS, level, and level with the velocity of a reference.
+
+
+def _start_on_reference(given: _Given, reference: ReferenceColumns) -> Alignment:
+    """Start on the first attitude of the reference."""
+    settings = _with_fix(given, _Settings(given.config.initial), given.start_ns)
+    _require_start(given, settings)
+    start_ns = _first_attitude_ns(reference, given.start_ns, given.end_ns)
+    pose = _Pose(
+        start_ns=start_ns,
+        place=_place(given, settings, start_ns),
+        mat_nb=reference.mat_nb[np.searchsorted(reference.time_ns, start_ns)],
+        attitude=AttitudeSource.REFERENCE,
+        heading=HeadingSource.REFERENCE,
+    )
+    return _aligned(given, settings, pose, _velocity_by_reference(given, reference, pose))
+
+
+def _start_by_ahrs(given: _Given) -> Alignment:
+    """Start on the first attitude of the AHRS, and compare it with gravity, where there are samples enough."""
+    start_ns, mat_nb, found = _sensor_attitude(given)
+    sensor = given.config.heading
+    heading_sd_deg = 0.0
+    heading = _heading_of_settings(given)
+    if given.heading_deg is None:
+        heading_sd_deg = sensor.sd_deg
+        heading = HeadingSource.SENSOR
+    initial = _no_surer_than(
+        given.config.initial, (sensor.level_sd_deg, sensor.level_sd_deg, heading_sd_deg)
+    )
+    settings = _with_fix(given, _Settings(initial, (found,)), start_ns)
+    _require_start(given, settings, has_heading=True)
+    place = _place(given, settings, start_ns)
+    samples = levelling_samples(given.dive.imu, start_ns)
+    level = None
+    if len(samples.time_ns) >= FEWEST_SAMPLES:
+        level = _level(given, samples, start_ns, place, float(rpy_from_mat(mat_nb)[2]))
+    pose = _Pose(start_ns, place, mat_nb, AttitudeSource.AHRS, heading, level)
+    return _aligned(given, settings, pose, _velocity_by_dvl(given, pose))
+
+
+def _start_level(given: _Given) -> Alignment:
+    """Start with roll and pitch by gravity, and the velocity of the DVL."""
+    settings, pose = _levelled(given)
+    return _aligned(given, settings, pose, _velocity_by_dvl(given, pose))
+
+
+def _start_level_with_reference(given: _Given, reference: ReferenceColumns) -> Alignment:
+    """Start with roll and pitch by gravity, and the velocity of a reference that has no attitude."""
+    settings, pose = _levelled(given)
+    return _aligned(given, settings, pose, _velocity_by_reference(given, reference, pose))
+
+
+def _levelled(given: _Given) -> tuple["_Settings", "_Pose"]:
+    """Find roll and pitch by gravity; the heading is the settings' or, where these leave it open, a sensor's."""
+    settings = _Settings(given.config.initial)
+    heading_deg = given.heading_deg
+    heading_source = _heading_of_settings(given)
+    is_open = given.config.initial.heading_deg in (None, BY_SENSOR)
+    if is_open and "heading" in given.dive.sensors:
+        settings, heading_deg = _with_heading(given)
+        heading_source = HeadingSource.SENSOR
+    settings = _with_fix(given, settings, given.start_ns)
+    _require_start(given, settings)
+    place = _place(given, settings, given.start_ns)
+    samples = levelling_samples(given.dive.imu, given.start_ns)
+    if len(samples.time_ns) < FEWEST_SAMPLES:
+        raise LogError(
+            f"only {len(samples.time_ns)} IMU samples without a gap in the {LEVELLING_S:g} s after the start, too "
+            "few for levelling",
+            "choose another --start",
+        )
+    if heading_deg is None:
+        raise ValueError("the heading is still to be fitted: run.prepare_with_heading does it")
+    heading = heading_deg * DEG
+    level = _level(given, samples, given.start_ns, place, heading)
+    mat_nb = mat_from_rpy(np.array([*level.roll_pitch, heading]))
+    pose = _Pose(given.start_ns, place, mat_nb, AttitudeSource.GRAVITY, heading_source, level)
+    return settings, pose
+
+
+@dataclass(frozen=True)
+class _Settings:
+    """The settings of a start, with what other sensors fill in."""
+
+    initial: Initial
+    notes: tuple[Note, ...] = ()
+    used_ns: Mapping[str, int] = field(default_factory=dict)  # by sensor
+    fix: Floats | None = None  # (3,) that gave the position; NaN for a height that it lacks
+
+
+@dataclass(frozen=True)
+class _Place:
+    """The position at the start, of the antenna if a fix gave it."""
+
+    position: Floats  # (3,)
+    source: PositionSource
+    notes: tuple[Note, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """A start without its velocity."""
+
+    start_ns: int
+    place: _Place
+    mat_nb: Floats
+    attitude: AttitudeSource
+    heading: HeadingSource
+    level: Level | None = None  # gravity, where it was found
+
+    @property
+    def levelled_by(self) -> Level | None:
+        """Gravity, where roll and pitch come from it."""
+        if self.attitude == AttitudeSource.GRAVITY:
+            return self.level
+        return None
+
+
+@dataclass(frozen=True)
+class _Velocity:
+    """The velocity at the start."""
+
+    velocity_n: Floats  # (3,) m/s
+    dvl_cov_n: Floats | None = None  # (3, 3) of its noise, m^2/s^2; None for the reference's
+    notes: tuple[Note, ...] = ()
+
+    @property
+    def by_dvl_n(self) -> Floats | None:
+        """The velocity, where it is the DVL's."""
+        if self.dvl_cov_n is None:
+            return None
+        return self.velocity_n
+
+
+def _aligned(given: _Given, settings: _Settings, pose: _Pose, velocity: _Velocity) -> Alignment:
+    """Give a start its uncertainty, and note what does not fit together."""
+    initial = settings.initial
+    notes = [*settings.notes, *pose.place.notes, *velocity.notes]
+    spread_cov = None
+    cov = start_cov(initial_sd(initial), pose.mat_nb, pose.levelled_by, velocity.by_dvl_n)
+    if initial.uncertainty == "source":
+        spread_cov = cov
+        sources = StartSources(
+            attitude=pose.attitude,
+            heading=pose.heading,
+            position=pose.place.source,
+            is_velocity_of_reference=velocity.by_dvl_n is None,
+            fitted_heading_sd=given.fitted_heading_sd,
+        )
+        latitude = float(pose.place.position[0])
+        found_sd = source_sd(
+            given.dive, given.config, given.velocities, sources, pose.start_ns, latitude
+        )
+        cov = start_cov(
+            found_sd.states, pose.mat_nb, pose.levelled_by, velocity.by_dvl_n, velocity.dvl_cov_n
+        )
+        initial = changed(initial, position_sd_m=found_sd.position_m)
+        notes.append(source_note(sources, cov))
+    if pose.level is not None:
+        is_sensed = pose.attitude == AttitudeSource.AHRS
+        notes += _level_notes(pose.level, pose.mat_nb, cov, is_sensed=is_sensed)
+    notes += _heading_notes(given, pose)
+    start = Start(
+        position=_position_of_imu(given, settings, pose),
+        velocity_n=velocity.velocity_n,
+        mat_nb=pose.mat_nb,
+        cov=cov,
+        accel_bias_b=given.accel_bias_b,
+        gyro_bias_b=given.gyro_bias_b,
+        is_heading_sensed=pose.heading == HeadingSource.SENSOR,
+    )
+    return Alignment(
+        start_ns=pose.start_ns,
+        start=start,
+        notes=tuple(notes),
+        initial=initial,
+        spread_cov=spread_cov,
+        used_ns=settings.used_ns,
+        heading_source=pose.heading,
+    )
+
+
+# --- What other sensors fill in.
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """The reading of a sensor that is nearest to the start."""
+
+    values: Floats
+    time_ns: int
+    away_s: float
+
+
+def _nearest(dive: Dive, sensor: str, start_ns: int) -> _Reading:
+    columns = dive.sensors[sensor]
+    row = int(np.argmin(np.abs(columns.time_ns - start_ns)))
+    time_ns = int(columns.time_ns[row])
+    return _Reading(columns.values[row], time_ns, abs(time_ns - start_ns) / NS_PER_S)
+
+
+def _with_heading(given: _Given) -> tuple[_Settings, float]:
+    """Take the heading from a sensor; return it as well, deg."""
+    found = _nearest(given.dive, "heading", given.start_ns)
+    if found.away_s > FAR_S:
+        raise LogError(
+            f"the heading reading nearest to the start is {found.away_s:.1f} s away",
+            "choose a --start with a heading reading, or --set initial.heading_deg=...",
+        )
+    heading_deg = float(found.values[0]) / DEG % 360.0
+    initial = _no_surer_than(given.config.initial, (0.0, 0.0, given.config.heading.sd_deg))
+    settings = _Settings(
+        changed(initial, heading_deg=heading_deg),
+        (note("start_heading_sensor", heading=heading_deg, away=found.away_s),),
+        {"heading": found.time_ns},
+    )
+    return settings, heading_deg
+
+
+def _no_surer_than(initial: Initial, sensor_sd_deg: tuple[float, float, float]) -> Initial:
+    """Return the settings with an attitude that is no surer than the sensor that gives it."""
+    own_north, own_east, own_down = initial.misalignment_sd_deg
+    north, east, down = sensor_sd_deg
+    sds_deg = (max(own_north, north), max(own_east, east), max(own_down, down))
+    return changed(initial, misalignment_sd_deg=sds_deg)
+
+
+def _with_fix(given: _Given, settings: _Settings, start_ns: int) -> _Settings:
+    """Take the position from a fix where neither the reference nor the settings give it."""
+    initial = settings.initial
+    is_open = given.located is None and initial.latitude_deg is None
+    if not is_open or "position" not in given.dive.sensors:
+        return settings
+    found = _nearest(given.dive, "position", start_ns)
+    severity = Severity.WARNING if found.away_s > FAR_S else Severity.INFO
+    notes = [*settings.notes, note("start_position_sensor", severity=severity, away=found.away_s)]
+    latitude, longitude, height_m = found.values.tolist()
+    if np.isnan(height_m):
+        height_m = initial.height_m
+        notes.append(note("start_height_configured", height=height_m))
+    sd_m = given.config.position.sd_m
+    north_m, east_m, down_m = initial.position_sd_m
+    initial = changed(
+        initial,
+        latitude_deg=latitude / DEG,
+        longitude_deg=longitude / DEG,
+        height_m=height_m,
+        position_sd_m=(max(north_m, sd_m), max(east_m, sd_m), down_m),
+    )
+    used_ns = {**settings.used_ns, "position": found.time_ns}
+    return _Settings(initial, tuple(notes), used_ns, found.values)
+
+
+def _require_start(given: _Given, settings: _Settings, *, has_heading: bool = False) -> None:
+    """Raise if reference, sensors and settings do not determine the start."""
+    reference = given.dive.reference
+    check_start(
+        settings.initial,
+        has_reference=reference is not None,
+        has_position=given.located is not None,
+        has_attitude=reference is not None and reference.has_attitude,
+        has_heading=has_heading,
+    )
+
+
+def _heading_of_settings(given: _Given) -> HeadingSource:
+    """Return the source of a heading that is in the settings."""
+    if given.fitted_heading_sd is None:
+        return HeadingSource.SETTINGS
+    return HeadingSource.FIT
+
+
+# --- Position.
+
+
+def _place(given: _Given, settings: _Settings, start_ns: int) -> _Place:
+    """Return the position at the start: the reference's, else that of the settings, or of the fix in them."""
+    initial = settings.initial
+    if given.located is not None:
+        position, notes = _reference_position(given.located, initial, start_ns)
+        return _Place(position, PositionSource.REFERENCE, tuple(notes))
+    latitude_deg = start_latitude_deg(initial)
+    position = np.array([latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
+    if settings.fix is not None:
+        return _Place(position, PositionSource.SENSOR)
+    configured = note("start_position_configured", latitude=latitude_deg)
+    return _Place(position, PositionSource.SETTINGS, (configured,))
+
+
+def _position_of_imu(given: _Given, settings: _Settings, pose: _Pose) -> Floats:
+    """Move the position of a fix from the antenna to the IMU; a configured height stays."""
+    position = pose.place.position
+    if settings.fix is None:
+        return position
+    arm_n = pose.mat_nb @ np.array(given.config.position.lever_arm_m)
+    return np.where(np.isfinite(settings.fix), moved_position(position, -arm_n), position)
+
+
+# --- Level and velocity.
+
+
+def _level(
+    given: _Given, samples: ImuColumns, start_ns: int, place: _Place, heading: float
+) -> Level:
+    """Find gravity in body axes, without the biases that the settings know."""
+    unbiased = ImuColumns(
+        samples.time_ns,
+        samples.specific_force_b - given.accel_bias_b,
+        samples.angular_rate_b - given.gyro_bias_b,
+    )
+    baseline = given.baseline
+    return find_level(
+        unbiased,
+        given.velocities,
+        baseline.velocity_cov(given.velocities),
+        baseline.inertial_noise.accel_white_mps_rts,
+        given.arm_b,
+        start_ns,
+        heading=heading,
+        latitude=float(place.position[0]),
+    )
+
+
+def _velocity_by_reference(given: _Given, reference: ReferenceColumns, pose: _Pose) -> _Velocity:
+    """Return the velocity of the reference; where it has none near the start, the DVL's."""
+    at_ns = np.array([pose.start_ns])
+    if apart_s(reference.time_ns, reference.velocity_n, at_ns)[0] <= FAR_S:
+        return _Velocity(at_time(reference.time_ns, reference.velocity_n, pose.start_ns))
+    return _velocity_by_dvl(given, pose)
+
+
+def _velocity_by_dvl(given: _Given, pose: _Pose) -> _Velocity:
+    """Return the velocity of the level's first ping, carried to the start; without a level of the nearest ping."""
+    level = pose.level
     if level is not None and level.pings:
-        ping_ns = int(velocities.time_ns[np.searchsorted(velocities.time_ns, start_ns)])
-        return _DvlVelocity(level.velocity_b, level.velocity_cov_b, ping_ns)
-    nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
+        pings_ns = given.velocities.time_ns
+        ping_ns = int(pings_ns[np.searchsorted(pings_ns, pose.start_ns)])
+        velocity_b = level.velocity_b
+        cov_b = level.velocity_cov_b
+    else:
+        ping_ns, velocity_b, cov_b = _nearest_ping(given, pose)
+    # No less than the rounding of readings.
+    cov_n = np.asarray(pose.mat_nb @ cov_b @ pose.mat_nb.T + LEAST_DVL_SD_MPS**2 * np.eye(3))
+    found = note("start_velocity_dvl", away=abs(ping_ns - pose.start_ns) * 1e-9)
+    return _Velocity(pose.mat_nb @ velocity_b, cov_n, (found,))
+
+
+def _nearest_ping(given: _Given, pose: _Pose) -> tuple[int, Floats, Floats]:
+    """Return time, velocity of the IMU in b, m/s, and covariance, m^2/s^2, of the ping nearest to the start."""
+    imu = given.dive.imu
+    velocities = given.velocities
+    nearest = int(np.argmin(np.abs(velocities.time_ns - pose.start_ns)))
     ping_ns = int(velocities.time_ns[nearest])
+    # What the gyros measure without any turn over ground.
+    still_rate_b = given.gyro_bias_b + pose.mat_nb.T @ earth_rate_n(pose.place.position[0])
     rate_eb_b = at_time(imu.time_ns, imu.angular_rate_b, ping_ns) - still_rate_b
-    velocity_b = velocities.velocity_b[nearest] - np.cross(rate_eb_b, arm_b)
-    change_cov = velocity_change_cov(velocities, nearest, start_ns)
-    return _DvlVelocity(velocity_b, covs_b[nearest] + change_cov, ping_ns)
+    velocity_b = velocities.velocity_b[nearest] - np.cross(rate_eb_b, given.arm_b)
+    cov_b = given.baseline.velocity_cov(velocities)[nearest]
+    change_cov = velocity_change_cov(velocities, nearest, pose.start_ns)
+    return ping_ns, velocity_b, cov_b + change_cov
 
 
-def _attitude_source(*, posed: bool, sensed: bool) -> AttitudeSource:
-    if posed:
-        return AttitudeSource.REFERENCE
-    if sensed:
-        return AttitudeSource.AHRS
-    return AttitudeSource.GRAVITY
+# --- Attitudes of others, and what contradicts them.
 
 
-def _heading_source(*, posed: bool, sensed: bool, fitted: bool) -> HeadingSource:
-    if posed:
-        return HeadingSource.REFERENCE
-    if sensed:
-        return HeadingSource.SENSOR
-    if fitted:
-        return HeadingSource.FIT
-    return HeadingSource.SETTINGS
-
-
-def _position_source(*, located: bool, fixed: bool) -> PositionSource:
-    if located:
-        return PositionSource.REFERENCE
-    if fixed:
-        return PositionSource.SENSOR
-    return PositionSource.SETTINGS
-
-
-def _sensor_attitude(
-    dive: Dive, heading_deg: float | None, start_ns: int, end_ns: int
-) -> tuple[int, Floats, Note]:
+def _sensor_attitude(given: _Given) -> tuple[int, Floats, Note]:
     """Return time and value of the AHRS's first attitude in the span; a configured heading replaces its own."""
-    time_ns = dive.sensors["heading"].time_ns
-    mats_nb = dive.sensors["heading"].mat_nb
+    time_ns = given.dive.sensors["heading"].time_ns
+    mats_nb = given.dive.sensors["heading"].mat_nb
     if mats_nb is None:
         raise LogError(
             'initial.source is "sensor", but the heading messages have no roll and pitch',
             "set heading.roll and heading.pitch, or start level: --set initial.source=level",
         )
-    inside = (time_ns >= start_ns) & (time_ns < end_ns) & np.isfinite(mats_nb).all(axis=(1, 2))
+    in_span = (time_ns >= given.start_ns) & (time_ns < given.end_ns)
+    inside = in_span & np.isfinite(mats_nb).all(axis=(1, 2))
     if not inside.any():
         raise LogError(
             "the heading sensor has no attitude between the first and the last IMU sample of the span",
@@ -377,14 +552,17 @@ def _sensor_attitude(
     first_ns = int(time_ns[row])
     mat_nb = mats_nb[row]
     roll, pitch, heading = rpy_from_mat(mat_nb)
-    if heading_deg is not None:
-        heading = heading_deg * DEG
+    if given.heading_deg is not None:
+        heading = given.heading_deg * DEG
         mat_nb = mat_from_rpy(np.array([roll, pitch, heading]))
-    since_s = (first_ns - start_ns) / NS_PER_S
-    shown_deg = heading / DEG % 360.0
-    return first_ns, mat_nb, note(
-        "start_attitude_sensor", roll=roll / DEG, pitch=pitch / DEG, since=since_s, heading=shown_deg
-    )  # fmt: skip
+    found = note(
+        "start_attitude_sensor",
+        roll=roll / DEG,
+        pitch=pitch / DEG,
+        since=(first_ns - given.start_ns) / NS_PER_S,
+        heading=heading / DEG % 360.0,
+    )
+    return first_ns, mat_nb, found
 
 
 def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) -> int:
@@ -397,7 +575,8 @@ def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) 
     located = inside & (
         apart_s(reference.time_ns, reference.position[:, :2], reference.time_ns) <= FAR_S
     )
-    inside = located if located.any() else inside
+    if located.any():
+        inside = located
     if not inside.any():
         raise LogError(
             "the reference has no attitude between the first and the last IMU sample of the span",
@@ -410,35 +589,28 @@ def _reference_position(
     reference: ReferenceColumns, initial: Initial, start_ns: int
 ) -> tuple[Floats, list[Note]]:
     """Interpolate the reference's position at the start; its height may be missing."""
-    horizontal = reference.position[:, :2].copy()
     notes = list[Note]()
+    horizontal = reference.position[:, :2].copy()
+    # So that 180 deg lies between no two rows.
     first_longitude = horizontal[np.argmax(np.isfinite(horizontal).all(axis=1)), 1]
-    horizontal[:, 1] = wrap_angle(
-        horizontal[:, 1] - first_longitude
-    )  # so that 180 deg lies between no two rows
-    quantities = {"position": horizontal, "height": reference.position[:, 2:]}
-    if not reference.known["heights"].any():
-        del quantities["height"]
-        notes.append(note("start_height_configured", height=initial.height_m))
-    found = {
-        name: at_time(reference.time_ns, values, start_ns) for name, values in quantities.items()
-    }
+    horizontal[:, 1] = wrap_angle(horizontal[:, 1] - first_longitude)
+    latitude, longitude = at_time(reference.time_ns, horizontal, start_ns)
+    height_m = initial.height_m
+    quantities = {"position": horizontal}
+    if reference.known["heights"].any():
+        quantities["height"] = reference.position[:, 2:]
+        height_m = at_time(reference.time_ns, quantities["height"], start_ns)[0]
+    else:
+        notes.append(note("start_height_configured", height=height_m))
     for quantity, values in quantities.items():
         far_s = float(apart_s(reference.time_ns, values, np.array([start_ns]))[0])
         if far_s > FAR_S:
             notes.append(note("start_{quantity}_far", quantity=quantity, away=far_s))
             break
-    (latitude, longitude), (height_m,) = found["position"], found.get("height", (initial.height_m,))
+    given_deg = initial.latitude_deg
     latitude_deg = float(latitude) / DEG
-    if (
-        initial.latitude_deg is not None
-        and abs(initial.latitude_deg - latitude_deg) > LATITUDE_LIMIT_DEG
-    ):
-        notes.append(
-            note(
-                "start_latitude_contradiction", configured=initial.latitude_deg, found=latitude_deg
-            )
-        )
+    if given_deg is not None and abs(given_deg - latitude_deg) > LATITUDE_LIMIT_DEG:
+        notes.append(note("start_latitude_contradiction", configured=given_deg, found=latitude_deg))
     return np.array([latitude, float(wrap_angle(longitude + first_longitude)), height_m]), notes
 
 
@@ -446,16 +618,21 @@ def _apart_deg(heading_deg: float, other_deg: float) -> float:
     return abs(float(wrap_angle(np.asarray((heading_deg - other_deg) * DEG)))) / DEG
 
 
-def _heading_notes(
-    reference: ReferenceColumns | None, heading_deg: float, start_ns: int
-) -> list[Note]:
-    """Compare the heading with the reference's, where one is near enough to the start."""
+def _heading_notes(given: _Given, pose: _Pose) -> list[Note]:
+    """Compare the heading with the settings', where it is the reference's, else with the reference's near the start."""
+    reference = given.dive.reference
+    heading_deg = float(rpy_from_mat(pose.mat_nb)[2]) / DEG
+    if pose.attitude == AttitudeSource.REFERENCE:
+        idle_deg = given.heading_deg
+        if idle_deg is None or _apart_deg(idle_deg, heading_deg) <= GIVEN_HEADING_LIMIT_DEG:
+            return []
+        return [note("start_heading_idle", configured=idle_deg, found=heading_deg % 360.0)]
     if reference is None or not reference.has_attitude:
         return []
     known = reference.rows(reference.known["attitudes"])
-    row = int(np.argmin(np.abs(known.time_ns - start_ns)))
+    row = int(np.argmin(np.abs(known.time_ns - pose.start_ns)))
     found_deg = float(rpy_from_mat(known.mat_nb[row])[2]) / DEG
-    is_far = abs(int(known.time_ns[row]) - start_ns) * 1e-9 > FAR_S
+    is_far = abs(int(known.time_ns[row]) - pose.start_ns) * 1e-9 > FAR_S
     if is_far or _apart_deg(heading_deg, found_deg) <= HEADING_LIMIT_DEG:
         return []
     return [
