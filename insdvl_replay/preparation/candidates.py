@@ -6,7 +6,7 @@ A mistake in the user's code is a `CandidateError`. Its candidate is then not ev
 from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Floats,
     ImuColumns,
+    Mask,
     ReferenceColumns,
     SolutionColumns,
     TimeNs,
@@ -60,8 +61,13 @@ def history_of_candidate(
         name, columns, SolutionSettings(), imu, baseline, evaluated_ns, key
     )
     _require_this_dive(history, baseline, imu, solution.time_ns[0])
-    met = _innovations(solution, velocities)
-    return replace(history, has_own_start=False, innovations=() if met is None else (met,)), notes
+    innovations: tuple[Innovations, ...] = ()
+    if solution.innovation_b is not None and solution.innovation_cov is not None:
+        met = _innovations(
+            solution.time_ns, solution.innovation_b, solution.innovation_cov, velocities
+        )
+        innovations = (met,)
+    return replace(history, has_own_start=False, innovations=innovations), notes
 
 
 def failed_history(name: str, reason: str, baseline: History, imu: ImuColumns) -> History:
@@ -79,21 +85,23 @@ def _columns(solution: Solution, start: Start, start_ns: int, end_ns: int) -> So
     time_ns = solution.time_ns
     inside = (time_ns >= start_ns) & (time_ns <= end_ns)
     if not inside.any():
-        first_s, last_s = ((int(at) - start_ns) / NS_PER_S for at in (time_ns[0], time_ns[-1]))
+        first_s = (int(time_ns[0]) - start_ns) / NS_PER_S
+        last_s = (int(time_ns[-1]) - start_ns) / NS_PER_S
         raise CandidateError(
             f"gives a solution of wrong times: {first_s:.6g} to {last_s:.6g} s after the start, and the dive has 0 to "
             f"{(end_ns - start_ns) / NS_PER_S:.6g} s"
         )
     is_later = int(time_ns[0]) > start_ns
-    given = {"position": start.position, "velocity_n": start.velocity_n, "mat_nb": start.mat_nb}
-    columns = dict[str, Any]()
-    for name, value in given.items():
-        own = getattr(solution, name)
-        if own is None:
-            columns[name] = nothing((len(time_ns) + is_later, *value.shape))
-        else:
-            columns[name] = np.concatenate([value[None], own]) if is_later else own
-    motion_ns = np.concatenate([[start_ns], time_ns]) if is_later else time_ns
+    motion_ns = time_ns
+    if is_later:
+        motion_ns = np.concatenate([[start_ns], time_ns])
+    rows = len(time_ns)
+    motion = ReferenceColumns(
+        time_ns=motion_ns,
+        position=_from_start(solution.position, start.position, rows, is_later=is_later),
+        velocity_n=_from_start(solution.velocity_n, start.velocity_n, rows, is_later=is_later),
+        mat_nb=_from_start(solution.mat_nb, start.mat_nb, rows, is_later=is_later),
+    )
     cov = np.empty((0, 9, 9))
     cov_ns = time_ns[:0]
     if solution.cov is not None:
@@ -101,7 +109,16 @@ def _columns(solution: Solution, start: Start, start_ns: int, end_ns: int) -> So
         every = 1 + len(cov_ns) // MOST_COVARIANCES
         cov = solution.cov[::every]
         cov_ns = cov_ns[::every]
-    return SolutionColumns(ReferenceColumns(motion_ns, **columns), None, cov_ns, cov)
+    return SolutionColumns(motion, None, cov_ns, cov)
+
+
+def _from_start(own: Floats | None, start: Floats, rows: int, *, is_later: bool) -> Floats:
+    """Return a column of a solution, NaN where it is not given; one that is later begins with the start."""
+    if own is None:
+        return nothing((rows + is_later, *start.shape))
+    if is_later:
+        return np.concatenate([start[None], own])
+    return own
 
 
 def _require_this_dive(history: History, baseline: History, imu: ImuColumns, first_ns: int) -> None:
@@ -109,58 +126,91 @@ def _require_this_dive(history: History, baseline: History, imu: ImuColumns, fir
 
     Before its own first row it has the start. Where the baseline turns otherwise than the gyros, these decide.
     """
-    columns = {"position": history.position[:, 0], "velocity_n": history.velocity_n[:, 0]}
-    columns["mat_nb"] = history.mat_nb[:, 0, 0]
-    known = {
-        name: np.isfinite(column) for name, column in columns.items() if np.isfinite(column).any()
+    columns = {
+        "position": history.position[:, 0],
+        "velocity_n": history.velocity_n[:, 0],
+        "mat_nb": history.mat_nb[:, 0, 0],
     }
-    reason = ""
-    if not known:
+    known = {name: np.isfinite(column) for name, column in columns.items()}
+    given = {name: rows for name, rows in known.items() if rows.any()}
+    if not given:
         raise CandidateError("gives a solution without a row in the time of the replay")
-    for name, rows in known.items():
-        if (share := float(rows.mean())) < WELL_COVERED:
-            last_s, end_s = (
-                seconds(history.time_ns[at], history.time_ns[0])
-                for at in (np.flatnonzero(rows)[-1], -1)
-            )
-            raise CandidateError(
-                f"gives {MOTION[name]} for only {100.0 * share:.0f} % of the replay, the last at {last_s:.1f} of "
-                f"{end_s:.1f} s"
-            )
-    if "position" in known:
-        row = int(np.argmax(known["position"] & (history.time_ns >= first_ns)))
-        apart_m = float(
-            np.hypot(
-                *north_east_m(history.position[row], baseline.position[row], baseline.position[row])
-            )
-        )
-        if apart_m > FARTHEST_START_M:
-            reason = f"it begins {apart_m:.3g} m from the start"
-    if "velocity_n" in known:
-        rows = known["velocity_n"] & np.isfinite(baseline.velocity_n).all(axis=1)
-        own, other = (np.linalg.norm(run.velocity_n[rows], axis=1) for run in (history, baseline))
-        off_mps, usual_mps = (float(np.sqrt(np.mean(speed**2))) for speed in (own - other, other))
-        if off_mps > LARGEST_SPEED * (usual_mps + 1.0):
-            reason = f"its speed differs from the baseline's by {off_mps:.2g} m/s (rms)"
-    if "mat_nb" in known:
-        rows = np.flatnonzero(known["mat_nb"] & np.isfinite(baseline.mat_nb).all(axis=(1, 2)))
-        since_s = seconds(history.time_ns[rows], history.time_ns[0])
-        rows = rows[np.unique(np.searchsorted(since_s, np.arange(0.0, since_s[-1], COMPARED_S)))]
-        own, other = (
-            np.swapaxes(run.mat_nb[rows[:-1]], 1, 2) @ run.mat_nb[rows[1:]]
-            for run in (history, baseline)
-        )
-        if _apart_deg(own, other) > LARGEST_TURN_DEG:
-            rate_b = 0.5 * (imu.angular_rate_b[1:] + imu.angular_rate_b[:-1])
-            steps = mat_from_vector(rate_b * seconds(imu.time_ns[1:], imu.time_ns[:-1])[:, None])
-            samples = pairwise(np.searchsorted(imu.time_ns, history.time_ns[rows]))
-            by_gyros = np.array(
-                [reduce(np.matmul, steps[first:last], np.eye(3)) for first, last in samples]
-            )
-            if (rms_deg := _apart_deg(own, by_gyros)) > LARGEST_TURN_DEG:
-                reason = f"its turns in {COMPARED_S:g} s differ from the gyros' by {rms_deg:.2g} deg (rms)"
+    for name, rows in given.items():
+        _require_covered(MOTION[name], history.time_ns, rows)
+    reason = ""
+    if "mat_nb" in given:
+        reason = _other_turns(history, baseline, imu, given["mat_nb"])
+    if "velocity_n" in given and not reason:
+        reason = _other_speed(history, baseline, given["velocity_n"])
+    if "position" in given and not reason:
+        reason = _other_place(history, baseline, given["position"], first_ns)
     if reason:
         raise CandidateError(f"gives a solution that is not of this dive: {reason}")
+
+
+def _require_covered(what: str, time_ns: TimeNs, known: Mask) -> None:
+    """Require that a quantity is known in most rows of the replay."""
+    share = float(known.mean())
+    if share >= WELL_COVERED:
+        return
+    since_s = seconds(time_ns, time_ns[0])
+    raise CandidateError(
+        f"gives {what} for only {100.0 * share:.0f} % of the replay, the last at "
+        f"{since_s[known][-1]:.1f} of {since_s[-1]:.1f} s"
+    )
+
+
+def _other_place(history: History, baseline: History, known: Mask, first_ns: int) -> str:
+    """Say that a solution begins far from where the baseline is; empty if it does not."""
+    row = int(np.argmax(known & (history.time_ns >= first_ns)))
+    place = baseline.position[row]
+    apart_m = float(np.hypot(*north_east_m(history.position[row], place, place)))
+    if apart_m > FARTHEST_START_M:
+        return f"it begins {apart_m:.3g} m from the start"
+    return ""
+
+
+def _other_speed(history: History, baseline: History, known: Mask) -> str:
+    """Say that a solution is far faster or slower than the baseline; empty if it is not."""
+    rows = known & np.isfinite(baseline.velocity_n).all(axis=1)
+    own_mps = np.linalg.norm(history.velocity_n[rows], axis=1)
+    usual_mps = np.linalg.norm(baseline.velocity_n[rows], axis=1)
+    off_mps = _rms(own_mps - usual_mps)
+    if off_mps > LARGEST_SPEED * (_rms(usual_mps) + 1.0):
+        return f"its speed differs from the baseline's by {off_mps:.2g} m/s (rms)"
+    return ""
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _other_turns(history: History, baseline: History, imu: ImuColumns, known: Mask) -> str:
+    """Say that a solution turns otherwise than baseline and gyros; empty if it does not."""
+    rows = np.flatnonzero(known & np.isfinite(baseline.mat_nb).all(axis=(1, 2)))
+    since_s = seconds(history.time_ns[rows], history.time_ns[0])
+    rows = rows[np.unique(np.searchsorted(since_s, np.arange(0.0, since_s[-1], COMPARED_S)))]
+    own = _turns(history.mat_nb[rows])
+    is_other = _apart_deg(own, _turns(baseline.mat_nb[rows])) > LARGEST_TURN_DEG
+    if not is_other:
+        return ""
+    rms_deg = _apart_deg(own, _turns_by_gyros(imu, history.time_ns[rows]))
+    if rms_deg > LARGEST_TURN_DEG:
+        return f"its turns in {COMPARED_S:g} s differ from the gyros' by {rms_deg:.2g} deg (rms)"
+    return ""
+
+
+def _turns(mat_nb: Floats) -> Floats:
+    """Return the turns from each attitude to the next, shape (k - 1, 3, 3)."""
+    return np.asarray(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:])
+
+
+def _turns_by_gyros(imu: ImuColumns, time_ns: TimeNs) -> Floats:
+    """Return the turns that the gyros measure from each time to the next, shape (k - 1, 3, 3)."""
+    rate_b = 0.5 * (imu.angular_rate_b[1:] + imu.angular_rate_b[:-1])
+    steps = mat_from_vector(rate_b * seconds(imu.time_ns[1:], imu.time_ns[:-1])[:, None])
+    samples = pairwise(np.searchsorted(imu.time_ns, time_ns))
+    return np.array([reduce(np.matmul, steps[first:last], np.eye(3)) for first, last in samples])
 
 
 def _apart_deg(own: Floats, other: Floats) -> float:
@@ -171,27 +221,20 @@ def _apart_deg(own: Floats, other: Floats) -> float:
     return 0.0
 
 
-def _innovations(solution: Solution, velocities: DvlVelocities) -> Innovations | None:
-    """Return the innovations of the DVL's velocity, in the axes of the IMU."""
-    if solution.innovation_b is None or solution.innovation_cov is None:
-        return None
-    known = np.isfinite(solution.innovation_b).all(axis=1) & np.isfinite(
-        solution.innovation_cov
-    ).all(axis=(1, 2))
-    time_ns, own, pings = np.intersect1d(
-        solution.time_ns[known], velocities.time_ns, return_indices=True
-    )
-    innovation = solution.innovation_b[known][own]
-    cov = solution.innovation_cov[known][own]
+def _innovations(
+    given_ns: TimeNs, innovation_b: Floats, innovation_cov: Floats, velocities: DvlVelocities
+) -> Innovations:
+    """Return a solution's innovations of the DVL's velocity, in the axes of the IMU, at the pings."""
+    known = np.isfinite(innovation_b).all(axis=1) & np.isfinite(innovation_cov).all(axis=(1, 2))
+    time_ns, own, pings = np.intersect1d(given_ns[known], velocities.time_ns, return_indices=True)
+    if not len(time_ns):
+        raise CandidateError("gives innovations at no time of a ping")
+    innovation = innovation_b[known][own]
+    cov = innovation_cov[known][own]
     sign, log_det = np.linalg.slogdet(cov)
     variance = np.diagonal(cov, axis1=1, axis2=2)
-    if not len(time_ns) or np.any(sign <= 0.0) or np.any(variance <= 0.0):
-        lacks = (
-            "at no time of a ping"
-            if not len(time_ns)
-            else "with a covariance that is not positive definite"
-        )
-        raise CandidateError(f"gives innovations {lacks}")
+    if np.any(sign <= 0.0) or np.any(variance <= 0.0):
+        raise CandidateError("gives innovations with a covariance that is not positive definite")
     solved = np.linalg.solve(cov, innovation[..., None])[..., 0]
     count = len(time_ns)
     return Innovations(

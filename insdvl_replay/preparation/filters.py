@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from msgspec.structs import asdict
@@ -141,89 +141,124 @@ class ResolvedFilter:
 
         In long gaps of the IMU the turn rate is unknown, and with it the velocity of the lever arm.
         """
-        arm_b = mounting.lever_arm_b
-        time_ns = velocities.time_ns
+        cov_b = self.velocity_cov(velocities) + gaps.swing_cov(
+            velocities.time_ns, mounting.lever_arm_b
+        )
         found = list[Measurement]()
-        cov_b = self.velocity_cov(velocities) + gaps.swing_cov(time_ns, arm_b)
-        from_velocities: dict[str, Any] = {
-            "noise": self.measurement_noise,
-            "reopen_after": self.gate_reopen_after,
-        }
-        for aid in (aid for aid in self.aiding if aid not in self.held_out):
+        for aid in self.aiding:
+            if aid in self.held_out:
+                continue
             if aid == "velocity":
-                found.append(replace(velocity_measurement(velocities, cov_b), **from_velocities))
+                found.append(self._as_set(velocity_measurement(velocities, cov_b)))
             elif aid == "beams":
-                if beams is None:
-                    raise ConfigError(
-                        f"filters.{self.name} is aided by beams, but the DVL has velocities only",
-                        'aiding = ["velocity"]; if the log has beams, set dvl.kind and dvl.beam_velocity',
-                    )
-                swing_cov_b = gaps.swing_cov(beams.time_ns, arm_b)
-                by_beam = beam_measurements(beams, self.beam_sd_mps(velocities))
-                for beam in by_beam:
-                    # All beams swing together and are used independently: together they must say as much as one.
-                    swing_var = len(by_beam) * (swing_cov_b @ beam.direction_b @ beam.direction_b)
-                    found.append(
-                        replace(beam, cov=beam.cov + swing_var[:, None, None], **from_velocities)
-                    )
+                found += self._beams(beams, velocities, mounting, gaps)
             elif aid == "acceleration":
-                settings = self.acceleration
-                windows = slope_windows(
-                    seconds(time_ns, time_ns[:1]),
-                    settings.window,
-                    settings.order,
-                    settings.max_window_gap_s,
-                )
-                acceleration = acceleration_measurement(
-                    velocities,
-                    cov_b,
-                    windows,
-                    kind=WINDOWED if settings.model == "windowed" else PUBLISHED,
-                    sd_mps2=settings.sd_mps2,
-                    accel_white_mps_rts=self.inertial_noise.accel_white_mps_rts,
-                )
-                # Nor is one used whose window, or the reading at its ping, is in a gap.
-                first = np.maximum(np.arange(len(time_ns)) - settings.window + 1, 0)
-                seen = windows.complete & ~gaps.overlap(time_ns[first], time_ns)
-                found.append(replace(acceleration, available=seen))
+                found.append(self._acceleration(velocities, cov_b, gaps))
             else:
                 found.append(sensors[aid])
-        used = (replace(measurement, gate=self.gate(measurement.size)) for measurement in found)
-        names = ((sensors[aid], f"{HELD_OUT}{sensors[aid].name}") for aid in self.held_out)
-        return (*used, *(replace(sensor, name=name).held_out() for sensor, name in names))
+        used = [replace(measurement, gate=self.gate(measurement.size)) for measurement in found]
+        held_out = list[Measurement]()
+        for aid in self.held_out:
+            name = f"{HELD_OUT}{sensors[aid].name}"
+            held_out.append(replace(sensors[aid], name=name).held_out())
+        return (*used, *held_out)
+
+    def _as_set(self, measurement: Measurement) -> Measurement:
+        """Give a measurement of the velocity the filter's settings for it."""
+        return replace(
+            measurement, noise=self.measurement_noise, reopen_after=self.gate_reopen_after
+        )
+
+    def _beams(
+        self, beams: DvlBeams | None, velocities: DvlVelocities, mounting: DvlMounting, gaps: Gaps
+    ) -> list[Measurement]:
+        """Prepare each beam; all swing together and are used independently, so together they say as much as one."""
+        if beams is None:
+            raise ConfigError(
+                f"filters.{self.name} is aided by beams, but the DVL has velocities only",
+                'aiding = ["velocity"]; if the log has beams, set dvl.kind and dvl.beam_velocity',
+            )
+        swing_cov_b = gaps.swing_cov(beams.time_ns, mounting.lever_arm_b)
+        by_beam = beam_measurements(beams, self.beam_sd_mps(velocities))
+        found = []
+        for beam in by_beam:
+            swing_var = len(by_beam) * (swing_cov_b @ beam.direction_b @ beam.direction_b)
+            found.append(self._as_set(replace(beam, cov=beam.cov + swing_var[:, None, None])))
+        return found
+
+    def _acceleration(self, velocities: DvlVelocities, cov_b: Floats, gaps: Gaps) -> Measurement:
+        """Prepare the slopes of the velocity; none is used whose window, or the reading at its ping, is in a gap."""
+        settings = self.acceleration
+        time_ns = velocities.time_ns
+        windows = slope_windows(
+            seconds(time_ns, time_ns[:1]),
+            settings.window,
+            settings.order,
+            settings.max_window_gap_s,
+        )
+        acceleration = acceleration_measurement(
+            velocities,
+            cov_b,
+            windows,
+            kind=WINDOWED if settings.model == "windowed" else PUBLISHED,
+            sd_mps2=settings.sd_mps2,
+            accel_white_mps_rts=self.inertial_noise.accel_white_mps_rts,
+        )
+        first = np.maximum(np.arange(len(time_ns)) - settings.window + 1, 0)
+        seen = windows.complete & ~gaps.overlap(time_ns[first], time_ns)
+        return replace(acceleration, available=seen)
 
 
 def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter:
-    """Resolve what a filter takes from the sections that all filters share; of two noises the beams' comes first."""
+    """Resolve what a filter takes from the sections that all filters share."""
     held_out = config.evaluation.held_out
-    rate_hz = 1.0 / config.heading.bias_time_s
     needed = {*filter_.states, *states_for(aid for aid in filter_.aiding if aid not in held_out)}
     states = tuple(block for block in MORE_STATES if block in needed)
-    more_sd = np.array([sd for block in states for sd in MORE_SD[block](config)], dtype=np.float64)
-    fades = np.array(
-        [block == "heading_bias" for block in states for _ in MORE_STATES[block]], dtype=np.float64
-    )
-    inertial = {key: getattr(config.noise, key) for key in InertialNoise.__struct_fields__}
-    own_noise = {key: value for key in inertial if (value := getattr(filter_, key)) is not None}
-    keys: tuple[Literal["beam_sd_mps", "velocity_sd_mps"], ...] = ("beam_sd_mps", "velocity_sd_mps")
-    dvl_noise = ((key, getattr(section, key)) for section in (filter_, config.dvl) for key in keys)
+    more_sd = list[float]()
+    fading = list[bool]()
+    for block in states:
+        more_sd += MORE_SD[block](config)
+        fading += [block == "heading_bias"] * len(MORE_STATES[block])
+    # A Gauss-Markov process keeps its variance where its noise has the density 2 sd^2 / time.
+    rate_hz = 1.0 / config.heading.bias_time_s
+    sds = np.array(more_sd, np.float64)
+    more_density = 2.0 * rate_hz * np.array(fading, np.float64) * sds**2
     return ResolvedFilter(
-        name,
-        filter_.aiding,
-        next(DvlNoise(key, sd_mps) for key, sd_mps in dvl_noise if sd_mps is not None),
-        InertialNoise(**inertial | own_noise),
-        filter_.gate_probability,
-        filter_.gate_reopen_after,
-        filter_.acceleration or Acceleration(),
-        states,
-        held_out,
-        MEASUREMENT_NOISE[filter_.dvl_noise],
-        more_sd,
-        # A Gauss-Markov process keeps its variance where its noise has the density 2 sd^2 / time.
-        2.0 * rate_hz * fades * more_sd**2,
-        rate_hz,
-        filter_.noise_factors,
+        name=name,
+        aiding=filter_.aiding,
+        dvl_noise=_dvl_noise(filter_, config),
+        inertial_noise=_inertial_noise(filter_, config),
+        gate_probability=filter_.gate_probability,
+        gate_reopen_after=filter_.gate_reopen_after,
+        acceleration=filter_.acceleration or Acceleration(),
+        states=states,
+        held_out=held_out,
+        measurement_noise=MEASUREMENT_NOISE[filter_.dvl_noise],
+        more_sd=sds,
+        more_density=more_density,
+        heading_bias_rate_hz=rate_hz,
+        noise_factors=filter_.noise_factors,
     )
+
+
+def _dvl_noise(filter_: Filter, config: Config) -> DvlNoise:
+    """Return the noise of the filter's own section, else that of ``[dvl]``; of two in a section the beams'."""
+    for section in (filter_, config.dvl):
+        if section.beam_sd_mps is not None:
+            return DvlNoise("beam_sd_mps", section.beam_sd_mps)
+        if section.velocity_sd_mps is not None:
+            return DvlNoise("velocity_sd_mps", section.velocity_sd_mps)
+    raise ValueError("[dvl] has no noise")
+
+
+def _inertial_noise(filter_: Filter, config: Config) -> InertialNoise:
+    """Return the noise of ``[noise]``, with what the filter's own section has instead."""
+    found = {}
+    for key in InertialNoise.__struct_fields__:
+        found[key] = getattr(filter_, key)
+        if found[key] is None:
+            found[key] = getattr(config.noise, key)
+    return InertialNoise(**found)
 
 
 def resolve_filters(config: Config) -> tuple[ResolvedFilter, ...]:
@@ -303,25 +338,28 @@ def silence_notes(sensor: str, time_ns: TimeNs, start_ns: int, end_ns: int) -> l
     ends_ns = np.concatenate([[start_ns], time_ns, [end_ns]])
     length_s = np.diff(ends_ns) / NS_PER_S
     longest = int(np.argmax(length_s))
-    usual_s = float(np.median(length_s[1:-1])) if len(time_ns) > 1 else 0.0
+    usual_s = 0.0
+    if len(time_ns) > 1:
+        usual_s = float(np.median(length_s[1:-1]))
     if length_s[longest] <= max(SILENT_S, SILENT_READINGS * usual_s):
         return []
-    since_s = (int(ends_ns[longest]) - start_ns) / NS_PER_S
-    span_s = (end_ns - start_ns) / NS_PER_S
-    until = "to the end" if longest == len(time_ns) else "on"
-    severity = Severity.INFO if sensor == "position" else Severity.WARNING
-    values = {"length": length_s[longest], "span": span_s, "since": since_s, "until": until}
-    return [note("{sensor}_silent", severity=severity, sensor=sensor, **values)]
+    silent = note(
+        "{sensor}_silent",
+        severity=Severity.INFO if sensor == "position" else Severity.WARNING,
+        sensor=sensor,
+        length=length_s[longest],
+        span=(end_ns - start_ns) / NS_PER_S,
+        since=(int(ends_ns[longest]) - start_ns) / NS_PER_S,
+        until="to the end" if longest == len(time_ns) else "on",
+    )
+    return [silent]
 
 
 def held_out_notes(config: Config) -> list[Note]:
     """Name the filters that a held-out sensor would aid."""
-    aided = {
-        sensor: [name for name, filter_ in config.computed.items() if sensor in filter_.aiding]
-        for sensor in config.evaluation.held_out
-    }
-    return [
-        note("{sensor}_held_out", sensor=sensor, filters=", ".join(names))
-        for sensor, names in aided.items()
-        if names
-    ]
+    notes = []
+    for sensor in config.evaluation.held_out:
+        names = [name for name, filter_ in config.computed.items() if sensor in filter_.aiding]
+        if names:
+            notes.append(note("{sensor}_held_out", sensor=sensor, filters=", ".join(names)))
+    return notes

@@ -50,7 +50,9 @@ def heading_draw(dive: Dive, prepared: Prepared, config: Config, seed: int) -> H
     sd = float(prepared.alignment.spread_start.sd[HEADING])
     # The sign is drawn. Sizes that are drawn, too, would scatter the logarithms of ratios by 1 and more over dives.
     is_left = np.random.default_rng(_seeds(dive, prepared, seed)).random() < 0.5
-    error = -sd if is_left else sd
+    error = sd
+    if is_left:
+        error = -sd
     start = turned_start(prepared.alignment.start, error, sd)
     return HeadingDraw(start, sd / DEG, error / DEG, {baseline.name, *names}, {*config.solutions})
 
@@ -95,11 +97,13 @@ def _has_positions(dive: Dive, config: Config) -> bool:
 
 def _seeds(dive: Dive, prepared: Prepared, seed: int) -> tuple[int, ...]:
     """Return numbers by which dives differ, also those of equal length; they depend neither on name nor on format."""
-    found = dive.imu_fingerprint
-    digests = () if found is None else tuple(int(digest, 16) for digest in found.digests)
-    sizes = (
+    numbers = [
+        seed,
+        STREAM,
         len(dive.imu.time_ns),
         len(prepared.velocities.time_ns),
         prepared.end_ns - prepared.alignment.start_ns,
-    )
-    return (seed, STREAM, *sizes, *digests)
+    ]
+    if dive.imu_fingerprint is not None:
+        numbers += [int(digest, 16) for digest in dive.imu_fingerprint.digests]
+    return tuple(numbers)

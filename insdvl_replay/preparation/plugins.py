@@ -5,18 +5,27 @@ outage test they are asked again, on a dive that ends with the outage and lacks 
 becomes a sentence; compiled code neither raises nor checks that a column of H exists, so H is tried once uncompiled.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, Mask, TimeNs, in_spans
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    Floats,
+    Mask,
+    SensorColumns,
+    SolutionColumns,
+    TimeNs,
+    in_spans,
+)
 from insdvl_replay.core.errors import ConfigError, Note, UserError, error_context, listed
 from insdvl_replay.core.quantities import COMPONENTS
-from insdvl_replay.core.runtime import plain
+from insdvl_replay.core.runtime import is_compiled, plain
 from insdvl_replay.core.states import states_with
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import skew
@@ -27,6 +36,7 @@ from insdvl_replay.nav.user_measurement import (
     INS_SIZE,
     NoiseFactors,
     Predict,
+    Predicts,
     UserMeasurement,
     UserNoise,
     UserReadings,
@@ -78,13 +88,14 @@ def prepare_user_measurements(
 
     Their rows of the time line follow those of the ``sensors``, a number. Each prediction is tried at the start.
     """
-    plugins = dict.fromkeys(
-        plugin for filter_ in filters for plugin in filter_.aiding if ":" in plugin
-    )
+    plugins: list[str] = []
+    for filter_ in filters:
+        for aid in filter_.aiding:
+            if ":" in aid and aid not in plugins:
+                plugins.append(aid)
     found = dict[str, Measurement]()
     notes = list[Note]()
-    predictions = dict[str, Predict]()
-    compiled = dict[str, Predict]()
+    users = dict[str, UserMeasurement]()
     for row, plugin in enumerate(plugins, start=FIRST_OTHER + sensors):
         user, readings = _asked(plugin, UserMeasurement, dive, config)
         readings = _inside(readings, [(start_ns, end_ns)])
@@ -94,59 +105,93 @@ def prepare_user_measurements(
                 text, "readings need times in int64 ns, on the clock of the IMU stamps"
             )
         holds_height = False
-        for filter_ in (filter_ for filter_ in filters if plugin in filter_.aiding):
-            holds_height, found_notes = _tried_prediction(
-                plugin, user, readings.values.shape[1], filter_, start
-            )
-            notes += found_notes
+        size = readings.values.shape[1]
+        for filter_ in filters:
+            if plugin in filter_.aiding:
+                tried = _tried_prediction(plugin, user, size, filter_, start)
+                holds_height = tried.is_of_velocity_down
+                notes += tried.notes
         notes += silence_notes(user.name, readings.time_ns, start_ns, end_ns)
-        found[plugin] = replace(
-            _measurement(user.name, user.unit, readings), sensor=row, holds_height=holds_height
-        )
-        predictions[plugin] = _uncompiled_prediction(plugin, user, SHOWN)
-        if (prediction := compiled_prediction(user.predict)) is not None:
-            compiled[plugin] = prediction
+        made = _measurement(user.name, user.unit, readings)
+        found[plugin] = replace(made, sensor=row, holds_height=holds_height)
+        users[plugin] = user
     for filter_ in filters:
-        plugin_of = dict[str, str]()
-        for plugin in (plugin for plugin in filter_.aiding if plugin in found):
-            if (other := plugin_of.setdefault(found[plugin].name, plugin)) != plugin:
-                raise ConfigError(
-                    f"filters.{filter_.name} is aided by {other} and {plugin}, which have the same name "
-                    f"'{found[plugin].name}'",
-                    "change `name` in one of the two classes",
-                )
-    # Each prediction has a number, by which one function calls it. Compiled ones have the first numbers: these stay
-    # the same where they run beside others that are not compiled.
-    order = sorted(plugins, key=lambda plugin: plugin not in compiled)
-    by_compiled = joined([*compiled.values()], compiled=True) if compiled else None
-    by_all = (
-        joined([predictions[plugin] for plugin in order], compiled=False)
-        if len(compiled) < len(order)
-        else None
-    )
-    for number, plugin in enumerate(order):
-        predict = by_compiled if plugin in compiled else by_all
+        _require_names_of_their_own(filter_, found)
+    predictions = _numbered_predictions(users)
+    for plugin, (number, predict) in predictions.items():
         found[plugin] = replace(found[plugin], kind=USER + number, predict=predict)
     uncompiled = [
         note("user_measurement_plain", plugin=plugin)
         for plugin in plugins
-        if plugin not in compiled
+        if not is_compiled(predictions[plugin].predict)
     ]
     return found, (*uncompiled, *dict.fromkeys(notes))
+
+
+def _require_names_of_their_own(filter_: ResolvedFilter, found: Mapping[str, Measurement]) -> None:
+    """Require that the measurements of the user's that aid a filter have different names."""
+    plugin_of = dict[str, str]()
+    for plugin in filter_.aiding:
+        if plugin not in found:
+            continue
+        name = found[plugin].name
+        other = plugin_of.setdefault(name, plugin)
+        if other != plugin:
+            raise ConfigError(
+                f"filters.{filter_.name} is aided by {other} and {plugin}, which have the same name "
+                f"'{name}'",
+                "change `name` in one of the two classes",
+            )
+
+
+class _Numbered(NamedTuple):
+    """A prediction by its number: one function calls several."""
+
+    number: int
+    predict: Predicts
+
+
+def _numbered_predictions(users: Mapping[str, UserMeasurement]) -> dict[str, _Numbered]:
+    """Number the predictions, and join them into one function for those that are compiled, and one for all.
+
+    Compiled ones have the first numbers: these stay the same where they run beside others that are not compiled.
+    """
+    compiled = dict[str, Predict]()
+    uncompiled = dict[str, Predict]()
+    for plugin, user in users.items():
+        prediction = compiled_prediction(user.predict)
+        if prediction is None:
+            uncompiled[plugin] = _uncompiled_prediction(plugin, user, SHOWN)
+        else:
+            compiled[plugin] = prediction
+    found = dict[str, _Numbered]()
+    if compiled:
+        by_compiled = joined([*compiled.values()], compiled=True)
+        for number, plugin in enumerate(compiled):
+            found[plugin] = _Numbered(number, by_compiled)
+    if uncompiled:
+        # Beside it, those that are compiled run as they are.
+        plain_ones = [
+            _uncompiled_prediction(plugin, users[plugin], SHOWN)
+            for plugin in (*compiled, *uncompiled)
+        ]
+        by_all = joined(plain_ones, compiled=False)
+        for number, plugin in enumerate(uncompiled, start=len(compiled)):
+            found[plugin] = _Numbered(number, by_all)
+    return found
 
 
 def prepare_user_noise(
     dive: Dive, config: Config, filters: Sequence[ResolvedFilter]
 ) -> dict[str, NoiseFactors]:
     """Ask the classes that filters name in ``noise_factors``."""
-    plugins = dict.fromkeys(
-        filter_.noise_factors for filter_ in filters if filter_.noise_factors is not None
-    )
-    asked = {plugin: _asked(plugin, UserNoise, dive, config)[1] for plugin in plugins}
-    return {
-        plugin: NoiseFactors(readings.time_ns, readings.values)
-        for plugin, readings in asked.items()
-    }
+    found = dict[str, NoiseFactors]()
+    for filter_ in filters:
+        plugin = filter_.noise_factors
+        if plugin is not None and plugin not in found:
+            _, readings = _asked(plugin, UserNoise, dive, config)
+            found[plugin] = NoiseFactors(readings.time_ns, readings.values)
+    return found
 
 
 # --- Readings. Factors of noise are taken for readings, which hold until the next.
@@ -162,22 +207,13 @@ def _asked(
 ) -> tuple[Any, UserReadings]:
     """Get the readings from a new object, which has no state of earlier calls."""
     given = given_dive(dive, config, outages, end_ns)
-    held_out = config.evaluation.held_out
-    topics = (
-        f"dive.topics has {listed(sorted(given.topics))}"
-        if given.topics
-        else "dive.topics is empty"
-    )
-    hint = f"{topics}; to add a topic, write a section [topics.NAME]"
-    if held_out:
-        hint += f"; evaluation.held_out removes {listed(held_out)}, and topics and solutions that contain it"
+    hint = _topics_hint(given, config)
     try:
         user: Any = load_plugin(plugin, base)
         if isinstance(user, UserNoise):
             what = "noise_factors(self, dive)"
-            noise = checked_factors(
-                _called(plugin, user, what, lambda: user.noise_factors(given), hint)
-            )
+            factors = _called(plugin, user, what, lambda: user.noise_factors(given), hint)
+            noise = checked_factors(factors)
             return user, UserReadings(noise.time_ns, noise.factors, noise.factors)
         readings = _called(plugin, user, "readings(self, dive)", lambda: user.readings(given), hint)
         if not isinstance(readings, UserReadings):
@@ -188,6 +224,17 @@ def _asked(
         raise ConfigError(
             f"{plugin} {error}", f"{SHOWN}; PYTHONPATH must contain the folder of the module"
         ) from error
+
+
+def _topics_hint(given: Dive, config: Config) -> str:
+    """Say which topics the user's code has, and how it gets others."""
+    topics = "dive.topics is empty"
+    if given.topics:
+        topics = f"dive.topics has {listed(sorted(given.topics))}"
+    hint = f"{topics}; to add a topic, write a section [topics.NAME]"
+    if held_out := config.evaluation.held_out:
+        hint += f"; evaluation.held_out removes {listed(held_out)}, and topics and solutions that contain it"
+    return hint
 
 
 def _called(plugin: str, user: object, what: str, call: Callable[[], _T], hint: str) -> _T:
@@ -203,7 +250,10 @@ def _called(plugin: str, user: object, what: str, call: Callable[[], _T], hint: 
 
 
 def _measurement(name: str, unit: str, readings: UserReadings) -> Measurement:
-    axes = COMPONENTS[:width] if (width := readings.values.shape[1]) > 1 else ()
+    width = readings.values.shape[1]
+    axes: tuple[str, ...] = ()
+    if width > 1:
+        axes = COMPONENTS[:width]
     return sensor_measurement(
         name, unit, USER, readings.time_ns, readings.values, readings.sd, axes
     )
@@ -213,13 +263,21 @@ def _inside(
     readings: UserReadings, spans: Sequence[Outage], *, holds: bool = False
 ) -> UserReadings:
     """Keep the readings after the start of any of some spans, up to its end; and what holds at the start."""
-    columns = readings.time_ns, readings.values, readings.sd
-    parts = [tuple(column[:0] for column in columns)]
+    parts = [UserReadings(readings.time_ns[:0], readings.values[:0], readings.sd[:0])]
     for start_ns, end_ns in spans:
         first, last = np.searchsorted(readings.time_ns, (start_ns, end_ns), "right")
-        time_ns, values, sd = (column[max(first - holds, 0) : last] for column in columns)
-        parts.append((np.maximum(time_ns, start_ns), values, sd))
-    return UserReadings(*map(np.concatenate, zip(*parts, strict=True)))
+        rows = slice(max(first - holds, 0), last)
+        time_ns = np.maximum(readings.time_ns[rows], start_ns)
+        parts.append(UserReadings(time_ns, readings.values[rows], readings.sd[rows]))
+    return _one_after_the_other(parts)
+
+
+def _one_after_the_other(parts: Sequence[UserReadings]) -> UserReadings:
+    return UserReadings(
+        np.concatenate([part.time_ns for part in parts]),
+        np.concatenate([part.values for part in parts]),
+        np.concatenate([part.sd for part in parts]),
+    )
 
 
 # --- Predictions.
@@ -243,30 +301,39 @@ def _uncompiled_prediction(plugin: str, user: UserMeasurement, hint: str) -> Pre
     )
 
 
+class _Tried(NamedTuple):
+    """What a prediction gives where a filter starts."""
+
+    is_of_velocity_down: bool  # by half or more
+    notes: list[Note]
+
+
 def _tried_prediction(
     plugin: str, user: UserMeasurement, size: int, filter_: ResolvedFilter, start: Start
-) -> tuple[bool, list[Note]]:
-    """Predict a reading once where a filter starts; return whether it measures the velocity down, by half or more.
+) -> _Tried:
+    """Predict a reading once where a filter starts.
 
     A note reports an entry of H that contradicts z, an H of zeros, or a component that is not written. There is no note
     if z is NaN at the start, such as a direction at rest.
     """
     count = len(states_with(filter_.states))
     has_position = "position" in filter_.states
-    lacks = "" if has_position else '; for columns 12 to 14: states = ["position"]'
-    hint = f"filters.{filter_.name} has {count} error states: z is ({size},) and H ({size}, {count}){lacks}"
+    hint = (
+        f"filters.{filter_.name} has {count} error states: z is ({size},) and H ({size}, {count})"
+    )
+    if not has_position:
+        hint += '; for columns 12 to 14: states = ["position"]'
     predict = _uncompiled_prediction(plugin, user, hint)
 
     def predicted(error: Floats) -> tuple[Floats, Floats]:
         """Return z and H of an INS that is off by an error, shape (15,), in the order of H, from a vehicle at rest."""
         mat_nb = start.mat_nb + skew(error[3:6]) @ start.mat_nb
         ins = np.empty(INS_SIZE)
-        ins[0:3], ins[3:6] = (
-            moved_position(start.position, error[12:15]),
-            start.velocity_n + error[0:3],
-        )
-        force_b = start.mat_nb.T @ np.array([0.0, 0.0, -9.8]) + error[6:9]
-        ins[6:15], ins[15:18], ins[18:21] = mat_nb.ravel(), force_b, error[9:12]
+        ins[0:3] = moved_position(start.position, error[12:15])
+        ins[3:6] = start.velocity_n + error[0:3]
+        ins[6:15] = mat_nb.ravel()
+        ins[15:18] = start.mat_nb.T @ np.array([0.0, 0.0, -9.8]) + error[6:9]
+        ins[18:21] = error[9:12]
         z = np.zeros(size)
         H = np.zeros((size, count))
         predict(ins, z, H)
@@ -274,23 +341,38 @@ def _tried_prediction(
 
     z, H = predicted(np.zeros(15))
     if not np.isfinite(z).all():
-        return False, []
+        return _Tried(is_of_velocity_down=False, notes=[])
     # H by central differences of z; zero for states that the user's code does not see.
     differences = np.zeros((size, count))
-    for column in range(POSITION + 3 if has_position else POSITION):
+    seen = POSITION + 3 if has_position else POSITION
+    for column in range(seen):
         step = np.zeros(15)
         step[column] = _STEPS[column // 3]
         with np.errstate(all="ignore"):
-            differences[:, column] = (predicted(step)[0] - predicted(-step)[0]) / (
-                2.0 * step[column]
-            )
+            more, _ = predicted(step)
+            less, _ = predicted(-step)
+            differences[:, column] = (more - less) / (2.0 * step[column])
+    return _Tried(
+        is_of_velocity_down=bool(np.any(np.abs(H[:, DOWN]) > 0.5)),
+        notes=_jacobian_notes(plugin, filter_.name, z, H, differences),
+    )
 
+
+def _jacobian_notes(
+    plugin: str, name: str, z: Floats, H: Floats, differences: Floats
+) -> list[Note]:
+    """Note what is not written of z and H, and the first entry of H that contradicts differences of z."""
     notes = list[Note]()
-    at: dict[str, Any] = {"plugin": plugin, "filter": filter_.name}
     unwritten = np.flatnonzero((z == 0.0) & ~H.any(axis=1))
-    if len(unwritten) or not H.any():
-        left = f"z[{unwritten[0]}] and H[{unwritten[0]}]" if H.any() else "H"
-        notes.append(note("user_measurement_jacobian unwritten", left=left, **at))
+    left = ""
+    if not H.any():
+        left = "H"
+    elif len(unwritten):
+        left = f"z[{unwritten[0]}] and H[{unwritten[0]}]"
+    if left:
+        notes.append(
+            note("user_measurement_jacobian unwritten", left=left, plugin=plugin, filter=name)
+        )
     known = np.isfinite(differences)
     with np.errstate(invalid="ignore"):
         largest = np.abs(differences).max(axis=1, initial=0.0, where=known, keepdims=True)
@@ -298,20 +380,19 @@ def _tried_prediction(
     wrong = np.argwhere(off & (H != 0.0) & known & np.isfinite(H))
     if len(wrong):
         row, column = wrong[0]
-        given = H[row, column]
-        found = differences[row, column]
         notes.append(
             note(
                 "user_measurement_jacobian wrong",
                 len(wrong),
                 row=row,
                 column=column,
-                given=given,
-                found=found,
-                **at,
+                given=H[row, column],
+                found=differences[row, column],
+                plugin=plugin,
+                filter=name,
             )
         )
-    return bool(np.any(np.abs(H[:, DOWN]) > 0.5)), notes
+    return notes
 
 
 # --- What is held back.
@@ -328,37 +409,52 @@ def given_dive(
     held_out = config.evaluation.held_out
     if not (held_out or outages):
         return dive
-    roles = {channel.topic: channel.role for channel in dive.channels}
-    carried = {
-        name: topic.sensor or roles.get(topic.topic, "") for name, topic in config.topics.items()
+
+    def in_time(time_ns: TimeNs) -> Mask:
+        return time_ns <= end_ns
+
+    def known(time_ns: TimeNs) -> Mask:
+        return np.asarray(in_time(time_ns) & ~in_spans(time_ns, outages))
+
+    reference = None
+    solutions = dict[str, SolutionColumns]()
+    if not held_out:
+        solutions = {name: columns.where(known) for name, columns in dive.solutions.items()}
+        if dive.reference is not None:
+            reference = dive.reference.rows(known(dive.reference.time_ns))
+    sensors = {
+        name: columns.rows(in_time(columns.time_ns))
+        for name, columns in dive.sensors.items()
+        if name not in held_out
     }
-    mixed = {name for name, role in carried.items() if role.startswith(("reference", "filters."))}
-
-    def known(time_ns: TimeNs, *, dvl: bool = True) -> Mask:
-        return np.asarray((time_ns <= end_ns) & ~in_spans(time_ns, outages if dvl else ()))
-
-    reference = None if held_out else dive.reference
+    topics = dict[str, SensorColumns]()
+    carried = _carried_roles(dive, config)
+    for name, columns in dive.topics.items():
+        role = carried.get(name, "")
+        is_mixed = role.startswith(("reference", "filters."))
+        if held_out and (is_mixed or role in held_out):
+            continue
+        rows = in_time(columns.time_ns)
+        if is_mixed or role == "dvl":
+            rows = known(columns.time_ns)
+        topics[name] = columns.rows(rows)
     return replace(
         dive,
         imu=dive.imu.within(int(dive.imu.time_ns[0]), end_ns),
         dvl=dive.dvl.rows(known(dive.dvl.time_ns)),
-        reference=None if reference is None else reference.rows(known(reference.time_ns)),
-        sensors={
-            name: columns.rows(known(columns.time_ns, dvl=False))
-            for name, columns in dive.sensors.items()
-            if name not in held_out
-        },
-        solutions={}
-        if held_out
-        else {name: columns.where(known) for name, columns in dive.solutions.items()},
-        topics={
-            name: columns.rows(
-                known(columns.time_ns, dvl=name in mixed or carried.get(name) == "dvl")
-            )
-            for name, columns in dive.topics.items()
-            if not held_out or (name not in mixed and carried.get(name) not in held_out)
-        },
+        reference=reference,
+        sensors=sensors,
+        solutions=solutions,
+        topics=topics,
     )
+
+
+def _carried_roles(dive: Dive, config: Config) -> dict[str, str]:
+    """Return what each topic of the settings carries: the sensor that they name, else the role of its channel."""
+    roles = {channel.topic: channel.role for channel in dive.channels}
+    return {
+        name: topic.sensor or roles.get(topic.topic, "") for name, topic in config.topics.items()
+    }
 
 
 def in_outages(
@@ -376,27 +472,39 @@ def in_outages(
     if not plugins and not noise:
         yield outages, sensors, noise
         return
-    groups = list[list[Outage]]()
-    for outage in outages:
-        group = next((group for group in groups if outage[0] - group[-1][1] >= APART_NS), None)
-        if group is None:
-            groups.append(group := [])
-        group.append(outage)
-    for group in groups:
+    for group in _far_apart(outages):
         found = dict[str, Measurement]()
         factors = dict[str, NoiseFactors]()
         with error_context(dive.name, "in the DVL outage test"):
             for plugin, whole in plugins.items():
                 readings = _in_outages(plugin, UserMeasurement, whole.size, dive, config, group)
                 made = _measurement(whole.name, whole.unit, readings)
-                columns = {
-                    name: getattr(made, name) for name in ("valid_ns", "values", "cov", "available")
-                }
-                found[plugin] = replace(whole, **columns)
+                found[plugin] = replace(
+                    whole,
+                    valid_ns=made.valid_ns,
+                    values=made.values,
+                    cov=made.cov,
+                    available=made.available,
+                )
             for plugin in noise:
                 readings = _in_outages(plugin, UserNoise, 6, dive, config, group)
                 factors[plugin] = NoiseFactors(readings.time_ns, readings.values)
         yield group, sensors | found, factors
+
+
+def _far_apart(outages: Sequence[Outage]) -> list[list[Outage]]:
+    """Group outages so that those of a group are at least `APART_NS` apart."""
+    groups = list[list[Outage]]()
+    for outage in outages:
+        start_ns, _ = outage
+        for group in groups:
+            _, last_end_ns = group[-1]
+            if start_ns - last_end_ns >= APART_NS:
+                group.append(outage)
+                break
+        else:
+            groups.append([outage])
+    return groups
 
 
 def _in_outages(
@@ -410,27 +518,36 @@ def _in_outages(
     holds = base is UserNoise
 
     def asked(outages: Sequence[Outage], end_ns: int = NO_END) -> UserReadings:
-        readings = _inside(
-            _asked(plugin, base, dive, config, outages, end_ns)[1], outages, holds=holds
-        )
-        if (found := readings.values.shape[1]) != size:
+        _, readings = _asked(plugin, base, dive, config, outages, end_ns)
+        readings = _inside(readings, outages, holds=holds)
+        found = readings.values.shape[1]
+        if found != size:
             text = f"{plugin} returns readings of {found} components in an outage, but {size} otherwise"
             raise ConfigError(text, SHOWN)
         return readings
 
-    def is_same(together: UserReadings, alone: UserReadings) -> bool:
-        pairs = (together.values, alone.values), (together.sd, alone.sd)
-        return np.array_equal(together.time_ns, alone.time_ns) and all(
-            bool(np.all(np.abs(a - b) <= ALIKE * alone.sd)) for a, b in pairs
-        )
+    @cache
+    def alone(outage: Outage) -> UserReadings:
+        _, end_ns = outage
+        return asked([outage], end_ns)
 
-    alone = cache(lambda outage: asked([outage], outage[1]))
-    compared = outages[0], min(outages, key=lambda outage: outage[1] - outage[0]), outages[-1]
-    readings = asked(outages) if len(outages) > ONE_BY_ONE else None
-    if readings is None or not all(
-        is_same(_inside(readings, [outage], holds=holds), alone(outage)) for outage in compared
-    ):
-        parts = [alone(outage) for outage in outages]
-        columns = ([getattr(part, name) for part in parts] for name in ("time_ns", "values", "sd"))
-        readings = UserReadings(*map(np.concatenate, columns))
-    return readings
+    if len(outages) > ONE_BY_ONE:
+        together = asked(outages)
+        shortest = min(outages, key=lambda outage: outage[1] - outage[0])
+        compared = (outages[0], shortest, outages[-1])
+        if all(
+            _are_alike(_inside(together, [outage], holds=holds), alone(outage))
+            for outage in compared
+        ):
+            return together
+    return _one_after_the_other([alone(outage) for outage in outages])
+
+
+def _are_alike(together: UserReadings, alone: UserReadings) -> bool:
+    """Return whether readings of one call for several outages are those of a call for one of them, but for rounding."""
+    if not np.array_equal(together.time_ns, alone.time_ns):
+        return False
+    least = ALIKE * alone.sd
+    values_agree = np.abs(together.values - alone.values) <= least
+    sds_agree = np.abs(together.sd - alone.sd) <= least
+    return bool(np.all(values_agree) and np.all(sds_agree))

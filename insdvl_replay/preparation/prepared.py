@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace as changed
@@ -84,10 +84,11 @@ class Prepared:
     @property
     def sensor_sd(self) -> dict[str, Floats]:
         """Noise of the components of one reading of each sensor, shape (s,), in its SI unit."""
-        variances = {
-            name: np.diagonal(sensor.cov, axis1=1, axis2=2) for name, sensor in self.sensors.items()
-        }
-        return {name: np.sqrt(np.median(variance, axis=0)) for name, variance in variances.items()}
+        found = {}
+        for name, sensor in self.sensors.items():
+            variance = np.diagonal(sensor.cov, axis1=1, axis2=2)
+            found[name] = np.sqrt(np.median(variance, axis=0))
+        return found
 
 
 def read_checked_dive(
@@ -99,7 +100,8 @@ def read_checked_dive(
 ) -> Dive:
     """Read a dive, and note what cannot be true in its columns; LogError where the tables would be wrong."""
     dive = read_dive(path, config, allow_damaged=allow_damaged)
-    place = str(name_giver((path,) if isinstance(path, Path) else path))
+    paths = [path] if isinstance(path, Path) else path
+    place = str(name_giver(paths))
     if (error := length_refusal(place, dive.imu)) is not None:
         raise error
     if len(dive.dvl.time_ns) < FEWEST_PINGS:
@@ -182,7 +184,9 @@ def coverage_notes(sample_ns: TimeNs, ping_ns: TimeNs) -> list[Note]:
     notes: list[Note] = []
     if outside > MOST_OUTSIDE * len(ping_ns):
         notes.append(note("dvl_outside_imu", outside, total=len(ping_ns)))
-    length_s = float(seconds(ping_ns[-1], int(ping_ns[0]))) if len(ping_ns) else 0.0
+    length_s = 0.0
+    if len(ping_ns):
+        length_s = float(seconds(ping_ns[-1], int(ping_ns[0])))
     dive_s = float(seconds(sample_ns[-1], int(sample_ns[0])))
     if length_s < LEAST_COVERED * dive_s:
         notes.append(note("dvl_covers_little", len(ping_ns), length=length_s, dive=dive_s))
@@ -239,20 +243,20 @@ def prepare_dive(dive: Dive, config: Config, *, fitted_heading_sd: float | None 
         *depth_at_start_notes(in_span, dive.reference, alignment.row, config),
         *own_notes,
     ]
-    by_beams = any("beams" in filter_.aiding for filter_ in filters)
-    beams = dvl_beams(dive.dvl, mounting, start_ns, end_ns) if by_beams else None
-    gaps = gaps.within(start_ns, end_ns)
+    beams = None
+    if any("beams" in filter_.aiding for filter_ in filters):
+        beams = dvl_beams(dive.dvl, mounting, start_ns, end_ns)
     return Prepared(
-        inside,
-        alignment,
-        end_ns,
-        gaps,
-        mounting,
-        filters,
-        beams,
-        sensors | own,
-        tuple(notes),
-        noise,
+        velocities=inside,
+        alignment=alignment,
+        end_ns=end_ns,
+        gaps=gaps.within(start_ns, end_ns),
+        mounting=mounting,
+        filters=filters,
+        beams=beams,
+        sensors=sensors | own,
+        notes=tuple(notes),
+        noise=noise,
     )
 
 
@@ -272,16 +276,10 @@ def _ping_notes(dive: Dive, velocities: DvlVelocities, limit_mps: float | None) 
     if lost := velocities.pings_without_velocity:
         notes.append(note("dvl_no_velocity", lost))
     if bad:
-        most = " most" if bad > MOST_DROPPED * (bad + solved) else ""
-        notes.append(
-            note(
-                f"dvl_bad_residual{most}",
-                bad,
-                limit=limit_mps,
-                solved=bad + solved,
-                hint=RESIDUAL_HINT,
-            )
-        )
+        key = "dvl_bad_residual"
+        if bad > MOST_DROPPED * (bad + solved):
+            key = "dvl_bad_residual most"
+        notes.append(note(key, bad, limit=limit_mps, solved=bad + solved, hint=RESIDUAL_HINT))
     if three := int(np.sum(velocities.beams_used == 3)):
         notes.append(note("dvl_three_beams", three))
     return notes
@@ -291,14 +289,20 @@ def raise_if_span_is_empty(name: str, imu: ImuColumns, span: Span) -> None:
     """Raise a LogError if ``--start`` and ``--end`` leave nothing of a dive."""
     duration_s = float(imu.time_ns[-1] - imu.time_ns[0]) / NS_PER_S
     start_s = max(0.0, span.start_s or 0.0)
-    end_s = duration_s if span.end_s is None else min(span.end_s, duration_s)
+    end_s = duration_s
+    if span.end_s is not None:
+        end_s = min(span.end_s, duration_s)
     if start_s < end_s:
         return
     text = f"there is nothing between --start {start_s:g} s and --end {end_s:g} s"
-    if start_s >= duration_s:
-        text = f"--start {start_s:g} s is {'after' if start_s > duration_s else 'at'} the end"
-    elif end_s <= 0.0:
-        text = f"--end {end_s:g} s is {'before' if end_s < 0.0 else 'at'} the start"
+    if start_s > duration_s:
+        text = f"--start {start_s:g} s is after the end"
+    elif start_s == duration_s:
+        text = f"--start {start_s:g} s is at the end"
+    elif end_s < 0.0:
+        text = f"--end {end_s:g} s is before the start"
+    elif end_s == 0.0:
+        text = f"--end {end_s:g} s is at the start"
     hint = "--start and --end count seconds from the first IMU sample"
     raise LogError(f"{name}: {text}; the IMU covers 0 to {duration_s:.1f} s", hint)
 
@@ -307,16 +311,23 @@ def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, i
     """Return the span of the replay, by IMU, DVL and configuration."""
     first_ns = int(dive.imu.time_ns[0])
     last_ns = int(dive.imu.time_ns[-1])
-    start_s = config.span.start_s
-    end_s = config.span.end_s
-    start_ns = first_ns if start_s is None else max(first_ns, first_ns + nanoseconds(start_s))
-    end_ns = last_ns if end_s is None else min(last_ns, first_ns + nanoseconds(end_s))
+    start_ns = first_ns
+    if config.span.start_s is not None:
+        start_ns = max(first_ns, first_ns + nanoseconds(config.span.start_s))
+    end_ns = last_ns
+    if config.span.end_s is not None:
+        end_ns = min(last_ns, first_ns + nanoseconds(config.span.end_s))
     raise_if_span_is_empty(dive.name, dive.imu, config.span)
-    if velocities.time_ns[-1] <= start_ns or velocities.time_ns[0] > end_ns:
-        before_s, after_s = ((int(velocities.time_ns[row]) - first_ns) * 1e-9 for row in (0, -1))
+    first_ping_ns = int(velocities.time_ns[0])
+    last_ping_ns = int(velocities.time_ns[-1])
+    if last_ping_ns <= start_ns or first_ping_ns > end_ns:
+        span = f"{(start_ns - first_ns) * 1e-9:.1f} to {(end_ns - first_ns) * 1e-9:.1f} s"
+        pings = (
+            f"{(first_ping_ns - first_ns) * 1e-9:.1f} to {(last_ping_ns - first_ns) * 1e-9:.1f} s"
+        )
         raise LogError(
-            f"{dive.name}: IMU and DVL do not overlap in time: the replay covers {(start_ns - first_ns) * 1e-9:.1f} to "
-            f"{(end_ns - first_ns) * 1e-9:.1f} s from the first IMU sample, the DVL {before_s:.1f} to {after_s:.1f} s",
+            f"{dive.name}: IMU and DVL do not overlap in time: the replay covers {span} from the first IMU sample, "
+            f"the DVL {pings}",
             "if their clocks differ: --set imu.stamp=log_time --set dvl.stamp=log_time",
         )
     return start_ns, end_ns
@@ -346,47 +357,54 @@ def apply_gap_policy(
     gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int
 ) -> tuple[int, int, tuple[Note, ...]]:
     """Bridge or split at the long gaps of a span; return the span that is left, ns, with notes."""
-
-    def described(gaps: Gaps) -> str:
-        count = len(gaps.start_ns)
-        first_s = (int(gaps.start_ns[0]) - origin_ns) * 1e-9
-        return (
-            f"the IMU has {counted(count, 'gap')} longer than {imu.max_gap_s:g} s: first at {first_s:.1f} s, "
-            f"longest {gaps.length_s.max():.1f} s, total {gaps.length_s.sum():.1f} s"
-        )
-
     bridged = gaps.within(start_ns, end_ns)
     notes = list[Note]()
     turned_rad = bridged.rate_sd_radps * bridged.length_s  # turn that is possible in a gap
-    split = bridged if imu.long_gaps == "split" else bridged.where(turned_rad > WIDEST_ATTITUDE_RAD)
+    split = bridged
+    if imu.long_gaps != "split":
+        split = bridged.where(turned_rad > WIDEST_ATTITUDE_RAD)
     if len(split.start_ns):
-        kept_ns = split.longest_stretch(start_ns, end_ns)
-        from_s, to_s = ((time_ns - origin_ns) * 1e-9 for time_ns in kept_ns)
-        left_out_s = (end_ns - start_ns - kept_ns[1] + kept_ns[0]) * 1e-9
+        kept_start_ns, kept_end_ns = split.longest_stretch(start_ns, end_ns)
         hint = "to bridge shorter gaps: --set imu.long_gaps=grow"
         why = ""
         if imu.long_gaps == "grow":
             unknown_deg = turned_rad.max() / DEG
             why = f" (at {imu.gap_rate_degps:g} deg/s the attitude may change by {unknown_deg:.0f} deg in a gap)"
             hint = "if the vehicle cannot turn so fast, set a smaller imu.gap_rate_degps to bridge the gaps"
-        values: dict[str, Any] = {
-            "start": from_s,
-            "end": to_s,
-            "left_out": left_out_s,
-            "why": why,
-            "hint": hint,
-        }
-        notes.append(note("imu_split", len(split.start_ns), gaps=described(split), **values))
-        (start_ns, end_ns), bridged = kept_ns, bridged.within(*kept_ns)
+        notes.append(
+            note(
+                "imu_split",
+                len(split.start_ns),
+                gaps=_described(split, imu, origin_ns),
+                start=(kept_start_ns - origin_ns) * 1e-9,
+                end=(kept_end_ns - origin_ns) * 1e-9,
+                left_out=(end_ns - start_ns - kept_end_ns + kept_start_ns) * 1e-9,
+                why=why,
+                hint=hint,
+            )
+        )
+        start_ns = kept_start_ns
+        end_ns = kept_end_ns
+        bridged = bridged.within(start_ns, end_ns)
     if count := len(bridged.start_ns):
+        found = _described(bridged, imu, origin_ns)
         hint = "to replay the longest part without gaps: --set imu.long_gaps=split"
         if bridged.length_s.max() > LONGEST_BRIDGE_S:
             raise LogError(
-                f"{described(bridged)}; a gap of over {LONGEST_BRIDGE_S:g} s cannot be bridged",
+                f"{found}; a gap of over {LONGEST_BRIDGE_S:g} s cannot be bridged",
                 hint,
             )
-        notes.append(note("imu_long_gaps", count, gaps=described(bridged), hint=hint))
+        notes.append(note("imu_long_gaps", count, gaps=found, hint=hint))
     return start_ns, end_ns, tuple(notes)
+
+
+def _described(gaps: Gaps, imu: Imu, origin_ns: int) -> str:
+    count = len(gaps.start_ns)
+    first_s = (int(gaps.start_ns[0]) - origin_ns) * 1e-9
+    return (
+        f"the IMU has {counted(count, 'gap')} longer than {imu.max_gap_s:g} s: first at {first_s:.1f} s, "
+        f"longest {gaps.length_s.max():.1f} s, total {gaps.length_s.sum():.1f} s"
+    )
 
 
 def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> list[Note]:

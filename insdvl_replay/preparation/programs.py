@@ -57,14 +57,16 @@ class UserProcesses:
         # the folder is for its files
         self.settings = settings
         self.folder = folder
-        self.input = "class" if settings.program is None else settings.input or "clean"
+        self.input = "class"
+        if settings.program is not None:
+            self.input = settings.input or "clean"
         self.timeout_s = settings.timeout_s or TIMEOUT_S  # of one run
         self.too_late = f"did not end within {self.timeout_s:g} s"
         self.cpu_s = math.nan  # processor seconds of the first run
-        self._running, self._is_stopped = set[Process](), threading.Event()
-        self._idle: queue.SimpleQueue[Process] = (
-            queue.SimpleQueue()
-        )  # of a class, ready for another run
+        self._running = set[Process]()
+        self._is_stopped = threading.Event()
+        # Of a class, ready for another run.
+        self._idle: queue.SimpleQueue[Process] = queue.SimpleQueue()
         folder.mkdir()
 
     def run(
@@ -83,13 +85,11 @@ class UserProcesses:
         start_file = folder / "start.json"
         solution_file = folder / "solution"
         start_file.write_bytes(start.to_json())
-        words = list(self.settings.program or ())
-        for place, path in {
-            "{dive}": dive_file,
-            "{start}": start_file,
-            "{solution}": solution_file,
-        }.items():
-            words = [word.replace(place, str(path)) for word in words]
+        words = []
+        for word in self.settings.program or ():
+            word = word.replace("{dive}", str(dive_file))
+            word = word.replace("{start}", str(start_file))
+            words.append(word.replace("{solution}", str(solution_file)))
         try:
             begun_s = _children_s()
             process = self._started(words, f"{run}: ")
@@ -104,14 +104,10 @@ class UserProcesses:
                 raise CandidateError(_ended(code))
             return read_solution(solution_file, start)
         except CandidateError as error:
-            lines = [
-                line.strip()
-                for line in _tail(self.folder / f"{run}: stderr").splitlines()
-                if line.strip()
-            ]
-            raise CandidateError(
-                ": ".join([str(error), *(visible(line)[:LONGEST_LINE] for line in lines[-1:])])
-            ) from error
+            said = _last_line(self.folder / f"{run}: stderr")
+            if said:
+                raise CandidateError(f"{error}: {visible(said)[:LONGEST_LINE]}") from error
+            raise
         finally:
             with contextlib.suppress(OSError):
                 solution_file.unlink()
@@ -203,9 +199,12 @@ class UserProcesses:
                 process = subprocess.Popen(
                     words, stdin=stdin, stdout=stdout, stderr=err, env=env, start_new_session=True
                 )
-            except (OSError, ValueError) as error:
-                why = error.strerror if isinstance(error, OSError) else error
-                raise CandidateError(f"cannot be started: {visible(words[0])}: {why}") from error
+            except OSError as error:
+                raise CandidateError(
+                    f"cannot be started: {visible(words[0])}: {error.strerror}"
+                ) from error
+            except ValueError as error:
+                raise CandidateError(f"cannot be started: {visible(words[0])}: {error}") from error
         self._running.add(process)
         if self._is_stopped.is_set():
             self.stop()
@@ -230,12 +229,13 @@ class UserProcesses:
     @property
     def printed(self) -> str:
         """Everything that its runs have printed."""
-        texts = {
-            path.name: text for path in sorted(self.folder.glob("*std*")) if (text := _tail(path))
-        }
-        return "".join(
-            text if name == "stderr" else f"--- {name}\n{text}" for name, text in texts.items()
-        )
+        texts = []
+        for path in sorted(self.folder.glob("*std*")):
+            text = _tail(path)
+            if text and path.name != "stderr":
+                texts.append(f"--- {path.name}\n")
+            texts.append(text)
+        return "".join(texts)
 
 
 def _children_s() -> float:
@@ -247,7 +247,19 @@ def _children_s() -> float:
 def _ended(code: int) -> str:
     if code >= 0:
         return f"ended with exit code {code}"
-    return f"was ended by the signal {next((known.name for known in signal.Signals if known == -code), str(-code))}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = str(-code)
+    return f"was ended by the signal {name}"
+
+
+def _last_line(path: Path) -> str:
+    """Return the last line of what was printed that is not blank; empty if there is none."""
+    lines = [line.strip() for line in _tail(path).splitlines() if line.strip()]
+    if lines:
+        return lines[-1]
+    return ""
 
 
 def _tail(path: Path) -> str:
@@ -316,12 +328,11 @@ def run_as_program(
     """Run a class over the files that a program is given."""
     start = CandidateStart.from_json(start_file.read_bytes())
     dive = read_dive(dive_file, Config())
-    if sensors := tuple(
-        _TOPICS[channel.topic] for channel in dive.channels if channel.topic in _TOPICS
-    ):
+    topics = [channel.topic for channel in dive.channels if channel.topic in _TOPICS]
+    if topics:
+        sensors = tuple(_TOPICS[topic] for topic in topics)
         dive = read_dive(dive_file, Config(evaluation=Evaluation(held_out=sensors)))
     solution = checked_solution(kind().run(dive, start))
+    given = {name: column for name, column in vars(solution).items() if column is not None}
     with solution_file.open("wb") as file:
-        np.savez(
-            file, **{name: column for name, column in vars(solution).items() if column is not None}
-        )
+        np.savez(file, **given)

@@ -129,7 +129,8 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     runs = with_user_candidates(
         run_candidates(dive, prepared, plan, config), dive, prepared, plan, config
     )
-    (baseline, *_), histories = runs.histories, runs.histories
+    histories = runs.histories
+    baseline, *_ = histories
     dive = replace(dive, imu=dive.imu.times_only(), solutions={})
     return_freed_memory()
 
@@ -173,7 +174,8 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         + settings_hints(tables, baseline)
         + constants_notes(histories)
     )
-    histories = histories if keep_cov else tuple(history.without_cov() for history in histories)
+    if not keep_cov:
+        histories = tuple(history.without_cov() for history in histories)
     curves = curves_of(runs.drawn, runs.outages)
     return Replay(
         dive, config, *span, prepared.velocities, histories, errors, tables, verdicts, curves, notes, runs.printed,

@@ -11,13 +11,21 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any, Final, TypeVar
 
 import numpy as np
 from msgspec.structs import replace as changed
 
 from insdvl_replay.core.config import Config, Initial
-from insdvl_replay.core.dive_columns import Dive, Integers, ReferenceColumns, TimeNs, nanoseconds
+from insdvl_replay.core.dive_columns import (
+    Dive,
+    Floats,
+    Integers,
+    ReferenceColumns,
+    TimeNs,
+    nanoseconds,
+)
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
@@ -106,16 +114,20 @@ def plan_runs(
     dive: Dive, prepared: Prepared, config: Config, *, starts: int | None = None
 ) -> RunPlan:
     """Choose the times at which errors are judged, the windows without the DVL, and the number of starts."""
-    span = prepared.alignment.start_ns, prepared.end_ns
-    starts = config.evaluation.starts if starts is None else starts
+    start_ns = prepared.alignment.start_ns
+    end_ns = prepared.end_ns
+    if starts is None:
+        starts = config.evaluation.starts
+    if dive.reference is None:
+        starts = 0
+    filters = len(config.filters) - len(config.user_candidates)
+    seed = config.evaluation.seed
     return RunPlan(
-        evaluated_times(
-            dive.reference, *span, filters=len(config.filters) - len(config.user_candidates)
-        ),
-        plan_outages(prepared.velocities.time_ns, prepared.gaps.overlap, *span),
-        starts if dive.reference is not None else 0,
-        config.evaluation.seed,
-        heading_draw(dive, prepared, config, config.evaluation.seed),
+        evaluated_ns=evaluated_times(dive.reference, start_ns, end_ns, filters=filters),
+        windows=plan_outages(prepared.velocities.time_ns, prepared.gaps.overlap, start_ns, end_ns),
+        starts=starts,
+        seed=seed,
+        heading=heading_draw(dive, prepared, config, seed),
     )
 
 
@@ -242,15 +254,21 @@ def _filter_settings(filter_: ResolvedFilter, prepared: Prepared) -> dict[str, A
 
 def prepared_timeline(dive: Dive, prepared: Prepared, more_ns: TimeNs = NEVER) -> Timeline:
     """Merge the readings, the pings, the reference's times and some more of a prepared dive into one time line."""
+    recorded_ns = more_ns
+    if dive.reference is not None:
+        recorded_ns = np.concatenate([dive.reference.time_ns, more_ns])
+    beams_ns = NEVER
+    if prepared.beams is not None:
+        beams_ns = prepared.beams.time_ns
     return build_timeline(
         dive.imu,
         prepared.velocities.time_ns,
-        np.concatenate([dive.reference.time_ns, more_ns]) if dive.reference else more_ns,
+        recorded_ns,
         prepared.alignment.start_ns,
         prepared.end_ns,
         prepared.gaps,
         [sensor.valid_ns for sensor in prepared.sensors.values()],
-        NEVER if prepared.beams is None else prepared.beams.time_ns,
+        beams_ns,
     )
 
 
@@ -273,8 +291,10 @@ def run_outages(
         dive, config, prepared.sensors, prepared.noise, windows_ns
     ):
         part = replace(prepared, sensors=sensors, noise=noise)
-        is_same = sensors is prepared.sensors
-        groups.append((windows, part, timeline if is_same else prepared_timeline(dive, part)))
+        line = timeline
+        if sensors is not prepared.sensors:
+            line = prepared_timeline(dive, part)
+        groups.append((windows, part, line))
     measured = prepared.velocities, prepared.mounting, prepared.gaps
 
     def outages(filter_: ResolvedFilter, history: History) -> tuple[OutageRun, ...]:
@@ -290,15 +310,12 @@ def run_outages(
                 found[window] = outage_run(
                     run_outage(history, drift, line, window, kept, **settings)
                 )
-        return tuple(found[window] for window in plan.windows_ns)
+        return tuple(found[window] for window in windows_ns)
 
     runs = _side_by_side(timeline, outages, prepared.filters, histories)
+    names = [filter_.name for filter_ in prepared.filters]
     distance_m = distance_along_m(prepared.velocities.time_ns, prepared.velocities.velocity_b)
-    return OutageRuns(
-        plan,
-        distance_m,
-        {filter_.name: run for filter_, run in zip(prepared.filters, runs, strict=True)},
-    )
+    return OutageRuns(plan, distance_m, dict(zip(names, runs, strict=True)))
 
 
 # --- Random starts.
@@ -321,17 +338,15 @@ def run_from_drawn_starts(
 
     def run(work: tuple[ResolvedFilter, Start]) -> DrawnErrors:
         filter_, start = work
-        return run_from_start(
-            run_one(filter_, prepared, timeline, start=start), reference, dive.truth
-        )
+        history = run_one(filter_, prepared, timeline, start=start)
+        return run_from_start(history, reference, dive.truth)
 
-    runs = list(
-        parallel_map(run, [(filter_, start) for filter_ in prepared.filters for start in starts])
-    )
+    works = list(product(prepared.filters, starts))
+    runs_of: dict[str, list[DrawnErrors]] = {filter_.name: [] for filter_ in prepared.filters}
+    for errors in parallel_map(run, works):
+        runs_of[errors.filter].append(errors)
     own_sd = prepared.alignment.spread_cov is None
-    return tuple(
-        drawn_errors(runs[row : row + count], own_sd=own_sd) for row in range(0, len(runs), count)
-    )
+    return tuple(drawn_errors(runs, own_sd=own_sd) for runs in runs_of.values())
 
 
 def drawn_part(
@@ -428,49 +443,11 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
             )
     config = changed(config, filters={config.baseline: config.filters[config.baseline]})
     placed = reference.rows(reference.known["positions"])
-    prior_degph = initial.gyro_bias_degph[2]
-    prior_sd_degph = initial.gyro_bias_sd_degph
-    bias_step_degph = BIAS_STEP * prior_sd_degph
     heading_deg = 0.0
-    bias_degph = prior_degph
+    bias_degph = initial.gyro_bias_degph[2]
     found = HeadingFit(np.inf, np.inf, 0.0, np.inf)
     for _ in range(MOST_ROUNDS):
-        if abs(found.heading) < SETTLED_DEG * DEG:
-            break
-        # From a start and from two next to it: the filter itself estimates a part of heading and bias, and turns.
-        histories = list[History]()
-        for heading_step, bias_step in (
-            (0.0, 0.0),
-            (HEADING_STEP_DEG, 0.0),
-            (0.0, bias_step_degph),
-        ):
-            started = _started(
-                initial,
-                heading_deg + heading_step,
-                bias_degph + bias_step,
-                gyro_bias_sd_degph=HELD_BIAS_DEGPH,
-            )
-            prepared = prepare_dive(dive, changed(config, initial=started))
-            histories.append(
-                run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared))
-            )
-        seen_ns = _before_a_gap(placed.time_ns, prepared.gaps)
-        compared_ns, piece = _tracked(seen_ns, prepared.velocities.time_ns)
-        time_ns, ours, theirs = np.intersect1d(
-            histories[0].time_ns, compared_ns, return_indices=True
-        )
-        piece = piece[theirs]
-        theirs = np.searchsorted(placed.time_ns, time_ns)
-        tracks = [history.position[ours] for history in histories]
-        origin = placed.position[theirs[:1]]
-        reference_m, track_m, turned_m, biased_m = (
-            np.stack(north_east_m(track, origin, origin), axis=1)
-            for track in (placed.position[theirs], *tracks)
-        )
-        per_heading_m = (turned_m - track_m) / (HEADING_STEP_DEG * DEG)
-        per_bias_m = (biased_m - track_m) / (bias_step_degph * DEG_PER_HOUR)
-        known = (bias_degph - prior_degph) * DEG_PER_HOUR, prior_sd_degph * DEG_PER_HOUR
-        fit = heading_fit(time_ns, track_m, per_heading_m, per_bias_m, reference_m, known, piece)
+        fit = _fit_from(dive, config, placed, heading_deg, bias_degph)
         if fit is None or not fit.heading_sd < LEAST_SURE_DEG * DEG:
             raise LogError(
                 f"{dive.name}: the start heading cannot be determined from the reference's track",
@@ -479,12 +456,68 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
         found = fit
         heading_deg = round((heading_deg + found.heading / DEG) % 360.0, HEADING_DIGITS)
         bias_degph = round(bias_degph + found.bias / DEG_PER_HOUR, BIAS_DIGITS)
+        if abs(found.heading) < SETTLED_DEG * DEG:
+            break
     # A bias that walks is, over the dive, another than at the start.
     time_s = np.ptp(placed.time_ns) * 1e-9
     bias_sd = np.hypot(found.bias_sd, config.noise.gyro_bias_walk_radps_rts * np.sqrt(time_s / 3.0))
     return FittedStart(
-        heading_deg, found.heading_sd / DEG, bias_degph, float(bias_sd) / DEG_PER_HOUR
+        heading_deg=heading_deg,
+        heading_sd_deg=found.heading_sd / DEG,
+        gyro_bias_degph=bias_degph,
+        gyro_bias_sd_degph=float(bias_sd) / DEG_PER_HOUR,
     )
+
+
+def _fit_from(
+    dive: Dive,
+    config: Config,  # with the baseline alone
+    placed: ReferenceColumns,  # the rows that have a position
+    heading_deg: float,
+    bias_degph: float,  # of the gyro about down
+) -> HeadingFit | None:
+    """Align the baseline's track from a start with the reference's; None where it is too short.
+
+    The baseline runs from two starts next to it as well: the filter itself estimates a part of heading and bias, and
+    turns.
+    """
+    initial = config.initial
+    prior_degph = initial.gyro_bias_degph[2]
+    prior_sd_degph = initial.gyro_bias_sd_degph
+    bias_step_degph = BIAS_STEP * prior_sd_degph
+
+    def run_from(heading_deg: float, bias_degph: float) -> tuple[Prepared, History]:
+        started = _started(initial, heading_deg, bias_degph, gyro_bias_sd_degph=HELD_BIAS_DEGPH)
+        prepared = prepare_dive(dive, changed(config, initial=started))
+        line = prepared_timeline(dive, prepared)
+        return prepared, run_one(prepared.filters[0], prepared, line)
+
+    prepared, history = run_from(heading_deg, bias_degph)
+    _, turned = run_from(heading_deg + HEADING_STEP_DEG, bias_degph)
+    _, biased = run_from(heading_deg, bias_degph + bias_step_degph)
+    seen_ns = _before_a_gap(placed.time_ns, prepared.gaps)
+    compared_ns, piece = _tracked(seen_ns, prepared.velocities.time_ns)
+    time_ns, ours, compared = np.intersect1d(history.time_ns, compared_ns, return_indices=True)
+    reference_rows = np.searchsorted(placed.time_ns, time_ns)
+    origin = placed.position[reference_rows[:1]]
+    reference_m = _north_east(placed.position[reference_rows], origin)
+    track_m = _north_east(history.position[ours], origin)
+    turned_m = _north_east(turned.position[ours], origin)
+    biased_m = _north_east(biased.position[ours], origin)
+    return heading_fit(
+        time_ns,
+        estimated_m=track_m,
+        per_heading_m=(turned_m - track_m) / (HEADING_STEP_DEG * DEG),
+        per_bias_m=(biased_m - track_m) / (bias_step_degph * DEG_PER_HOUR),
+        reference_m=reference_m,
+        known_bias=((bias_degph - prior_degph) * DEG_PER_HOUR, prior_sd_degph * DEG_PER_HOUR),
+        piece=piece[compared],
+    )
+
+
+def _north_east(position: Floats, origin: Floats) -> Floats:
+    """Return positions as metres north and east of an origin, shape (k, 2)."""
+    return np.stack(north_east_m(position, origin, origin), axis=1)
 
 
 def _before_a_gap(time_ns: TimeNs, gaps: Gaps) -> TimeNs:
@@ -494,9 +527,10 @@ def _before_a_gap(time_ns: TimeNs, gaps: Gaps) -> TimeNs:
     """
     if not len(gaps.start_ns):
         return time_ns
-    before_ns = time_ns[time_ns <= gaps.start_ns[0]]
-    is_enough = len(before_ns) > 1 and before_ns[-1] - before_ns[0] >= nanoseconds(SHORTEST_TRACK_S)
-    return before_ns if is_enough else time_ns
+    before_ns: TimeNs = time_ns[time_ns <= gaps.start_ns[0]]
+    if len(before_ns) > 1 and before_ns[-1] - before_ns[0] >= nanoseconds(SHORTEST_TRACK_S):
+        return before_ns
+    return time_ns
 
 
 def _tracked(time_ns: TimeNs, ping_ns: TimeNs) -> tuple[TimeNs, Integers]:
@@ -539,8 +573,9 @@ class MisfitError(LogError):
 
 def require_described(dive: Dive) -> None:
     """Raise a MisfitError if axes or units are wrong, or if nobody has described the vehicle: simulated dives are."""
-    if misread := next((note for note in dive.notes if note.code in MISREAD), None):
-        raise MisfitError(f"{dive.name}: {misread.text}", misread.hint)
+    for found in dive.notes:
+        if found.code in MISREAD:
+            raise MisfitError(f"{dive.name}: {found.text}", found.hint)
     if dive.truth is None:
         raise MisfitError(
             f"{dive.name}: nobody has described its sensors", "give their settings with -c"

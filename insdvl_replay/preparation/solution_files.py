@@ -8,12 +8,12 @@ import zipfile
 import zlib
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from insdvl_replay.core.config import MOST_BYTES
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, Integers, TimeNs
 from insdvl_replay.core.errors import LogError, hint_for, read_regular, visible
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
@@ -28,6 +28,9 @@ from insdvl_replay.nav.user_candidate import (
     misalignment_cov,
 )
 
+if TYPE_CHECKING:
+    import pandas as pd  # heavy
+
 MOST_COVARIANCES: Final = 20_000  # of one solution, evenly chosen
 NO_ROTATION: Final = 0.01  # largest error of C C^T
 SAME_TIME_NS: Final = NS_PER_S  # from the start within which a solution begins there
@@ -36,127 +39,206 @@ VELOCITY: Final = ("velocity_n_mps", "velocity_e_mps", "velocity_d_mps")
 ATTITUDE: Final = ("roll_deg", "pitch_deg", "heading_deg")
 POSITION: Final = ("latitude_deg", "longitude_deg", "height_m")
 INNOVATION: Final = ("innovation_x_mps", "innovation_y_mps", "innovation_z_mps")
-_GROUPS: Final = (POSITION, VELOCITY, ATTITUDE, INNOVATION)
-_COLUMNS: Final = (
-    "time_ns",
-    *(f"{name}{end}" for group in _GROUPS for name in group for end in ("", "_sd")),
-)
+_QUANTITIES: Final = (*POSITION, *VELOCITY, *ATTITUDE, *INNOVATION)
+_NUMBERS: Final = (*_QUANTITIES, *(f"{name}_sd" for name in _QUANTITIES))
+_COLUMNS: Final = ("time_ns", *_NUMBERS)
 _SHAPES: Final = {
     "position": (3,), "velocity_n": (3,), "mat_nb": (3, 3), "cov": (9, 9),
     "innovation_b": (3,), "innovation_cov": (3, 3),
 }  # fmt: skip
 MOTION: Final = {"position": "positions", "velocity_n": "velocities", "mat_nb": "attitudes"}
+# Rows of a covariance.
+VELOCITY_BLOCK: Final = slice(0, 3)
+ATTITUDE_BLOCK: Final = slice(3, 6)
+POSITION_BLOCK: Final = slice(6, 9)
 
 
 def checked_solution(solution: Solution) -> Solution:
     """Require increasing times, and finite numbers of the right shapes; a `CandidateError` says what is wrong."""
-
-    def wrong(text: str) -> NoReturn:
-        raise CandidateError(f"gives a solution with {text}")
-
-    def increasing(name: str, given: Any) -> TimeNs:
-        times = np.asarray(given)
-        whole = times.astype(np.int64) if times.dtype.kind in "iu" else None
-        if times.ndim != 1 or whole is None or np.any(np.diff(whole) <= 0):
-            wrong(f"{name} that are not increasing whole nanoseconds")
-        return whole
-
     if np.ndim(solution.time_ns) != 1 or not len(solution.time_ns):
-        wrong("no row")
-    time_ns = increasing("times", solution.time_ns)
-    cov_ns = None if solution.cov_ns is None else increasing("cov_ns", solution.cov_ns)
-    columns = dict[str, Any]()
-    for name, shape in _SHAPES.items():
-        if (given := getattr(solution, name)) is None:
+        raise _wrong("no row")
+    time_ns = _increasing("times", solution.time_ns)
+    cov_ns = None
+    if solution.cov_ns is not None:
+        cov_ns = _increasing("cov_ns", solution.cov_ns)
+    columns: dict[str, Floats] = {}
+    for name in _SHAPES:
+        given = getattr(solution, name)
+        if given is None:
             continue
-        try:
-            values = columns[name] = np.asarray(given, np.float64)
-        except (TypeError, ValueError):
-            wrong(f"{name} that is not an array of numbers")
-        count = len(cov_ns) if name == "cov" and cov_ns is not None else len(time_ns)
-        if values.shape != (count, *shape):
-            wrong(f"{name} of shape {values.shape}, not {(count, *shape)}")
-        needed = (
-            values[:, :2] if name == "position" else values.reshape(count, -1)
-        )  # a position may lack its height
-        bad = np.flatnonzero(~np.isfinite(needed).all(axis=1))
-        if name in MOTION and len(bad):
-            wrong(
-                f"{MOTION[name]} that are not finite in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}"
-            )
-        if name.endswith("cov") and np.any(np.diagonal(values, axis1=1, axis2=2) < 0.0):
-            wrong(f"{name} with negative variances")
-    if (mat_nb := columns.get("mat_nb")) is not None:
-        with np.errstate(over="ignore", invalid="ignore"):
-            off = np.abs(mat_nb @ np.swapaxes(mat_nb, 1, 2) - np.eye(3)).max(axis=(1, 2))
-            bad = np.flatnonzero(~(off <= NO_ROTATION) | (np.linalg.det(mat_nb) < 0.0))
-        if len(bad):
-            wrong(
-                f"attitudes that are no rotations in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}"
-            )
+        rows = len(time_ns)
+        if name == "cov" and cov_ns is not None:
+            rows = len(cov_ns)
+        columns[name] = _checked_column(name, given, rows)
+    if "mat_nb" in columns:
+        _require_rotations(columns["mat_nb"])
     if not set(columns) & set(MOTION):
-        wrong("no position, no velocity and no attitude")
+        raise _wrong("no position, no velocity and no attitude")
     if "innovation_b" in columns and "innovation_cov" not in columns:
-        wrong(
+        raise _wrong(
             "innovations without their covariance; in CSV these are innovation_x_mps_sd and so on"
         )
     return Solution(time_ns, cov_ns=cov_ns, **columns)
+
+
+def _wrong(text: str) -> CandidateError:
+    return CandidateError(f"gives a solution with {text}")
+
+
+def _increasing(name: str, given: Any) -> TimeNs:
+    times = np.asarray(given)
+    if times.ndim == 1 and times.dtype.kind in "iu":
+        whole = times.astype(np.int64)
+        if np.all(np.diff(whole) > 0):
+            return whole
+    raise _wrong(f"{name} that are not increasing whole nanoseconds")
+
+
+def _checked_column(name: str, given: Any, rows: int) -> Floats:
+    """Return a column of `_SHAPES` as numbers; those of the motion must be finite, but for a height."""
+    try:
+        values = np.asarray(given, np.float64)
+    except (TypeError, ValueError) as error:
+        raise _wrong(f"{name} that is not an array of numbers") from error
+    shape = (rows, *_SHAPES[name])
+    if values.shape != shape:
+        raise _wrong(f"{name} of shape {values.shape}, not {shape}")
+    if name in MOTION:
+        needed = values.reshape(rows, -1)
+        if name == "position":
+            needed = values[:, :2]
+        bad = np.flatnonzero(~np.isfinite(needed).all(axis=1))
+        if len(bad):
+            raise _wrong(f"{MOTION[name]} that are not finite in {_rows(bad, rows)}")
+    if name.endswith("cov") and np.any(np.diagonal(values, axis1=1, axis2=2) < 0.0):
+        raise _wrong(f"{name} with negative variances")
+    return values
+
+
+def _require_rotations(mat_nb: Floats) -> None:
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(mat_nb @ np.swapaxes(mat_nb, 1, 2) - np.eye(3)).max(axis=(1, 2))
+        bad = np.flatnonzero(~(off <= NO_ROTATION) | (np.linalg.det(mat_nb) < 0.0))
+    if len(bad):
+        raise _wrong(f"attitudes that are no rotations in {_rows(bad, len(mat_nb))}")
+
+
+def _rows(bad: Integers, rows: int) -> str:
+    return f"{len(bad)} of {rows} rows, the first is row {bad[0]}"
 
 
 def read_solution(path: Path, start: CandidateStart) -> Solution:
     """Read the solution of a program; a `CandidateError` says why it cannot be used."""
     try:
         data = read_regular(path, MOST_BYTES)
+    except FileNotFoundError as error:
+        raise CandidateError("wrote no solution") from error
     except OSError as error:
-        text = (
-            "wrote no solution"
-            if isinstance(error, FileNotFoundError)
-            else f"wrote a solution: {error.strerror}"
-        )
-        raise CandidateError(text) from error
+        raise CandidateError(f"wrote a solution: {error.strerror}") from error
     if not data.strip():
         raise CandidateError("wrote an empty solution")
     if data.startswith(b"PK"):
-        try:
-            with np.load(io.BytesIO(data)) as columns:
-                return checked_solution(Solution(**columns))
-        except (
-            TypeError, ValueError, KeyError, EOFError, OSError, NotImplementedError, zipfile.BadZipFile, zlib.error,
-        ) as error:  # fmt: skip
-            raise CandidateError(
-                f"wrote a solution that is not of run_as_program: {error}"
-            ) from error
+        return _read_npz(data)
     if not data.startswith(MAGIC) and data.lstrip()[:1] not in b"#+-.0123456789":
         return checked_solution(_read_csv(data))
+    return _read_log(path, start)
+
+
+def _read_npz(data: bytes) -> Solution:
+    """Read and check the solution of a class that was run as a program."""
+    try:
+        with np.load(io.BytesIO(data)) as columns:
+            return checked_solution(Solution(**columns))
+    except (
+        TypeError, ValueError, KeyError, EOFError, OSError, NotImplementedError, zipfile.BadZipFile, zlib.error,
+    ) as error:  # fmt: skip
+        raise CandidateError(f"wrote a solution that is not of run_as_program: {error}") from error
+
+
+# --- MCAP and TUM.
+
+
+def _read_log(path: Path, start: CandidateStart) -> Solution:
+    """Read a solution as MCAP or TUM; positions from an unknown origin are those from the start."""
     try:
         read, notes = read_solution_of_log(path)
     except LogError as error:
         raise CandidateError(
             f"wrote a solution that cannot be read: {visible(error.inside(path))}"
         ) from error
-    if wrong := next((note for note in notes if note.severity == Severity.WARNING), None):
-        raise CandidateError(f"wrote a solution that cannot be used: {visible(wrong.text)}")
+    for note in notes:
+        if note.severity == Severity.WARNING:
+            raise CandidateError(f"wrote a solution that cannot be used: {visible(note.text)}")
     motion = read.motion
-    position = read.motion.position
+    position = motion.position
     if read.moved_n is not None:
-        # From the start; a solution that begins there may have an origin of its own.
-        first = int(np.argmax(np.isfinite(read.moved_n).all(axis=1)))
-        begins = abs(int(motion.time_ns[first]) - start.time_ns) <= SAME_TIME_NS
-        from_start = read.moved_n - (read.moved_n[first] if begins else 0.0)
-        position = moved_position(np.broadcast_to(start.position, from_start.shape), from_start)
-    cov_ns = read.cov_ns if np.isfinite(read.cov).any() else None
-    given = position, motion.velocity_n, motion.mat_nb, read.cov
-    placed, velocity_n, mat_nb, cov = (
-        values if np.isfinite(values).any() else None for values in given
+        position = _from_start(motion.time_ns, read.moved_n, start)
+    cov = _if_any(read.cov)
+    return Solution(
+        time_ns=motion.time_ns,
+        position=_if_any(position),
+        velocity_n=_if_any(motion.velocity_n),
+        mat_nb=_if_any(motion.mat_nb),
+        cov=cov,
+        cov_ns=None if cov is None else read.cov_ns,
     )
-    return Solution(motion.time_ns, placed, velocity_n, mat_nb, cov, cov_ns)
+
+
+def _from_start(time_ns: TimeNs, moved_n: Floats, start: CandidateStart) -> Floats:
+    """Return the positions of movements from the start; those that begin there may have an origin of their own."""
+    first = int(np.argmax(np.isfinite(moved_n).all(axis=1)))
+    begins_there = abs(int(time_ns[first]) - start.time_ns) <= SAME_TIME_NS
+    if begins_there:
+        moved_n = moved_n - moved_n[first]
+    return moved_position(np.broadcast_to(start.position, moved_n.shape), moved_n)
+
+
+def _if_any(values: Floats) -> Floats | None:
+    """Return values; None if there is no number among them."""
+    if np.isfinite(values).any():
+        return values
+    return None
+
+
+# --- CSV.
 
 
 def _read_csv(data: bytes) -> Solution:
     """Read a solution as CSV; columns may be missing."""
+    table = _table_of(data)
+    time_ns = table["time_ns"].to_numpy(np.int64)
+    position = _columns(table, POSITION)
+    if position is not None:
+        position = position * [DEG, DEG, 1.0]
+    rpy = _columns(table, ATTITUDE)
+    mat_nb = None
+    if rpy is not None:
+        rpy = rpy * DEG
+        mat_nb = mat_from_rpy(rpy)
+    chosen = slice(None, None, 1 + len(table) // MOST_COVARIANCES)
+    cov = _if_any(_csv_cov(table, position, rpy, chosen))
+    innovation_b = _columns(table, INNOVATION)
+    innovation_sd = _columns(table, INNOVATION, "_sd")
+    innovation_cov = None
+    if innovation_sd is not None:
+        innovation_cov = _diagonal(innovation_sd)
+    return Solution(
+        time_ns=time_ns,
+        position=position,
+        velocity_n=_columns(table, VELOCITY),
+        mat_nb=mat_nb,
+        cov=cov,
+        cov_ns=None if cov is None else time_ns[chosen],
+        innovation_b=innovation_b,
+        innovation_cov=innovation_cov,
+    )
+
+
+def _table_of(data: bytes) -> "pd.DataFrame":
+    """Read a table of CSV whose columns are known and whose last line is whole."""
     import pandas as pd  # heavy
 
-    numbers = dict.fromkeys(_COLUMNS[1:], "f8")
+    numbers = dict.fromkeys(_NUMBERS, "f8")
     try:
         table = pd.read_csv(io.BytesIO(data), dtype=numbers)
     except (ValueError, OverflowError) as error:  # pandas' own errors are ValueErrors
@@ -175,69 +257,80 @@ def _read_csv(data: bytes) -> Solution:
         )
     if table.empty:
         raise CandidateError("wrote a solution without rows")
-    unknown = next((name for name in map(str, table.columns) if name not in _COLUMNS), None)
-    if unknown is not None:
-        name = visible(unknown)[:LONGEST_LINE]
-        hint = hint_for(unknown, _COLUMNS, most=1)
-        raise CandidateError(
-            f"wrote a solution with the column '{name}', which is not known ({hint})"
-        )
+    for name in map(str, table.columns):
+        if name not in _COLUMNS:
+            shown = visible(name)[:LONGEST_LINE]
+            hint = hint_for(name, _COLUMNS, most=1)
+            raise CandidateError(
+                f"wrote a solution with the column '{shown}', which is not known ({hint})"
+            )
     if "time_ns" not in table:
         raise CandidateError("wrote a solution without the column time_ns")
     if table["time_ns"].dtype.kind != "i":
         raise CandidateError("wrote a solution with times that are not whole nanoseconds")
     if not data.endswith(b"\n") and table.iloc[-1].isna().any():
         raise CandidateError(f"wrote a solution that is cut off in line {len(table) + 1}")
+    return table
 
-    def group(names: tuple[str, ...], end: str = "") -> Floats | None:
-        """Return the columns of a quantity; None where they are missing."""
-        wanted = [f"{name}{end}" for name in names]
-        lacking = [name for name in wanted if name not in table]
-        if names == POSITION and lacking == wanted[2:]:
-            table[wanted[2]], lacking = np.nan, []
-        if lacking and len(lacking) < len(wanted):
-            given = next(name for name in wanted if name in table)
-            raise CandidateError(
-                f"wrote a solution with {given}, but without {' and '.join(lacking)}"
-            )
-        if lacking:
-            return None
-        return table[wanted].to_numpy(np.float64)
 
-    time_ns = table["time_ns"].to_numpy(np.int64)
-    position = group(POSITION)
-    rpy = group(ATTITUDE)
-    if position is not None:
-        position = position * [DEG, DEG, 1.0]
-    # Covariances at evenly chosen rows. The blocks that are not given are NaN.
-    chosen = slice(None, None, 1 + len(table) // MOST_COVARIANCES)
-    cov = np.zeros((len(time_ns[chosen]), 9, 9))
-    for block, names in enumerate((VELOCITY, ATTITUDE, POSITION)):
-        rows = slice(3 * block, 3 * block + 3)
-        sd = group(names, "_sd")
-        if sd is None:
-            cov[:, rows] = cov[:, :, rows] = np.nan
-            continue
-        sd = sd[chosen]
-        if names == ATTITUDE:
-            cov[:, rows, rows] = misalignment_cov(
-                sd * DEG, np.zeros(len(sd)) if rpy is None else rpy[chosen, 2] * DEG
-            )
-            continue
-        if names == POSITION:
-            here = np.zeros(3) if position is None else np.nan_to_num(position[chosen])
-            sd = np.abs(north_east_down_m(here + sd * [DEG, DEG, 1.0], here))
-        cov[:, rows, rows] = sd[:, :, None] ** 2 * np.eye(3)
-    innovation = group(INNOVATION)
-    innovation_sd = group(INNOVATION, "_sd")
-    has_cov = bool(np.isfinite(cov).any())
-    return Solution(
-        time_ns,
-        position,
-        group(VELOCITY),
-        None if rpy is None else mat_from_rpy(rpy * DEG),
-        cov if has_cov else None,
-        time_ns[chosen] if has_cov else None,
-        innovation,
-        None if innovation_sd is None else innovation_sd[:, :, None] ** 2 * np.eye(3),
-    )
+def _columns(table: "pd.DataFrame", names: tuple[str, ...], end: str = "") -> Floats | None:
+    """Return the columns of a quantity, shape (k, 3); None where they are missing. A height may be missing alone."""
+    wanted = [f"{name}{end}" for name in names]
+    lacking = [name for name in wanted if name not in table]
+    if lacking == wanted:
+        return None
+    if names == POSITION and lacking == wanted[2:]:
+        horizontal = table[wanted[:2]].to_numpy(np.float64)
+        return np.column_stack([horizontal, np.full(len(table), np.nan)])
+    if lacking:
+        given = [name for name in wanted if name in table]
+        raise CandidateError(
+            f"wrote a solution with {given[0]}, but without {' and '.join(lacking)}"
+        )
+    return table[wanted].to_numpy(np.float64)
+
+
+def _csv_cov(
+    table: "pd.DataFrame",
+    position: Floats | None,  # rad, rad, m
+    rpy: Floats | None,  # rad
+    chosen: slice,
+) -> Floats:
+    """Return covariances of velocity, misalignment and position at chosen rows; blocks that are not given are NaN."""
+    rows = len(table.iloc[chosen])
+    cov = np.zeros((rows, 9, 9))
+    velocity_sd = _columns(table, VELOCITY, "_sd")
+    if velocity_sd is None:
+        _leave_out(cov, VELOCITY_BLOCK)
+    else:
+        cov[:, VELOCITY_BLOCK, VELOCITY_BLOCK] = _diagonal(velocity_sd[chosen])
+    attitude_sd = _columns(table, ATTITUDE, "_sd")
+    if attitude_sd is None:
+        _leave_out(cov, ATTITUDE_BLOCK)
+    else:
+        heading = np.zeros(rows)
+        if rpy is not None:
+            heading = rpy[chosen, 2]
+        cov[:, ATTITUDE_BLOCK, ATTITUDE_BLOCK] = misalignment_cov(
+            attitude_sd[chosen] * DEG, heading
+        )
+    position_sd = _columns(table, POSITION, "_sd")
+    if position_sd is None:
+        _leave_out(cov, POSITION_BLOCK)
+    else:
+        here = np.zeros(3)
+        if position is not None:
+            here = np.nan_to_num(position[chosen])
+        sd_m = np.abs(north_east_down_m(here + position_sd[chosen] * [DEG, DEG, 1.0], here))
+        cov[:, POSITION_BLOCK, POSITION_BLOCK] = _diagonal(sd_m)
+    return cov
+
+
+def _leave_out(cov: Floats, block: slice) -> None:
+    cov[:, block] = np.nan
+    cov[:, :, block] = np.nan
+
+
+def _diagonal(sd: Floats) -> Floats:
+    """Return covariances, shape (k, 3, 3), of components with these standard deviations, shape (k, 3)."""
+    return np.asarray(sd[:, :, None] ** 2 * np.eye(3))

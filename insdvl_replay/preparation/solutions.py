@@ -65,7 +65,6 @@ def recorded_history(
     """
     key = key or f"filters.{name}.solution"
     notes = list[Note]()
-    origin = baseline.position[0]
     if any(settings.lever_arm_m) and not solution.motion.has_attitude:
         raise ConfigError(
             f"{key} has no attitude, so {key}.lever_arm_m cannot be applied",
@@ -82,43 +81,22 @@ def recorded_history(
         )
         solution = _turned(solution, mat_from_rpy(np.array([0.0, 0.0, turn])))
         notes.append(note("solution_turned", key=key, turn=turn / DEG, baseline=baseline.filter))
-
-    def geographic(rows: Floats) -> Floats:
-        """Return positions, with longitudes on the baseline's side of the 180th meridian."""
-        position = (
-            moved_position(np.broadcast_to(origin, rows.shape), rows)
-            if has_own_origin
-            else rows.copy()
-        )
-        position[:, 1] = origin[1] + wrap_angle(position[:, 1] - origin[1])
-        return position
-
-    rows = solution.motion.position if solution.moved_n is None else solution.moved_n
-    motion = replace(solution.motion, position=in_blocks(geographic, rows, np.empty(rows.shape)))
+    motion = replace(solution.motion, position=_geographic(solution, baseline.position[0]))
     motion = reference_at_imu(motion, imu, np.array(settings.lever_arm_m), mat_br)
     if align != "none" and motion.has_position:
-        # Its first position is moved to the baseline, and all others with it, in place.
         at_ns = _first_ns(motion, "positions", key, baseline)
-        has_height = bool(motion.known["heights"].any())
-        flat = np.column_stack([motion.position[:, :2], np.zeros(len(motion.time_ns))])
-        own_position = at_time(motion.time_ns, motion.position if has_height else flat, at_ns)
-        wanted = at_time(baseline.time_ns, baseline.position, at_ns)
-        if not has_height:
-            own_position[2] = wanted[2]
-        shift_n = north_east_down_m(wanted, own_position)
-        in_blocks(
-            lambda rows: moved_position(rows, np.broadcast_to(shift_n, rows.shape)),
-            motion.position,
-            motion.position,
-        )
-        from_own = " (from an unknown origin)" if has_own_origin else ""
-        moved = "" if has_own_origin else f"; they moved by {np.linalg.norm(shift_n):.3g} m"
+        distance_m = _move_to(baseline, motion, at_ns)
+        origin = ""
+        moved = f"; they moved by {distance_m:.3g} m"
+        if has_own_origin:
+            origin = " (from an unknown origin)"
+            moved = ""
         since_s = (at_ns - int(baseline.time_ns[0])) / NS_PER_S
         notes.append(
             note(
                 "solution_aligned",
                 key=key,
-                origin=from_own,
+                origin=origin,
                 baseline=baseline.filter,
                 since=since_s,
                 moved=moved,
@@ -128,6 +106,46 @@ def recorded_history(
         name, replace(solution, motion=motion), baseline, evaluated_ns, is_turned=align == "heading"
     )
     return history, motion.without_attitude(), (*notes, *_coverage_notes(key, motion, history))
+
+
+def _geographic(solution: SolutionColumns, origin: Floats) -> Floats:
+    """Return the positions of a solution, with longitudes on the origin's side of the 180th meridian.
+
+    One that only says how far it moved begins at the origin.
+    """
+    moved_n = solution.moved_n
+
+    def from_origin(rows: Floats) -> Floats:
+        return on_its_side(moved_position(np.broadcast_to(origin, rows.shape), rows))
+
+    def on_its_side(position: Floats) -> Floats:
+        position = position.copy()
+        position[:, 1] = origin[1] + wrap_angle(position[:, 1] - origin[1])
+        return position
+
+    if moved_n is not None:
+        return in_blocks(from_origin, moved_n, np.empty(moved_n.shape))
+    position = solution.motion.position
+    return in_blocks(on_its_side, position, np.empty(position.shape))
+
+
+def _move_to(baseline: History, motion: ReferenceColumns, at_ns: int) -> float:
+    """Move the position at a time to the baseline's, and all others with it, in place; return how far, m."""
+    has_height = bool(motion.known["heights"].any())
+    position = motion.position
+    if not has_height:
+        position = np.column_stack([motion.position[:, :2], np.zeros(len(motion.time_ns))])
+    own = at_time(motion.time_ns, position, at_ns)
+    wanted = at_time(baseline.time_ns, baseline.position, at_ns)
+    if not has_height:
+        own[2] = wanted[2]
+    shift_n = north_east_down_m(wanted, own)
+
+    def shifted(rows: Floats) -> Floats:
+        return moved_position(rows, np.broadcast_to(shift_n, rows.shape))
+
+    in_blocks(shifted, motion.position, motion.position)
+    return float(np.linalg.norm(shift_n))
 
 
 def _history(
@@ -278,9 +296,9 @@ def _coverage_notes(key: str, motion: ReferenceColumns, history: History) -> Ite
         yield note(
             "solution_lacks", len(never), severity=severity, key=key, quantities=" and ".join(never)
         )
-    for quantity in (quantity for quantity in QUANTITIES if quantity not in never):
+    for quantity in QUANTITIES:
         share = covered_share(motion.time_ns, motion.known[quantity], start_ns, end_ns)
-        if share < WELL_COVERED:
+        if quantity not in never and share < WELL_COVERED:
             shares.setdefault(f"{100.0 * share:.0f}", []).append(quantity)
     for percent, quantities in shares.items():
         names = " and ".join(quantities)

@@ -81,11 +81,14 @@ def reference_sd(
     assert reference is not None
     rows = reference.within(start_ns - nanoseconds(STRETCH_S), start_ns + nanoseconds(STRETCH_S))
     stated = stated_sd(reference, config.reference, start_ns)
-    attitude = attitude_scatter(dive.imu, rows, latitude, config.noise.gyro_white_rad_rts)
-    attitude_sd = np.maximum(attitude.sd, ATTITUDE_FLOOR) if attitude is not None else UNKNOWN
     velocity_white = third_difference_sd(rows.time_ns, rows.velocity_n)
     velocity_slow = np.zeros(3)
+    attitude = attitude_scatter(dive.imu, rows, latitude, config.noise.gyro_white_rad_rts)
+    attitude_white = UNKNOWN
+    attitude_sd = UNKNOWN
     if attitude is not None:
+        attitude_white = attitude.white
+        attitude_sd = np.maximum(attitude.sd, ATTITUDE_FLOOR)
         pair = velocity_pair(
             dive.imu, rows, attitude, velocities, np.array(config.dvl.lever_arm_m), latitude
         )
@@ -94,11 +97,11 @@ def reference_sd(
             attitude_sd[2] = np.hypot(attitude_sd[2], direction_difference(pair))
     velocity_sd = np.maximum(np.hypot(velocity_white, velocity_slow), VELOCITY_FLOOR_MPS)
     position_white = third_difference_sd(rows.time_ns, _moved_m(rows))
-    white = UNKNOWN if attitude is None else attitude.white
+    position_sd = np.maximum(position_white, POSITION_FLOOR_M)
     return SourceSd(
-        _stated_or(stated.attitude, white, attitude_sd),
-        _stated_or(stated.velocity, velocity_white, velocity_sd),
-        _stated_or(stated.position, position_white, np.maximum(position_white, POSITION_FLOOR_M)),
+        attitude=_stated_or(stated.attitude, attitude_white, attitude_sd),
+        velocity=_stated_or(stated.velocity, velocity_white, velocity_sd),
+        position=_stated_or(stated.position, position_white, position_sd),
     )
 
 
@@ -181,17 +184,16 @@ class Turns:
 
     def between(self, start_ns: TimeNs, end_ns: TimeNs) -> Floats:
         """Return rotation vectors from body axes at the start to those at the end of spans, (k, 3), rad."""
-        (turn, swing), (end_turn, end_swing) = self._at(start_ns), self._at(end_ns)
+        turn, swing = self._at(start_ns)
+        end_turn, end_swing = self._at(end_ns)
         change = end_turn - turn
         return np.asarray(change + 0.5 * (end_swing - swing - np.cross(turn, change)))
 
     def _at(self, time_ns: TimeNs) -> tuple[Floats, Floats]:
         at_s = seconds(time_ns, self._origin_ns)
-        turn, swing = (
-            np.column_stack([np.interp(at_s, self._time_s, column) for column in columns.T])
-            for columns in (self._turn, self._swing)
+        return _interpolated(at_s, self._time_s, self._turn), _interpolated(
+            at_s, self._time_s, self._swing
         )
-        return turn, swing
 
 
 @dataclass(frozen=True)
@@ -332,6 +334,10 @@ def _at(at_ns: TimeNs, time_ns: TimeNs, values: Floats) -> Floats:
     """Interpolate columns, (k, n), at times inside them."""
     at_s = seconds(at_ns, int(time_ns[0]))
     time_s = seconds(time_ns, int(time_ns[0]))
+    return _interpolated(at_s, time_s, values)
+
+
+def _interpolated(at_s: Floats, time_s: Floats, values: Floats) -> Floats:
     return np.column_stack([np.interp(at_s, time_s, column) for column in values.T])
 
 

@@ -70,8 +70,10 @@ class StartSd:
 def initial_sd(initial: Initial) -> Floats:
     """Return the standard deviations of the 12 error states by ``[initial]``, shape (12,), SI units."""
     sd = np.empty(12)
-    sd[DV], sd[PHI] = initial.velocity_sd_mps, np.array(initial.misalignment_sd_deg) * DEG
-    sd[BA], sd[BG] = initial.accel_bias_sd_mg * MG, initial.gyro_bias_sd_degph * DEG_PER_HOUR
+    sd[DV] = initial.velocity_sd_mps
+    sd[PHI] = np.array(initial.misalignment_sd_deg) * DEG
+    sd[BA] = initial.accel_bias_sd_mg * MG
+    sd[BG] = initial.gyro_bias_sd_degph * DEG_PER_HOUR
     return sd
 
 

@@ -12,7 +12,7 @@ import math
 import pickle
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -21,7 +21,13 @@ import numpy as np
 from msgspec.structs import replace as changed
 
 from insdvl_replay.core.config import Config, Filter
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns
+from insdvl_replay.core.dive_columns import (
+    Dive,
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+)
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import parallel_map, report_stage
@@ -106,76 +112,129 @@ def with_user_candidates(
     windows = _windows(plan.windows)
     part = dive
     starts: tuple[Start, ...] = (prepared.alignment.start,)
-    outage_dives = _outage_dives(dive, prepared, config, windows)
     if plan.starts:
         starts, part, _ = drawn_part(dive, prepared, plan.starts, plan.seed)
-    histories = list(runs.histories)
-    drawn = list(runs.drawn)
-    notes = list(runs.notes)
-    turned = list(runs.turned)
-    outages = dict[str, OutageRuns]()
-    printed = dict[str, str]()
-    cpu_s = dict(runs.cpu_s)
-    not_repeatable = dict[str, str]()
+    tests = _Tests(
+        whole, starts, part.reference, windows, _outage_dives(dive, prepared, config, windows)
+    )
     # What a program has started may still write into it.
     with tempfile.TemporaryDirectory(prefix="insdvl-replay-", ignore_cleanup_errors=True) as folder:
         for name, settings in config.user_candidates.items():
             report_stage(f"running {name}")
-            candidate = _Candidate(name, settings, Path(folder, name), plan)
-            for test in (
-                whole,
-                *outage_dives,
-            ):  # each candidate has files of its own: it may change or remove them
-                candidate.give(test, dive, config)
-            try:
-                found = candidate.runs(whole, starts, part, outage_dives, windows, dive, config)
-            except CandidateError as error:
-                found = UserRun(
-                    failed_history(name, str(error), whole.baseline, whole.dive.imu), None, None, ()
-                )
-            finally:
-                candidate.processes.stop()
-            histories.append(found.history)
-            turned += [] if found.turned is None else [found.turned]
-            drawn += [] if found.drawn is None else [found.drawn]
-            drawn = list(with_solutions(drawn, [found.history], dive)) if plan.starts else drawn
-            outages |= {} if found.outages is None else {name: found.outages}
-            notes += found.notes
-            if off := [repeat for repeat in found.repeats if repeat.is_off]:
-                not_repeatable[name] = f"{name} {off[0].text(whole.baseline.filter)}"
-            cpu_s |= (
-                {} if math.isnan(candidate.processes.cpu_s) else {name: candidate.processes.cpu_s}
-            )
-            printed |= {name: text} if (text := candidate.processes.printed) else {}
+            candidate = _Candidate(name, settings, Path(folder, name), plan, dive, config)
+            found = candidate.tested(tests)
+            runs = _with_run(runs, name, found, whole.baseline.filter)
+            if plan.starts:
+                drawn = with_solutions(runs.drawn, [found.history], dive)
+                runs = replace(runs, drawn=drawn)
+            runs = _with_processes(runs, name, candidate.processes)
             shutil.rmtree(candidate.folder, ignore_errors=True)
+    return runs
+
+
+def _with_run(runs: Runs, name: str, found: UserRun, baseline: str) -> Runs:
+    """Add what one filter of the user's gave."""
+    drawn = runs.drawn
+    if found.drawn is not None:
+        drawn = (*drawn, found.drawn)
+    turned = runs.turned
+    if found.turned is not None:
+        turned = (*turned, found.turned)
+    outages = dict(runs.user_outages)
+    if found.outages is not None:
+        outages[name] = found.outages
+    not_repeatable = dict(runs.not_repeatable)
+    for repeat in found.repeats:
+        if repeat.is_off:
+            not_repeatable[name] = f"{name} {repeat.text(baseline)}"
+            break
     return replace(
-        runs, histories=tuple(histories), drawn=tuple(drawn), notes=tuple(notes), user_outages=outages, printed=printed,
-        cpu_s=cpu_s, not_repeatable=not_repeatable, turned=tuple(turned),
-    )  # fmt: skip
+        runs,
+        histories=(*runs.histories, found.history),
+        drawn=drawn,
+        turned=turned,
+        user_outages=outages,
+        notes=(*runs.notes, *found.notes),
+        not_repeatable=not_repeatable,
+    )
+
+
+def _with_processes(runs: Runs, name: str, processes: UserProcesses) -> Runs:
+    """Add what the processes of a filter have taken and printed."""
+    cpu_s = dict(runs.cpu_s)
+    if not math.isnan(processes.cpu_s):
+        cpu_s[name] = processes.cpu_s
+    printed = dict(runs.printed)
+    if processes.printed:
+        printed[name] = processes.printed
+    return replace(runs, cpu_s=cpu_s, printed=printed)
+
+
+class _Tests(NamedTuple):
+    """What each filter of the user's is run over."""
+
+    whole: GivenDive
+    starts: Sequence[Start]  # the dive's own, then those that are drawn
+    reference: ReferenceColumns | None  # at the times at which errors from these starts are kept
+    windows: Windows | None  # without the DVL; None where the dive has none
+    outages: Sequence[GivenDive]  # dives without the pings of some of these windows
+
+
+class _Answer(NamedTuple):
+    """The run of a filter over a dive."""
+
+    history: History
+    notes: tuple[Note, ...]
+    digest: str  # of its solution
 
 
 class _Candidate:
     """One filter of the user's: a program or a class."""
 
-    def __init__(self, name: str, settings: Filter, folder: Path, plan: RunPlan) -> None:
+    def __init__(
+        self,
+        name: str,
+        settings: Filter,
+        folder: Path,
+        plan: RunPlan,
+        dive: Dive,  # with the reference and all that was read
+        config: Config,
+    ) -> None:
         self.name = name
         self.plan = plan
+        self.dive = dive
+        self.config = config
         self.folder = folder
         self.processes = UserProcesses(settings, folder)
+
+    def tested(self, tests: _Tests) -> UserRun:
+        """Run it over all tests; one that fails in any of them has no trajectory."""
+        # Each candidate has files of its own: it may change or remove them.
+        for test in (tests.whole, *tests.outages):
+            self.give(test)
+        try:
+            return self.runs(tests)
+        except CandidateError as error:
+            baseline = tests.whole.baseline
+            history = failed_history(self.name, str(error), baseline, tests.whole.dive.imu)
+            return UserRun(history, None, None, ())
+        finally:
+            self.processes.stop()
 
     def file(self, test: GivenDive) -> Path:
         """Return the file of a dive that it is given."""
         return self.folder / DIVE_FILES[self.processes.input].format(test.name)
 
-    def give(self, test: GivenDive, dive: Dive, config: Config) -> None:
-        """Write the file of a test by a dive, in the form that it reads."""
+    def give(self, test: GivenDive) -> None:
+        """Write the file of a test, in the form that it reads."""
         file = self.file(test)
+        paths = self.dive.paths
         if self.processes.input == "clean":
             write_dive(file, test.dive, is_compressed=False)
         elif self.processes.input == "class":
             file.write_bytes(pickle.dumps(test.dive))
-        elif dive.paths:
-            copy_log(file, dive.paths, held_back_messages(dive.paths, config, test.absent))
+        elif paths:
+            copy_log(file, paths, held_back_messages(paths, self.config, test.absent))
 
     def history(
         self,
@@ -185,108 +244,98 @@ class _Candidate:
         *,
         late_ns: int = 0,
         new_process: bool = False,
-    ) -> tuple[History, tuple[Note, ...], str]:
-        """Run it over a dive; return its history, notes, and a digest of its solution.
+    ) -> _Answer:
+        """Run it over a dive.
 
         The stamps that it is given may be late. Those of its solution are taken back.
         """
         alignment = test.prepared.alignment
-        given = CandidateStart(
-            **{column.name: getattr(start, column.name) for column in fields(Start)},
-            time_ns=alignment.start_ns + late_ns,
-            dvl_lever_arm_b=test.prepared.mounting.lever_arm_b,
-            position_sd_m=np.array(
-                alignment.initial.position_sd_m if alignment.initial else (1.0, 1.0, 1.0)
-            ),
-        )
         dive_file = self.file(test)
         if not dive_file.exists():
             raise CandidateError("cannot be run: its input is the log, and the dive has no file")
-        solution = _earlier(
-            self.processes.run(run, dive_file, given, new_process=new_process), late_ns
-        )
-        digest = hashlib.sha256()
-        for column in (solution.time_ns, solution.position, solution.velocity_n, solution.mat_nb):
-            digest.update(b"" if column is None else np.ascontiguousarray(column).tobytes())
+        given = _given_start(test.prepared, start, late_ns)
+        solution = self.processes.run(run, dive_file, given, new_process=new_process)
+        solution = _earlier(solution, late_ns)
         history, notes = history_of_candidate(
-            self.name, solution, start, alignment.start_ns, test.dive.imu, test.prepared.velocities, test.baseline,
+            self.name,
+            solution,
+            start,
+            alignment.start_ns,
+            test.dive.imu,
+            test.prepared.velocities,
+            test.baseline,
             self.plan.evaluated_ns,
-        )  # fmt: skip
-        return history, notes, digest.hexdigest()
+        )
+        return _Answer(history, notes, _digest_of(solution))
 
-    def runs(
-        self,
-        whole: GivenDive,
-        starts: Sequence[Start],
-        part: Dive,  # with the times of the reference at which errors are kept
-        outage_dives: Sequence[GivenDive],
-        windows: Windows | None,
-        dive: Dive,
-        config: Config,
-    ) -> UserRun:
+    def runs(self, tests: _Tests) -> UserRun:
         """Run it from all starts, over the dives of the outage test, and again."""
-        reference = part.reference
-
-        def from_start(
-            place: int,
-        ) -> tuple[History | None, DrawnErrors | None, tuple[Note, ...], str]:
-            history, notes, digest = self.history(whole, f"start_{place + 1:03d}", starts[place])
-            errors = None if reference is None else run_from_start(history, reference, part.truth)
-            return (None if place else history), errors, notes, digest
-
-        def in_outages(test: GivenDive) -> History:
-            return self.history(test, test.name, starts[0])[0]
-
-        history, first, notes, digest = from_start(0)  # a mistake of its own shows at the first run
-        assert history is not None
-        others = list(parallel_map(from_start, range(1, len(starts)), stop=self.processes.stop))
-        drawn = None
-        if first is not None:
-            own_sd = whole.prepared.alignment.spread_cov is None
-            drawn = drawn_errors(
-                [first, *(errors for _, errors, *_ in others if errors)], own_sd=own_sd
-            )
-        if others and all(other == digest for *_, other in others):
-            notes = (
-                *notes,
-                note("candidate_ignores_start", len(starts), key=f"filters.{self.name}"),
-            )
+        whole = tests.whole
+        key = f"filters.{self.name}"
+        # A mistake of its own shows at the first run.
+        first = self.history(whole, "start_001", tests.starts[0])
+        history = first.history
+        notes = list(first.notes)
+        drawn, digests = self._from_drawn_starts(tests, history)
+        if digests and set(digests) == {first.digest}:
+            notes.append(note("candidate_ignores_start", len(tests.starts), key=key))
         turned = None
         if self.plan.heading is not None:
-            turned, *_ = self.history(whole, "start_heading", self.plan.heading.start)
-        has_attitude = np.isfinite(history.mat_nb).any() and np.isfinite(history.velocity_n).any()
-        own = list[History]()
+            turned = self.history(whole, "start_heading", self.plan.heading.start).history
+        in_outages = list[History]()
         outages = None
-        if windows is not None and has_attitude:
-            own = list(parallel_map(in_outages, outage_dives, stop=self.processes.stop))
-            outages = self._outages(whole, outage_dives, own, windows)
+        has_attitude = np.isfinite(history.mat_nb).any() and np.isfinite(history.velocity_n).any()
+        if tests.windows is not None and has_attitude:
+            in_outages = self._in_outages(tests)
+            outages = self._outage_runs(tests, in_outages, tests.windows)
         repeats = tuple[Repeat, ...]()
-        if config.evaluation.repeats:
-            first_outage = (
-                (outage_dives[0], own[0], windows) if own and windows is not None else None
-            )
-            repeats = self._repeats(whole, history, digest, starts[0], first_outage, dive, config)
-            notes = (
-                *notes,
-                *_notes_of(repeats, digest, f"filters.{self.name}", whole.baseline.filter),
-            )
-        return UserRun(history, drawn, outages, notes, repeats, turned)
+        if self.config.evaluation.repeats:
+            repeats = self._repeats(tests, first, in_outages)
+            notes += _notes_of(repeats, first.digest, key, whole.baseline.filter)
+        return UserRun(history, drawn, outages, tuple(notes), repeats, turned)
 
-    def _outages(
-        self,
-        whole: GivenDive,
-        outage_dives: Sequence[GivenDive],
-        own: Sequence[History],
-        windows: Windows,
+    def _from_drawn_starts(
+        self, tests: _Tests, first: History
+    ) -> tuple[DrawnErrors | None, list[str]]:
+        """Run it from the drawn starts; return its errors from all starts, and the digests of these solutions."""
+        reference = tests.reference
+        truth = self.dive.truth
+
+        def from_start(number: int) -> tuple[DrawnErrors | None, str]:
+            start = tests.starts[number - 1]
+            answer = self.history(tests.whole, f"start_{number:03d}", start)
+            if reference is None:
+                return None, answer.digest
+            return run_from_start(answer.history, reference, truth), answer.digest
+
+        numbers = range(2, len(tests.starts) + 1)
+        others = list(parallel_map(from_start, numbers, stop=self.processes.stop))
+        digests = [digest for _, digest in others]
+        if reference is None:
+            return None, digests
+        errors = [run_from_start(first, reference, truth)]
+        errors += [found for found, _ in others if found is not None]
+        own_sd = tests.whole.prepared.alignment.spread_cov is None
+        return drawn_errors(errors, own_sd=own_sd), digests
+
+    def _in_outages(self, tests: _Tests) -> list[History]:
+        """Run it over the dives of the outage test."""
+
+        def run(test: GivenDive) -> History:
+            return self.history(test, test.name, tests.starts[0]).history
+
+        return list(parallel_map(run, tests.outages, stop=self.processes.stop))
+
+    def _outage_runs(
+        self, tests: _Tests, histories: Sequence[History], windows: Windows
     ) -> OutageRuns:
         """Return its drifts and those of the baseline in all windows."""
-        velocities = whole.prepared.velocities
+        prepared = tests.whole.prepared
+        velocities = prepared.velocities
+        baselines = [test.baseline for test in tests.outages]
         drifts = {
-            name: _drifts(outage_dives, found, whole.prepared, windows)
-            for name, found in (
-                (whole.baseline.filter, [test.baseline for test in outage_dives]),
-                (self.name, own),
-            )
+            tests.whole.baseline.filter: _drifts(tests.outages, baselines, prepared, windows),
+            self.name: _drifts(tests.outages, histories, prepared, windows),
         }
         none = np.empty(0, np.int64)
         plan = OutagePlan(velocities.time_ns, (windows,), Windows(windows.window_s, none, none, 0))
@@ -295,112 +344,156 @@ class _Candidate:
 
     def _repeats(
         self,
-        whole: GivenDive,
-        first: History,
-        digest: str,  # of its solution
-        start: Start,
-        outage: tuple[GivenDive, History, Windows]
-        | None,  # the first dive of the outage test, and its run there
-        dive: Dive,
-        config: Config,
+        tests: _Tests,
+        first: _Answer,
+        in_outages: Sequence[History],  # its runs over the dives of the outage test
     ) -> tuple[Repeat, ...]:
         """Run it again, and compare with its first run in the quantity that may decide.
 
         Where the reference does not give that quantity, it runs again over a dive of the outage test, too.
         """
-        # The stamps of a log's messages are the vehicle's own, and are left as they are.
-        changes = [Change.AGAIN] if self.processes.input == "log" else [*Change]
-        found = self._again(whole, changes, start, dive, config)
-        histories = {
-            change: answer[0]
-            for change, answer in found.items()
-            if not isinstance(answer, CandidateError)
-        }
-        settings = config.reference
-        noise = ReferenceNoise(
-            settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg
-        )
-        quantity = config.evaluation.primary or ("position" if settings.independent else "")
-        bridged_gaps = len(whole.prepared.gaps.start_ns) > 0
-        series = errors_of_runs(
-            [whole.baseline, first, *histories.values()],
-            dive.reference,
-            noise,
-            quantity,
-            bridged_gaps=bridged_gaps,
-        )
-        if not series and outage is not None and histories:
-            test, own, windows = outage
-            quantity = f"outage_{windows.window_s}s"
-            drifting = self._again(test, list(histories), start, dive, config)
-            for change, answer in drifting.items():
-                if isinstance(answer, CandidateError):
-                    found[change] = answer
-                    del histories[change]
-            drifted = [
-                answer[0] for answer in drifting.values() if not isinstance(answer, CandidateError)
-            ]
-            series = [
-                ErrorSeries(
-                    "m",
-                    np.array(
-                        [
-                            run.drift_n[-1, :2]
-                            for run in _drifts([test], [one], whole.prepared, windows)
-                        ]
-                    ),
-                )
-                for one in (test.baseline, own, *drifted)
-            ]
-        shares = [share_moved(series[0], series[1], one) for one in series[2:]] or [math.nan] * len(
-            histories
-        )
-        acts = dict(zip(histories, shares, strict=True))
+        changes = [*Change]
+        if self.processes.input == "log":
+            # The stamps of a log's messages are the vehicle's own, and are left as they are.
+            changes = [Change.AGAIN]
+        again = self._again(tests.whole, changes, tests.starts[0])
+        quantity, series = self._errors_again(tests.whole, first.history, again)
+        if not series and in_outages and again.answers:
+            drifting = self._again(tests.outages[0], list(again.answers), tests.starts[0])
+            again = again.without(drifting.failures)
+            quantity, series = self._drifts_again(tests, in_outages[0], drifting)
+        acts = dict.fromkeys(again.answers, math.nan)
+        if series:
+            of_baseline, of_first, *of_others = series
+            for change, own in zip(acts, of_others, strict=True):
+                acts[change] = share_moved(of_baseline, of_first, own)
         repeats = list[Repeat]()
-        for change, answer in found.items():
-            if isinstance(answer, CandidateError):
-                repeats.append(Repeat(change, failure=str(answer)))
+        for change in changes:
+            if change in again.failures:
+                repeats.append(Repeat(change, failure=again.failures[change]))
                 continue
-            again, again_digest = answer
-            known = quantity if series else ""
+            answer = again.answers[change]
             repeats.append(
-                Repeat(change, again_digest == digest, apart_m(first, again), known, acts[change])
+                Repeat(
+                    change,
+                    is_equal=answer.digest == first.digest,
+                    moves_m=apart_m(first.history, answer.history),
+                    quantity=quantity if series else "",
+                    acts=acts[change],
+                )
             )
         return tuple(repeats)
 
-    def _again(
-        self, test: GivenDive, changes: Sequence[Change], start: Start, dive: Dive, config: Config
-    ) -> dict[Change, tuple[History, str] | CandidateError]:
-        """Run it over a dive with each change, from the same start; return its histories and digests, or its errors."""
+    def _errors_again(
+        self, whole: GivenDive, first: History, again: "_Again"
+    ) -> tuple[str, list[ErrorSeries]]:
+        """Return the quantity that decides by the reference, and the errors of baseline, first run, and other runs."""
+        settings = self.config.reference
+        noise = ReferenceNoise(
+            settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg
+        )
+        quantity = self.config.evaluation.primary
+        if not quantity and settings.independent:
+            quantity = "position"
+        histories = [answer.history for answer in again.answers.values()]
+        series = errors_of_runs(
+            [whole.baseline, first, *histories],
+            self.dive.reference,
+            noise,
+            quantity,
+            bridged_gaps=len(whole.prepared.gaps.start_ns) > 0,
+        )
+        return quantity, series
 
-        def run(change: Change) -> tuple[History, str] | CandidateError:
+    def _drifts_again(
+        self, tests: _Tests, first: History, again: "_Again"
+    ) -> tuple[str, list[ErrorSeries]]:
+        """Return the quantity of the outage test, and the drifts of baseline, first run, and other runs."""
+        windows = tests.windows
+        assert windows is not None
+        test = tests.outages[0]
+        histories = [test.baseline, first]
+        histories += [answer.history for answer in again.answers.values()]
+        series = []
+        for history in histories:
+            drifts = _drifts([test], [history], tests.whole.prepared, windows)
+            ends_m = np.array([run.drift_n[-1, :2] for run in drifts])
+            series.append(ErrorSeries("m", ends_m))
+        return f"outage_{windows.window_s}s", series
+
+    def _again(self, test: GivenDive, changes: Sequence[Change], start: Start) -> "_Again":
+        """Run it over a dive with each change, from the same start."""
+
+        def run(change: Change) -> _Answer | CandidateError:
             name = f"{test.name}_{change.name.lower()}"
             changed_test = replace(test, name=name, dive=_with_change(test.dive, change))
-            self.give(changed_test, dive, config)
-            late_ns = LATER_NS if change == Change.STAMPS else 0
-            # The answer may depend on the process, as the order of sets does.
-            new_process = change == Change.AGAIN
+            self.give(changed_test)
             try:
-                history, _, digest = self.history(
+                return self.history(
                     replace(test, name=name),
                     f"{name}_run",
                     start,
-                    late_ns=late_ns,
-                    new_process=new_process,
+                    late_ns=LATER_NS if change == Change.STAMPS else 0,
+                    # The answer may depend on the process, as the order of sets does.
+                    new_process=change == Change.AGAIN,
                 )
             except CandidateError as error:
                 return error
             finally:
                 self.file(changed_test).unlink(missing_ok=True)
-            return history, digest
 
-        return dict(zip(changes, parallel_map(run, changes, stop=self.processes.stop), strict=True))
+        answers = dict[Change, _Answer]()
+        failures = dict[Change, str]()
+        found = parallel_map(run, changes, stop=self.processes.stop)
+        for change, answer in zip(changes, found, strict=True):
+            if isinstance(answer, CandidateError):
+                failures[change] = str(answer)
+            else:
+                answers[change] = answer
+        return _Again(answers, failures)
+
+
+class _Again(NamedTuple):
+    """Further runs of a filter, by what was changed."""
+
+    answers: Mapping[Change, _Answer]
+    failures: Mapping[Change, str]  # of the runs that gave nothing: why
+
+    def without(self, failures: Mapping[Change, str]) -> "_Again":
+        """Count more runs as failed."""
+        answers = {change: own for change, own in self.answers.items() if change not in failures}
+        return _Again(answers, {**self.failures, **failures})
+
+
+def _given_start(prepared: Prepared, start: Start, late_ns: int) -> CandidateStart:
+    """Return the start as a filter of the user's is given it."""
+    alignment = prepared.alignment
+    position_sd_m = (1.0, 1.0, 1.0)
+    if alignment.initial is not None:
+        position_sd_m = alignment.initial.position_sd_m
+    return CandidateStart(
+        **{column.name: getattr(start, column.name) for column in fields(Start)},
+        time_ns=alignment.start_ns + late_ns,
+        dvl_lever_arm_b=prepared.mounting.lever_arm_b,
+        position_sd_m=np.array(position_sd_m),
+    )
+
+
+def _digest_of(solution: Solution) -> str:
+    """Return a digest of the trajectory of a solution."""
+    digest = hashlib.sha256()
+    for column in (solution.time_ns, solution.position, solution.velocity_n, solution.mat_nb):
+        if column is not None:
+            digest.update(np.ascontiguousarray(column).tobytes())
+    return digest.hexdigest()
 
 
 def _earlier(solution: Solution, by_ns: int) -> Solution:
     """Return a solution at earlier times."""
-    cov_ns = None if solution.cov_ns is None else solution.cov_ns - by_ns
-    return replace(solution, time_ns=solution.time_ns - by_ns, cov_ns=cov_ns)
+    earlier = replace(solution, time_ns=solution.time_ns - by_ns)
+    if solution.cov_ns is None:
+        return earlier
+    return replace(earlier, cov_ns=solution.cov_ns - by_ns)
 
 
 def _with_change(dive: Dive, change: Change) -> Dive:
@@ -432,26 +525,35 @@ def with_repeated_samples(imu: ImuColumns) -> ImuColumns:
 
 def _notes_of(repeats: Sequence[Repeat], digest: str, key: str, baseline: str) -> tuple[Note, ...]:
     """Note whether a second run gave the same answer, and how far it moves."""
-    notes = list[Note]()
-    moved = list[str]()
-    if any(repeat.change == Change.AGAIN and repeat.is_off for repeat in repeats):
+    [again] = [repeat for repeat in repeats if repeat.change == Change.AGAIN]
+    others = [repeat for repeat in repeats if repeat.change != Change.AGAIN]
+    if again.is_off:
         # Whatever moves by itself moves with every change.
-        repeats = [repeat for repeat in repeats if repeat.change == Change.AGAIN]
-    for repeat in repeats:
-        is_shown = repeat.is_off or (repeat.change == Change.AGAIN and not repeat.is_equal)
-        if is_shown:
-            severity = Severity.WARNING if repeat.is_off else None
-            notes.append(
-                note("answers_differ", severity=severity, key=key, moves=repeat.text(baseline))
-            )
-        elif repeat.change != Change.AGAIN and math.isfinite(repeat.moves_m):
-            moved.append(f"{metres(repeat.moves_m)} {repeat.change}")
-    steady = f"; its position moves by {', and by '.join(moved)}" if moved else ""
-    if any(repeat.change == Change.AGAIN and repeat.is_equal for repeat in repeats):
-        notes.insert(
-            0, note("answers_repeat", key=key, digest=digest[:SHOWN_DIGITS], steady=steady)
-        )
+        others = []
+    notes = list[Note]()
+    if again.is_equal:
+        steady = _steady(others)
+        shown = digest[:SHOWN_DIGITS]
+        notes.append(note("answers_repeat", key=key, digest=shown, steady=steady))
+    differing = [repeat for repeat in others if repeat.is_off]
+    if again.is_off or not again.is_equal:
+        differing.insert(0, again)
+    for repeat in differing:
+        severity = Severity.WARNING if repeat.is_off else None
+        moves = repeat.text(baseline)
+        notes.append(note("answers_differ", severity=severity, key=key, moves=moves))
     return tuple(notes)
+
+
+def _steady(changed: Sequence[Repeat]) -> str:
+    """Say how far the position moves by changes that do not matter; empty where that is not known."""
+    moved = []
+    for repeat in changed:
+        if not repeat.is_off and math.isfinite(repeat.moves_m):
+            moved.append(f"{metres(repeat.moves_m)} {repeat.change}")
+    if not moved:
+        return ""
+    return f"; its position moves by {', and by '.join(moved)}"
 
 
 def _given(dive: Dive, prepared: Prepared) -> Dive:
@@ -482,21 +584,26 @@ def _windows(plan: OutagePlan) -> Windows | None:
         for windows in plan.by_length
         if windows.window_s <= LONGEST_WINDOW_S and len(windows.first)
     ]
-    enough = [windows for windows in short if len(windows.first) >= FEWEST_WINDOWS]
-    return next(iter([*enough[::-1], *short]), None)
+    if not short:
+        return None
+    for windows in reversed(short):
+        if len(windows.first) >= FEWEST_WINDOWS:
+            return windows
+    return short[0]
 
 
 def _outage_dives(
     dive: Dive, prepared: Prepared, config: Config, windows: Windows | None
 ) -> list[GivenDive]:
     """Make dives that lack the pings of every third window, and run the baseline over them."""
+    if windows is None:
+        return []
     found = list[GivenDive]()
     ping_ns = prepared.velocities.time_ns
     alignment = prepared.alignment
     filters = {config.baseline: config.filters[config.baseline]}
     settings = changed(config, initial=alignment.initial or config.initial, filters=filters)
-    for number in range(0 if windows is None else min(OUTAGE_DIVES, len(windows.first))):
-        assert windows is not None
+    for number in range(min(OUTAGE_DIVES, len(windows.first))):
         rows = range(number, len(windows.first), OUTAGE_DIVES)
         spans = [(int(windows.first[row]), int(windows.last[row])) for row in rows]
         absent = [(int(ping_ns[first]), int(ping_ns[last])) for first, last in spans]
@@ -529,12 +636,10 @@ def _drifts(
         for row in test.windows:
             pings = slice(int(windows.first[row]), int(windows.last[row]) + 1)
             time_ns = velocities.time_ns[pings]
-            since_ns = imu.time_ns - time_ns[0]
+            since_ns = time_ns - time_ns[0]
+            imu_since_ns = imu.time_ns - time_ns[0]
             rate_ib_b: Floats = np.column_stack(
-                [
-                    np.interp(time_ns - time_ns[0], since_ns, column)
-                    for column in imu.angular_rate_b.T
-                ]
+                [np.interp(since_ns, imu_since_ns, column) for column in imu.angular_rate_b.T]
             )
             mat_nb = interpolated_attitude(history.time_ns, history.mat_nb, time_ns)
             velocity_n = interpolated(history.time_ns, history.velocity_n, time_ns)
