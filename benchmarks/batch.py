@@ -99,7 +99,9 @@ def report(dives: int, duration_s: float) -> str:
         f"A check of all of them against one gate, with all outputs; medians of {ROUNDS}, measured in turn. The second "
         "check of the same dives finds their results.",
         "",
-        *table(("check", "s", "s of processor time", "dives an hour", "against one process"), rows),
+        *table(
+            ("check", "s", "s of processor time", "dives an hour", "against one process"), rows
+        ),
         "",
         f"{machine()}; shared cores.",
     ]

@@ -167,7 +167,9 @@ def _over_sds(found: Calibration, *, perfect_beams: bool) -> Floats:
 
     These IMUs have no errors of scale and alignment: the sds are without them, and without those of perfect beams.
     """
-    beams = np.array([finite(row.beams_sd) for row in found.rows]) / shown(np.ones(len(PARAMETERS)))
+    beams = np.array([finite(row.beams_sd) for row in found.rows]) / shown(
+        np.ones(len(PARAMETERS))
+    )
     said = np.hypot(certainty_of(found.fit).sd, 0.0 if perfect_beams else beams)
     return is_proposed(found) * (found.change - TRUTH) / said
 
@@ -236,9 +238,15 @@ def with_imu_errors(exact: Dive, seed: int) -> ReadDive:
 
 def straight_lines() -> Iterator[Line]:
     """Nothing may move."""
-    found = [found_of(built_in_otherwise("straight", seed, DvlErrors())) for seed in STRAIGHT_SEEDS]
+    found = [
+        found_of(built_in_otherwise("straight", seed, DvlErrors())) for seed in STRAIGHT_SEEDS
+    ]
     moved = sum(bool(one.change.any()) or one.proposes_noise for one in found)
-    yield "straight line", "nothing is proposed", f"{moved} of {len(found)} dives propose something"
+    yield (
+        "straight line",
+        "nothing is proposed",
+        f"{moved} of {len(found)} dives propose something",
+    )
 
 
 def wild_pings() -> Iterator[Line]:

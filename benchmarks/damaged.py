@@ -237,7 +237,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for dive in dives:
             for name, outcome in variants(
-                velocities_alone(dive), Path(folder), tuple(filter(None, arguments.only.split(",")))
+                velocities_alone(dive),
+                Path(folder),
+                tuple(filter(None, arguments.only.split(","))),
             ):
                 sys.stdout.write(f"  {name:24} {outcome}\n")
                 outcomes.append(outcome.split()[0])

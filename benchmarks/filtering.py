@@ -136,7 +136,9 @@ def filter_rows() -> list[str]:
     for name, each_s in took_s.items():
         seconds = median(each_s)
         off = "" if sd[name] is None else _off(name, sd[name], ours_sd)
-        rows.append(f"| {name} | {1e6 * seconds / epochs:.2f} | {seconds / ours_s:.0f} x | {off} |")
+        rows.append(
+            f"| {name} | {1e6 * seconds / epochs:.2f} | {seconds / ours_s:.0f} x | {off} |"
+        )
     return rows
 
 
@@ -164,7 +166,8 @@ def state_rows() -> list[str]:
             least_s[name] = min(least_s[name], time.thread_time() - start_s)
     twelve_s = least_s["12"]
     return [
-        f"| {name} | {1e6 * s / epochs:.2f} | {s / twelve_s:.1f} x |" for name, s in least_s.items()
+        f"| {name} | {1e6 * s / epochs:.2f} | {s / twelve_s:.1f} x |"
+        for name, s in least_s.items()
     ]
 
 

@@ -95,7 +95,9 @@ def _graph(
     _insert(guess, 0, state, bias)
     pings = at.ping[at.ping >= 0]
     for i, measured in enumerate(between):
-        graph.add(gtsam.CombinedImuFactor(X(i), V(i), X(i + 1), V(i + 1), B(i), B(i + 1), measured))
+        graph.add(
+            gtsam.CombinedImuFactor(X(i), V(i), X(i + 1), V(i + 1), B(i), B(i + 1), measured)
+        )
         state = measured.predict(state, bias)
         if i < len(pings):
             velocity_b, cov_b = (

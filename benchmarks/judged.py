@@ -137,7 +137,9 @@ class Record:
     nis_per_dof: float = math.nan
 
 
-REFUSED: Final = Record(Verdict.NOT_EVALUATED, (), is_evaluated=False, reason="the log was refused")
+REFUSED: Final = Record(
+    Verdict.NOT_EVALUATED, (), is_evaluated=False, reason="the log was refused"
+)
 """A log that is refused is as good as a dive that is not evaluated."""
 
 
@@ -217,7 +219,9 @@ def words_of_groups(
     """Count the words on the only candidate, on drawn groups of dives, in percent."""
     drawn = drawn_groups(range(len(records)), size, groups, seed)
     return word_counts(
-        Counter(verdict_over(candidate, baseline, [records[row] for row in rows]) for rows in drawn)
+        Counter(
+            verdict_over(candidate, baseline, [records[row] for row in rows]) for rows in drawn
+        )
     )
 
 

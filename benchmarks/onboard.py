@@ -80,7 +80,9 @@ def rows() -> Iterator[tuple[str, ...]]:
             given = load_config(preset)
             dvl = msgspec.structs.replace(given.dvl, velocity_sd_mps=DVL_SD_MPS)
             evaluation = msgspec.structs.replace(given.evaluation, starts=STARTS)
-            config = msgspec.structs.replace(given, filters=filters, dvl=dvl, evaluation=evaluation)
+            config = msgspec.structs.replace(
+                given, filters=filters, dvl=dvl, evaluation=evaluation
+            )
             dives = (flown_dive(preset, config, seed, factor) for seed in range(DIVES))
             records = [record_of(replay_dive(dive, config), "onboard") for dive in dives]
             logs = np.array([log_ratio_of(record, "position") for record in records])

@@ -139,7 +139,9 @@ def with_insdvl_replay(path: Path) -> dict[str, float]:
     start_s = time.perf_counter()
     imu = read_dive(path, Config()).imu
     elapsed_s = time.perf_counter() - start_s
-    kept_mb = (imu.time_ns.nbytes + imu.specific_force_b.nbytes + imu.angular_rate_b.nbytes) / 2**20
+    kept_mb = (
+        imu.time_ns.nbytes + imu.specific_force_b.nbytes + imu.angular_rate_b.nbytes
+    ) / 2**20
     return {
         "messages": len(imu.time_ns) * PER_IMU,
         "s": elapsed_s,
@@ -209,7 +211,9 @@ def in_turn(path: Path) -> dict[str, dict[str, float] | None]:
     for reader in READERS:
         outcomes = [outcome for taken in rounds if (outcome := taken[reader])]
         found[reader] = (
-            {key: median(one[key] for one in outcomes) for key in outcomes[0]} if outcomes else None
+            {key: median(one[key] for one in outcomes) for key in outcomes[0]}
+            if outcomes
+            else None
         )
     return found
 

@@ -18,7 +18,9 @@ def machine() -> str:
     where = f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}, numpy {version('numpy')}"
     commit = _git("rev-parse", "--short=8", "HEAD") or "not in git"
     changed = (
-        ", changed since" if _git("status", "--porcelain", "--", "*.py", "../insdvl_replay") else ""
+        ", changed since"
+        if _git("status", "--porcelain", "--", "*.py", "../insdvl_replay")
+        else ""
     )
     return f"{where}; {datetime.now(UTC):%Y-%m-%d}, {commit}{changed}"
 

@@ -367,7 +367,9 @@ def family(
     own = math.sqrt(1.0 - CORRELATION) * rng.standard_normal((repeats, count, dives))
     logs = scatter * (common + own)
     logs[:, 0] += math.log(ratio)
-    levels = [level_of(count, named=named, is_named=named and place == 0) for place in range(count)]
+    levels = [
+        level_of(count, named=named, is_named=named and place == 0) for place in range(count)
+    ]
     wrong = others_wrong = found = 0
     for archive in logs.tolist():
         words = [

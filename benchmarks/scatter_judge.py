@@ -622,7 +622,8 @@ def tasks_of(worlds: Sequence[int], dives: int, truth_dives: int, seed: int) -> 
     for world in worlds:
         if WORLDS[world].can_be_exchanged:
             found += [
-                Task(world, row // 2, seed, True, is_exchanged=row % 2 == 1) for row in range(dives)
+                Task(world, row // 2, seed, True, is_exchanged=row % 2 == 1)
+                for row in range(dives)
             ]
         else:
             found += [Task(world, number, seed, True) for number in range(dives)]

@@ -310,7 +310,9 @@ def start_headings(*, vehicle_deg: float, compass_deg: float, reference_deg: flo
     return draw
 
 
-def late(draw: Draw, *, reference_s: tuple[float, float] = (0.1, 0.3), dvl_s: float = 0.12) -> Draw:
+def late(
+    draw: Draw, *, reference_s: tuple[float, float] = (0.1, 0.3), dvl_s: float = 0.12
+) -> Draw:
     """Delay the stamps of the reference, by a time that is drawn, and those of the DVL."""
 
     def drawn(reported: Dive, exact: Dive, rng: np.random.Generator) -> Drawn:
@@ -446,7 +448,8 @@ def true_ratios(
     after = np.array([dive[candidate] for dive in errors])
     logs = np.log(after / before)
     return {
-        name: ratio_of_logs(column) for name, column in zip(TrueErrors._fields, logs.T, strict=True)
+        name: ratio_of_logs(column)
+        for name, column in zip(TrueErrors._fields, logs.T, strict=True)
     }
 
 
@@ -511,7 +514,9 @@ def _too_large(times: float) -> Config:
     """
     config = _settings(sd_mps=DVL_SD_MPS * math.sqrt(times))
     factor = math.sqrt(times)
-    inertial = {key: factor * getattr(config.noise, key) for key in InertialNoise.__struct_fields__}
+    inertial = {
+        key: factor * getattr(config.noise, key) for key in InertialNoise.__struct_fields__
+    }
     baseline = msgspec.structs.replace(config.filters["baseline"], **inertial)
     filters = {"baseline": baseline, "right": _by_velocity(DVL_SD_MPS)}
     return msgspec.structs.replace(config, filters=filters)

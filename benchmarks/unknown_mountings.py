@@ -61,7 +61,9 @@ _POINT = "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z"
 _POSE = (
     "MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation"
 )
-_POSE_COV = "MSG: geometry_msgs/PoseWithCovariance\ngeometry_msgs/Pose pose\nfloat64[36] covariance"
+_POSE_COV = (
+    "MSG: geometry_msgs/PoseWithCovariance\ngeometry_msgs/Pose pose\nfloat64[36] covariance"
+)
 DEFINITIONS: Final = {
     "sensor_msgs/msg/Imu": _SEPARATOR.join([
         "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
@@ -190,7 +192,9 @@ def _messages(
 def _odometry(dive: Dive) -> Iterator[tuple[str, str, int, dict[str, Any]]]:
     reference = dive.reference
     assert reference is not None
-    north_m, east_m = north_east_m(reference.position, reference.position[0], reference.position[0])
+    north_m, east_m = north_east_m(
+        reference.position, reference.position[0], reference.position[0]
+    )
     for row, time_ns in enumerate(reference.time_ns.tolist()):
         mat = NED_TO_ENU @ reference.mat_nb[row] @ FLU
         velocity = FLU @ reference.mat_nb[row].T @ reference.velocity_n[row]
@@ -335,7 +339,12 @@ def main() -> None:
     sys.stdout.write(f"{summary} of {len(verdicts)}\n")
     if asked.write:
         heading = f"{HEADING} {asked.seed} to {asked.seed + asked.count - 1}"
-        lines = [heading, "", f"{summary} of {len(verdicts)} simulated vehicles ({machine()}).", ""]
+        lines = [
+            heading,
+            "",
+            f"{summary} of {len(verdicts)} simulated vehicles ({machine()}).",
+            "",
+        ]
         write_part("\n".join([*lines, *table(COLUMNS, rows)]))
 
 

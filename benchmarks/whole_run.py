@@ -174,7 +174,9 @@ def growth(folder: Path, rounds: int = ROUNDS, most_hours: float = math.inf) -> 
     for number in range(rounds):
         for length in (length for length in lengths if number < length.rounds):
             runs[length].append(
-                json.loads(subprocess.check_output(staged(logs[length]), stderr=subprocess.DEVNULL))
+                json.loads(
+                    subprocess.check_output(staged(logs[length]), stderr=subprocess.DEVNULL)
+                )
             )
     return [grown_row(length, of_length) for length, of_length in runs.items()]
 

@@ -78,7 +78,10 @@ def calls_by_step(folder: Path) -> Iterator[tuple[str, float]]:
         return lambda: read_dive(path, Config())
 
     yield "read a log", calls_a_sample(reading)
-    yield "write a log", calls_a_sample(lambda dive: lambda: write_dive(folder / "dive.mcap", dive))
+    yield (
+        "write a log",
+        calls_a_sample(lambda dive: lambda: write_dive(folder / "dive.mcap", dive)),
+    )
     yield "filter", calls_a_sample(lambda dive: lambda: replay_dive(dive, Config()))
     yield (
         "filter and save",

@@ -3,9 +3,8 @@
 # ruff: noqa: E402
 import _signal  # type: ignore[import-not-found]
 
-_signal.pthread_sigmask(
-    _signal.SIG_BLOCK, {_signal.SIGINT, _signal.SIGTERM}
-)  # until they are handled
+# until they are handled
+_signal.pthread_sigmask(_signal.SIG_BLOCK, {_signal.SIGINT, _signal.SIGTERM})
 
 import os
 import sys

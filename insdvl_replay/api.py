@@ -717,7 +717,9 @@ class DiveResult(Result):
         require_width(width_mm, f"width_mm={width_mm}")
         reference = self.reference if kind == "track" else None
         rows = msgspec.to_builtins(self.report.tables)
-        return paper_canvas(paper_figure(kind, self._trajectory, rows, states, reference), width_mm)
+        return paper_canvas(
+            paper_figure(kind, self._trajectory, rows, states, reference), width_mm
+        )
 
     def save_tracks(self, file: Text, *, force: bool = False) -> Path:
         """Write the tracks of all filters and the reference as ``.kml`` or ``.geojson``, and return the path."""

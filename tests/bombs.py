@@ -85,7 +85,8 @@ def lz4_zeros(size: int) -> bytes:
 def _zeros(compressor: Any, size: int) -> bytes:
     piece = bytes(1 << 22)
     return (
-        b"".join(compressor.compress(piece) for _ in range(size // len(piece))) + compressor.flush()
+        b"".join(compressor.compress(piece) for _ in range(size // len(piece)))
+        + compressor.flush()
     )
 
 

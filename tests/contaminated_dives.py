@@ -28,7 +28,8 @@ def competitors(aiding: str, starts: int, states: tuple[str, ...] = ()) -> Confi
         filters={
             "baseline": Filter(aiding=(aiding,), states=states),
             **{
-                name: Filter(aiding=(aiding,), states=states, dvl_noise=name) for name in CANDIDATES
+                name: Filter(aiding=(aiding,), states=states, dvl_noise=name)
+                for name in CANDIDATES
             },
         },
     )

@@ -302,7 +302,9 @@ def can_be_lowered(ends: Iterable[End], values: Mapping[str, float]) -> list[str
     return [end.name for end in ends if rounded_up(values[end.name], end.step) < end.ceiling]
 
 
-def summary(ends: Sequence[End], values: Mapping[str, float], functions: Sequence[Function]) -> str:
+def summary(
+    ends: Sequence[End], values: Mapping[str, float], functions: Sequence[Function]
+) -> str:
     """Write the table, the functions with the most decisions, and what is wrong or can be lowered."""
     lines = [f"{'':50}{'is':>9}{'ceiling':>9}{'goal':>9}"]
     for end in ends:

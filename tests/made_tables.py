@@ -94,7 +94,9 @@ def write_tables(folder: Path, tables: Tables, ending: str) -> tuple[Path, dict[
         np.savez(
             single,
             **{
-                f"{name}_{title}": column for name in plain for title, column in plain[name].items()
+                f"{name}_{title}": column
+                for name in plain
+                for title, column in plain[name].items()
             },
         )
     elif ending == "mat":

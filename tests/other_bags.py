@@ -88,7 +88,8 @@ def bag(path: Path, compression: str = "", log: bytes = b"") -> Path:
     with writer:
         items = found.types.items()
         connections = {
-            topic: writer.add_connection(topic, name, typestore=found.ros1) for topic, name in items
+            topic: writer.add_connection(topic, name, typestore=found.ros1)
+            for topic, name in items
         }
         for topic, time_ns, data in found.messages_of_ros1():
             writer.write(connections[topic], time_ns, data)
@@ -105,7 +106,8 @@ def ros2_bag(
     ) as writer:
         items = found.types.items()
         connections = {
-            topic: writer.add_connection(topic, name, typestore=found.ros2) for topic, name in items
+            topic: writer.add_connection(topic, name, typestore=found.ros2)
+            for topic, name in items
         }
         for topic, time_ns, data in found.messages():
             writer.write(connections[topic], time_ns, data)

@@ -92,4 +92,6 @@ if __name__ == "__main__":
         sys.stdout.write(f"--- {name} {blocker}\n")
         sys.stdout.flush()
         if not blocker:
-            subprocess.run([sys.executable, *sys.argv[1:]], env=processor.environment(), check=True)
+            subprocess.run(
+                [sys.executable, *sys.argv[1:]], env=processor.environment(), check=True
+            )

@@ -182,7 +182,9 @@ def depths(dive: Dive, sd_m: float) -> Depth:
     return Depth(depth_m[depth_m.index > START_S], sd_m)
 
 
-def their_belief(dive: Dive, *measurements: Measurement, position_sd_m: float = 1e-3) -> Prediction:
+def their_belief(
+    dive: Dive, *measurements: Measurement, position_sd_m: float = 1e-3
+) -> Prediction:
     assert dive.reference is not None
     imu = pd.DataFrame(
         np.hstack([dive.imu.angular_rate_b, dive.imu.specific_force_b]),
@@ -202,7 +204,9 @@ def their_belief(dive: Dive, *measurements: Measurement, position_sd_m: float = 
             NOISE.gyro_bias_walk_radps_rts,
         ),
         accel_model=EstimationModel(
-            INITIAL.accel_bias_sd_mg * MG, NOISE.accel_white_mps_rts, NOISE.accel_bias_walk_mps2_rts
+            INITIAL.accel_bias_sd_mg * MG,
+            NOISE.accel_white_mps_rts,
+            NOISE.accel_bias_walk_mps2_rts,
         ),
         measurements=list(measurements),
         time_step=0.5,

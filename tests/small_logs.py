@@ -85,7 +85,9 @@ def small_log(kind: str, extras: bool = False) -> bytes:
     writer = Writer(stream, chunk_size=15_000, **CONTAINERS[kind])
     writer.start(profile="ros2", library="tests")
     channels: dict[tuple[str, int], int] = {}
-    for i, (schema, channel, message) in enumerate(make_reader(BytesIO(written())).iter_messages()):
+    for i, (schema, channel, message) in enumerate(
+        make_reader(BytesIO(written())).iter_messages()
+    ):
         assert schema
         key = (channel.topic, i % 2)
         if key not in channels:

@@ -13,7 +13,10 @@ from insdvl_replay.logs.columns.topics import Source
 def small_table(stamps_s: Sequence[float], log_times_s: Sequence[float] | None = None) -> Table:
     """A topic of the IMU whose messages bear these times; the recorder's clock shows the same if it shows no others."""
     source = Source("imu", "/imu", "sensor_msgs/msg/Imu", (), {}, "publish_time", 0.0)
-    times = {"publish_time": stamps_s, "log_time": stamps_s if log_times_s is None else log_times_s}
+    times = {
+        "publish_time": stamps_s,
+        "log_time": stamps_s if log_times_s is None else log_times_s,
+    }
     return Table(
         ("dive.mcap", "/imu"),
         source,
@@ -21,7 +24,9 @@ def small_table(stamps_s: Sequence[float], log_times_s: Sequence[float] | None =
     )
 
 
-def small_cleaner(stamps_s: Sequence[float], log_times_s: Sequence[float] | None = None) -> Cleaner:
+def small_cleaner(
+    stamps_s: Sequence[float], log_times_s: Sequence[float] | None = None
+) -> Cleaner:
     """What cleans such a topic."""
     return Cleaner(small_table(stamps_s, log_times_s))
 

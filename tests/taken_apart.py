@@ -48,5 +48,6 @@ def forest_rows(document: Document) -> list[tuple[str, list[str]]]:
     rows = [row for row in zip(document.texts["g"], classes, strict=True) if "row" in row[1]]
     titles = document.texts["title"][1:]
     return [
-        (text.removeprefix(title), names) for (text, names), title in zip(rows, titles, strict=True)
+        (text.removeprefix(title), names)
+        for (text, names), title in zip(rows, titles, strict=True)
     ]

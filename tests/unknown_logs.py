@@ -85,7 +85,9 @@ def known_types(path: Path, dive: Dive) -> None:
 def nested_cdr(path: Path, dive: Dive) -> None:
     """Single numbers within a structure, and a time that is no header."""
     box = f"std_msgs/Header header\nacme_msgs/Inertial raw\nfloat32 celsius\n{RULE}\nMSG: acme_msgs/Inertial\n"
-    box += f"float64 acc_x\nfloat64 acc_y\nfloat64 acc_z\nfloat64 p\nfloat64 q\nfloat64 r\n{HEADER}"
+    box += (
+        f"float64 acc_x\nfloat64 acc_y\nfloat64 acc_z\nfloat64 p\nfloat64 q\nfloat64 r\n{HEADER}"
+    )
     track = f"builtin_interfaces/Time measured_at\nfloat64 u\nfloat64 v\nfloat64 w\nuint8 lock\n{HEADER}"
     with path.open("wb") as stream:
         writer = RosWriter(stream)

@@ -446,7 +446,9 @@ def quote(cells: Mapping[str, Sequence[Cell]]) -> str:
         if not found:
             continue
         count = max(cell.dives for cell, _ in found)
-        noun = WORDS["dives"].get(name, f"{{}} of {name}").format("dive" if count == 1 else "dives")
+        noun = (
+            WORDS["dives"].get(name, f"{{}} of {name}").format("dive" if count == 1 else "dives")
+        )
         number = NUMBERS[count] if count < len(NUMBERS) else count
         place = f"On {number} {noun}, "
         for cell, answer in found:
@@ -476,7 +478,9 @@ def picture(cells: Mapping[str, Sequence[Cell]]) -> bytes:
             )
         plot = re.search(r'<svg( width="100%" height="(\d+)">.*</svg>)', forest("", rows))
         if rows and plot is not None:
-            drawn.append(f'<text x="8" y="{top + 18}">{name}</text><svg y="{top + ABOVE}"{plot[1]}')
+            drawn.append(
+                f'<text x="8" y="{top + 18}">{name}</text><svg y="{top + ABOVE}"{plot[1]}'
+            )
             top += ABOVE + int(plot[2])
     size = f'width="{WIDTH}" height="{top}" viewBox="0 0 {WIDTH} {top}"'
     style = f"<title>Ratio of errors, with its interval over dives</title>\n<style>\n{style_sheet()}</style>"
@@ -500,7 +504,9 @@ def main(candidates: str = "*") -> None:
         if isinstance(log, UserError) and f"| {name} |" in page
     ]
     if candidates != "*" or missing:
-        new = [cell for cell in cells if candidates != "*" or f"| `{cell.candidate}` |" not in page]
+        new = [
+            cell for cell in cells if candidates != "*" or f"| `{cell.candidate}` |" not in page
+        ]
         why = (
             f", since {counted(len(missing), 'dive')} of it cannot be had: {listed(missing)}"
             if missing
@@ -515,7 +521,8 @@ def main(candidates: str = "*") -> None:
     PICTURE.write_bytes(picture(shown))
     for file in QUOTING:
         file.write_text(
-            renewed(file.read_text("utf-8"), {"benchmark": partial(quote, shown)}, COMMAND), "utf-8"
+            renewed(file.read_text("utf-8"), {"benchmark": partial(quote, shown)}, COMMAND),
+            "utf-8",
         )
 
 

@@ -268,7 +268,9 @@ def window_claims(study: Result) -> Iterator[Claim]:
             f"{rmse.index[-1]}",
             bool(falls_and_rises),
         )
-        yield judged("past DVL measurements", f"three velocities are best, {where}", f"{n}", n == 3)
+        yield judged(
+            "past DVL measurements", f"three velocities are best, {where}", f"{n}", n == 3
+        )
 
 
 def observability_claims(study: Result) -> Iterator[Claim]:
@@ -430,7 +432,8 @@ def levelling_pairs(history: History) -> dict[str, float]:
         "ba_y with that about x": (INDEX["ba_y"], 3),
     }
     return {
-        name: float(cov[bias, tilt] / (sd[bias] * sd[tilt])) for name, (bias, tilt) in pairs.items()
+        name: float(cov[bias, tilt] / (sd[bias] * sd[tilt]))
+        for name, (bias, tilt) in pairs.items()
     }
 
 

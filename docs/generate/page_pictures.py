@@ -27,7 +27,16 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name, opened_browser(Path(name) / "profile") as browser:
         for picture, (logs, page) in PAGES.items():
             output = Path(name) / picture
-            command = [sys.executable, "-m", "insdvl_replay", "run", *logs, "-o", str(output), "-q"]
+            command = [
+                sys.executable,
+                "-m",
+                "insdvl_replay",
+                "run",
+                *logs,
+                "-o",
+                str(output),
+                "-q",
+            ]
             subprocess.run(command, cwd=PROJECT, check=True, capture_output=True)
             browser.open(output / page, WIDTH_PX)
             clip = {"x": 0, "y": 0, "width": WIDTH_PX, "height": HEIGHT_PX, "scale": 1}

@@ -229,7 +229,8 @@ def _is_near(here: float, there: float) -> bool:
 def _improvement_agrees(published: pd.Series, ours: pd.Series) -> bool:
     there = published["improvement_pct"]
     return bool(
-        abs(ours["improvement_pct"] - (0.0 if np.isnan(there) else there)) <= IMPROVEMENT_WITHIN_PCT
+        abs(ours["improvement_pct"] - (0.0 if np.isnan(there) else there))
+        <= IMPROVEMENT_WITHIN_PCT
     )
 
 

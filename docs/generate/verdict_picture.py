@@ -24,7 +24,12 @@ DIVES = {
     "the dives disagree": (0.72, 1.20, 0.81, 1.31, 0.93),
     "smaller, but too few dives": (0.80, 0.98, 0.86),
 }
-COLOURS = {"better": "#1a7f37", "worse": "#b42318", "equivalent": "#1f4e9c", "undecided": "#6b7280"}
+COLOURS = {
+    "better": "#1a7f37",
+    "worse": "#b42318",
+    "equivalent": "#1f4e9c",
+    "undecided": "#6b7280",
+}
 
 
 def across(ratio: float) -> float:

@@ -31,7 +31,9 @@ class DeadReckoning(Candidate):
 
         # Velocity of the IMU: that of the DVL, less what the turn of the lever arm adds.
         ping_s = (dive.dvl.time_ns - start.time_ns) * 1e-9
-        dvl_b = np.column_stack([np.interp(time_s, ping_s, axis) for axis in dive.dvl.velocity_d.T])
+        dvl_b = np.column_stack(
+            [np.interp(time_s, ping_s, axis) for axis in dive.dvl.velocity_d.T]
+        )
         rate_eb_b = rate_b - np.einsum("kji,j->ki", mat_nb, earth_rate_n)
         velocity_n = np.einsum(
             "kij,kj->ki", mat_nb, dvl_b - np.cross(rate_eb_b, start.dvl_lever_arm_b)

@@ -41,7 +41,18 @@ def parameters(start):
         north * math.cos(heading) + east * math.sin(heading),
         north * math.sin(heading) - east * math.cos(heading),
     )
-    state = [0.0, 0.0, 0.0, roll, -pitch, math.pi / 2.0 - heading, forward, left, -down, *[0.0] * 6]
+    state = [
+        0.0,
+        0.0,
+        0.0,
+        roll,
+        -pitch,
+        math.pi / 2.0 - heading,
+        forward,
+        left,
+        -down,
+        *[0.0] * 6,
+    ]
     return ["-p", "use_sim_time:=true", "-p", f"initial_state:={state}"]
 
 

@@ -54,19 +54,19 @@ class Check:
 class Listener:
     """Who is told of a check while it goes on; by default nobody."""
 
-    results: Callable[[Sequence[Checked]], None] = (
-        _unheard  # of all dives, before gates are evaluated
-    )
-    changes: Callable[[Sequence[Changed]], None] = (
-        _unheard  # of expected values, before they are stored
-    )
+    # of all dives, before gates are evaluated
+    results: Callable[[Sequence[Checked]], None] = _unheard
+    # of expected values, before they are stored
+    changes: Callable[[Sequence[Changed]], None] = _unheard
     stored: Callable[[Path], None] = _unheard  # a file of expected values
 
 
 def plan_check(
     gates: Gates,
     names: Sequence[str],  # of the dives; without any those that the gate file names
-    load: Callable[[Path | None], Config],  # settings, with a dive's own file of them if it has one
+    load: Callable[
+        [Path | None], Config
+    ],  # settings, with a dive's own file of them if it has one
     *,
     part: Part = Part(),
     allow_damaged: bool = False,

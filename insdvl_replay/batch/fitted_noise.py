@@ -50,9 +50,8 @@ def with_own_noise(job: ReplayJob) -> ReplayJob:
 def with_same_noise(
     before: Sequence[ReplayJob],
     after: Sequence[ReplayJob],
-    changed: Callable[
-        [ReplayJob, Config], Config
-    ],  # settings of a job after the change, by those with a noise before
+    # settings of a job after the change, by those with a noise before
+    changed: Callable[[ReplayJob, Config], Config],
     how: Replaying,
 ) -> tuple[list[ReplayJob], list[ReplayJob]]:
     """Return the jobs before and after a change, the same dives each, with a noise that is fitted before it alone."""
@@ -88,9 +87,8 @@ def _is_alike(other: ReplayJob, job: ReplayJob) -> bool:
 
 def _with_new_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:
     """Fit the noise to dives with the same settings."""
-    from insdvl_replay.calibration.fitted_noise import (
-        fit_noise_of_logs,
-    )  # heavy, and often not needed
+    # heavy, and often not needed
+    from insdvl_replay.calibration.fitted_noise import fit_noise_of_logs
 
     options = jobs[0].options
     found = fit_noise_of_logs(

@@ -60,9 +60,8 @@ class ReplayOptions:
     history_format: str = ""  # of each filter's history next to it; empty for none
     require_fit: bool = False  # refuse a dive that shows that the settings are wrong
     blocked_by: str = ""  # the option without which settings that fit would be searched for
-    given: frozenset[str] = (
-        frozenset()
-    )  # keys of the settings that a search for others leaves as they are
+    # keys of the settings that a search for others leaves as they are
+    given: frozenset[str] = frozenset()
     found: tuple[Note, ...] = ()  # how the settings were found, if nobody made them
     vehicle: str = ""  # these settings as vehicle.toml
     version: str = __version__  # of the tool, which workers elsewhere must have, too
@@ -77,15 +76,12 @@ class ReplayJob:
     name: Path  # the one of them after which the dive is named
     target: Path  # its result folder, which bears the dive's name
     options: ReplayOptions
-    replaces: bool = (
-        False  # a result was there when the replay was asked for; what comes meanwhile stays
-    )
-    may_replace: bool = (
-        False  # this result, which has these settings with a noise that was fitted to other dives
-    )
-    sha256: str | None = (
-        None  # of the logs, where a worker may see other files; empty if they cannot be read here
-    )
+    # a result was there when the replay was asked for; what comes meanwhile stays
+    replaces: bool = False
+    # this result, which has these settings with a noise that was fitted to other dives
+    may_replace: bool = False
+    # of the logs, where a worker may see other files; empty if they cannot be read here
+    sha256: str | None = None
     error: UserError | None = None  # why the dive cannot be had
     vehicle: str = ""  # that its manifest names
 
@@ -108,9 +104,8 @@ def plan_jobs(
     dives: Sequence[FoundDive],
     output: Path,
     options: ReplayOptions,
-    configs: Mapping[Path | None, Config] = MappingProxyType(
-        {}
-    ),  # by the file of settings of a dive's own
+    # by the file of settings of a dive's own
+    configs: Mapping[Path | None, Config] = MappingProxyType({}),
     *,
     one_dive: bool = False,
 ) -> list[ReplayJob]:
@@ -153,7 +148,9 @@ class _Meant:
 
 def _alone(dive: FoundDive) -> _Meant:
     """Return a log that is a dive."""
-    return _Meant((dive.path,), dive.path, dive.name_giver, dive.settings, dive.error, dive.vehicle)
+    return _Meant(
+        (dive.path,), dive.path, dive.name_giver, dive.settings, dive.error, dive.vehicle
+    )
 
 
 def _together(dives: Sequence[FoundDive]) -> _Meant:
@@ -348,9 +345,8 @@ def log_digest(job: ReplayJob) -> str:
     if job.logs == (job.name,) and not job.name.is_dir():
         with job.name.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    from insdvl_replay.logs.formats.recording import (
-        open_recording,
-    )  # which knows the order of the parts
+    # which knows the order of the parts
+    from insdvl_replay.logs.formats.recording import open_recording
 
     log = open_recording(job.logs, allow_damaged=job.options.allow_damaged)
     with log.watched():

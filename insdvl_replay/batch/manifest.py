@@ -29,9 +29,8 @@ class ManifestDive(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     path: str = ""  # of a log, a bag or a folder of tables, relative to the manifest
     url: str = ""  # of a log
-    sha256: Annotated[str, Meta(pattern="^([0-9a-fA-F]{64})?$")] = (
-        ""  # of the log, as a report has it
-    )
+    # of the log, as a report has it
+    sha256: Annotated[str, Meta(pattern="^([0-9a-fA-F]{64})?$")] = ""
     settings: str = ""  # a file for -c, relative to the manifest
     vehicle: str = ""  # that made it, instead of `vehicle.name` of the settings
     licence: str = ""  # for people

@@ -61,9 +61,13 @@ def replay_with_tuned_baseline(
     """Replay the dive in a log, with the tuned baseline beside the configured filters."""
     dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
     config, notes = with_tuned_baseline(dive, config)
-    replay = replay_dive(replace(dive, name=name or dive.name, notes=(*dive.notes, *notes)), config)
+    replay = replay_dive(
+        replace(dive, name=name or dive.name, notes=(*dive.notes, *notes)), config
+    )
     # The control stands beside it now: nothing has to point at it.
-    return replace(replay, notes=tuple(note for note in replay.notes if note.code != NOISE_FAR_OFF))
+    return replace(
+        replay, notes=tuple(note for note in replay.notes if note.code != NOISE_FAR_OFF)
+    )
 
 
 def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:
@@ -137,9 +141,8 @@ def _fitted(
         }
         return msgspec.structs.replace(baseline, **values)
 
-    from scipy.optimize import (
-        minimize,
-    )  # a third of a second, which a replay without it must not wait
+    # a third of a second, which a replay without it must not wait
+    from scipy.optimize import minimize
 
     report_stage("running the filters")
     timeline = prepared_timeline(dive, start)

@@ -173,7 +173,9 @@ def _processes(jobs: int, alone: bool) -> Iterator[tuple[Submit, int, Callable[[
     queue: Any = vars(executor)["_call_queue"]
     report = queue._on_queue_feeder_error
     queue._on_queue_feeder_error = lambda error, item: (
-        None if isinstance(error, OSError) and not hasattr(item, "work_id") else report(error, item)
+        None
+        if isinstance(error, OSError) and not hasattr(item, "work_id")
+        else report(error, item)
     )
     try:
         in_flight = 1 if alone or jobs == 1 else 2 * jobs
@@ -236,9 +238,8 @@ def _begin(safe_path: str | None) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, _end)
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(
-            _PR_SET_PDEATHSIG, signal.SIGKILL
-        )  # a worker ends with a parent that is killed
+        # a worker ends with a parent that is killed
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         parent = multiprocessing.parent_process()
         if parent is None or not parent.is_alive():
             os._exit(1)

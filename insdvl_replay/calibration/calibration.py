@@ -82,15 +82,13 @@ MANY_TIMES: Final = 3.0  # Birge ratio from which dives contradict each other
 WEAK: Final = 10.0
 CORRELATED: Final = 0.3
 INSEPARABLE: Final = 0.9
-TOO_LARGE: Final = (
-    2.0  # innovations that scatter by more, in their own sds, have another cause than the geometry
-)
+# innovations that scatter by more, in their own sds, have another cause than the geometry
+TOO_LARGE: Final = 2.0
 OUTAGES_S: Final = ("60",)
 AXES: Final = ("forward", "starboard", "down")
 
-Refusals = Iterator[
-    tuple[int, tuple[Estimated, str]]
-]  # indices of parameters that are left unchanged, and why
+# indices of parameters that are left unchanged, and why
+Refusals = Iterator[tuple[int, tuple[Estimated, str]]]
 
 
 @dataclass(frozen=True)
@@ -274,7 +272,9 @@ def parameter_rows(
             yield ParameterRow(parameter.name, parameter.unit, status=Estimated.NOT_ASKED)
             continue
         status, why = refused.get(row, (Estimated.ESTIMATED, parameter.shown_by))
-        change = {Estimated.HELD: 0.0, Estimated.IMPLAUSIBLE: found[row]}.get(status, proposed[row])
+        change = {Estimated.HELD: 0.0, Estimated.IMPLAUSIBLE: found[row]}.get(
+            status, proposed[row]
+        )
         factor = parameter.shown_as
         yield ParameterRow(
             parameter.name,
@@ -370,7 +370,9 @@ def held_out_row(
         moved = replace(
             prepared, velocities=pings, mounting=moved_mounting(prepared.mounting, tried)
         )
-        runs = run_candidates(read.dive, moved, plan_runs(read.dive, moved, alone, starts=0), alone)
+        runs = run_candidates(
+            read.dive, moved, plan_runs(read.dive, moved, alone, starts=0), alone
+        )
         rows = outage_test_table(read.dive.name, runs.outages)
         outages.append(_first_outage(rows, windows_s))
     nis_before, nis_after = nis

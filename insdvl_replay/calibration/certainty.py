@@ -193,7 +193,9 @@ def autocorrelation(near: Linearised) -> Floats:
 # Sources: Cook & Stefanski, "Simulation-extrapolation estimation in parametric measurement error models", 1994; Fuller,
 # "Measurement error models", 1987.
 
-MOTION_S: Final = 0.5  # most of what moves a vehicle is slower than this; white noise mostly faster
+MOTION_S: Final = (
+    0.5  # most of what moves a vehicle is slower than this; white noise mostly faster
+)
 # Share of the derivative's squares up to which it is used unchanged. It pulls the estimate to zero by this share.
 LITTLE: Final = 0.01
 MOSTLY: Final = 0.5  # share above which the derivative is mostly noise
@@ -275,15 +277,13 @@ def averaged(readings: Floats, step_s: float) -> Floats:
 # effect is found as if its errors were estimated together with the geometry. Source: Schmidt, "Application of
 # state-space methods to navigation problems", 1966 ("consider" parameters).
 
-OFFSET_SD_MPS: Final = (
-    0.001  # of a beam's constant offset. Makers of DVLs give 1 mm/s and 0.2 % or more.
-)
+# of a beam's constant offset. Makers of DVLs give 1 mm/s and 0.2 % or more.
+OFFSET_SD_MPS: Final = 0.001
 STRETCH_SD: Final = 0.002  # of a beam's scale
 # Tactical sensors have 300 to 500 ppm by their data sheets (Sensonor STIM300), smaller ones 0.1 to 0.5 %.
 IMU_SCALE_SD: Final = 1.5e-3
-IMU_MISALIGNMENT_SD: Final = (
-    1e-3  # rad, of each axis of a triad towards each other one, by the same data sheet
-)
+# rad, of each axis of a triad towards each other one, by the same data sheet
+IMU_MISALIGNMENT_SD: Final = 1e-3
 STEP: Final = 3.0  # of differences, in these standard deviations
 BEAM_ERRORS: Final = 2 * len(beam_vectors())
 
@@ -317,7 +317,9 @@ def _with_errors(dive: DiveInnovations) -> Iterator[DiveInnovations]:
             )
             yield replace(
                 dive,
-                prepared=replace(dive.prepared, velocities=replace(velocities, velocity_b=moved_b)),
+                prepared=replace(
+                    dive.prepared, velocities=replace(velocities, velocity_b=moved_b)
+                ),
             )
     # Each axis of the accelerometers reads a part of each axis, then each of the gyros.
     imu = dive.dive.imu
@@ -340,7 +342,9 @@ def with_estimated_imu_errors(fit: Fit, effects: Sequence[Floats]) -> Fit:
         imu = moved[:, :, BEAM_ERRORS:]
         weighted = near.weights[:, :, None] * imu
         information = np.einsum("kai,kaj->ij", weighted, imu) + np.eye(imu.shape[2])
-        explained = np.linalg.solve(information, np.einsum("kai,kaj->ij", weighted, near.by_motion))
+        explained = np.linalg.solve(
+            information, np.einsum("kai,kaj->ij", weighted, near.by_motion)
+        )
         left.append(replace(near, by_motion=near.by_motion - imu @ explained))
     return replace(fit, dives=tuple(left))
 

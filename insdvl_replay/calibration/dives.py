@@ -65,9 +65,8 @@ def calibrate_dives(
     reference: bool = False,  # compare with the references, and calibrate these, too
     one_delay: bool = False,  # for all dives
     mounting_unknown: bool = False,  # try 24 mountings first
-    windows_s: Sequence[
-        str
-    ] = OUTAGES_S,  # of the drift without DVL; the first that the held-out dives have
+    # of the drift without DVL; the first that the held-out dives have
+    windows_s: Sequence[str] = OUTAGES_S,
 ) -> CalibratedDives:
     """Calibrate dives, and test the result on those that are held out."""
     kept, held = _divided(dives, hold_out)
@@ -161,7 +160,9 @@ def _held_noise(row: NoiseRow) -> NoiseRow:
 def answer_of(found: Calibration) -> Answer:
     """Judge the geometry by the drift on held-out dives, and the noise by their NIS."""
     drift_m = _means(found.held_out, "drift_before_m", "drift_after_m")
-    keeps_geometry = bool(found.estimated) and drift_m.after > (1.0 + LITTLE_DRIFT) * drift_m.before
+    keeps_geometry = (
+        bool(found.estimated) and drift_m.after > (1.0 + LITTLE_DRIFT) * drift_m.before
+    )
     lines = []
     if any(row.status != Estimated.NOT_ASKED for row in found.all_rows):
         is_good = bool(found.estimated) and not keeps_geometry

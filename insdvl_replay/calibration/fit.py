@@ -42,9 +42,8 @@ from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.preparation.run import FIT
 
 SOFT: Final = 2.0  # residuals, over the scatter of the axis, above which they count less and less
-SD_OF_DEVIATION: Final = (
-    1.4826  # standard deviation of normal values over the median of their absolute values
-)
+# standard deviation of normal values over the median of their absolute values
+SD_OF_DEVIATION: Final = 1.4826
 DELAY_STEP_S: Final = 0.05
 MOST_ROUNDS: Final = 12
 SETTLED: Final = 0.05  # a step below this number of standard deviations is the last
@@ -84,9 +83,8 @@ class Linearised:
 class Fit:
     """A solution, and the dives linearised there."""
 
-    rows: tuple[
-        Integers, ...
-    ]  # for each dive: indices of its p parameters among the unknowns, (p,)
+    # for each dive: indices of its p parameters among the unknowns, (p,)
+    rows: tuple[Integers, ...]
     prior_sd: Floats  # (count,): prior sd of each unknown
     is_free: Mask  # (count,): whether each is estimated
     values: Floats  # (count,): changes
@@ -328,9 +326,8 @@ def _quarter_turns() -> Iterator[Floats]:
 # The 24 rotations between two right-handed sets of axes that are parallel.
 AXES: Final[tuple[Floats, ...]] = tuple(_quarter_turns())
 CLEARLY: Final = 0.8  # ratio of costs below which the second mounting is clearly worse
-NOT_FAR_OFF: Final = (
-    4.0  # ratio to the least cost above which no arm or delay makes a mounting the best
-)
+# ratio to the least cost above which no arm or delay makes a mounting the best
+NOT_FAR_OFF: Final = 4.0
 MOST_FITTED: Final = 6
 MOST_FREE: Final = 3  # dives that are fitted freely
 _ARM_AND_DELAY: Final = np.array([parameter.group in ("arm", "delay") for parameter in PARAMETERS])

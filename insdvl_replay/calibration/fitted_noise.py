@@ -86,7 +86,9 @@ def fit_noise_of_dives(dives: Sequence[Dive], config: Config) -> FoundSettings:
             found = _fitted(dives, found, given)
     found = levelled_to_dives(dives, found, given, found.initial, preset, notes)
     found = msgspec.structs.replace(
-        with_values(config, "initial", **_values(found, "biases")), noise=found.noise, dvl=found.dvl
+        with_values(config, "initial", **_values(found, "biases")),
+        noise=found.noise,
+        dvl=found.dvl,
     )
     return FoundSettings(found, tuple(notes))
 

@@ -31,15 +31,13 @@ IMU_STEP_S: Final = 0.04  # to which readings are averaged
 LEAST_BETTER: Final = 1.02  # the same where a rotation is many standard deviations off
 MANY_SDS: Final = 5.0
 CLEARLY: Final = 1.25  # ratio of sums of squares from which a rotation is excluded
-NEAR_QUARTER_RAD: Final = (
-    4.0 * DEG
-)  # a calibration that starts from the quarter turn finds the rest
+# a calibration that starts from the quarter turn finds the rest
+NEAR_QUARTER_RAD: Final = 4.0 * DEG
 LEAST_TILT: Final = 0.7  # cosine; no DVL is built in more obliquely
 WINDOW_S: Final = 20.0
 LONGEST_STEP_S: Final = 0.5  # IMU steps above it end the usable part of a window
-OWN: Final = (
-    9  # unknowns of a window: velocity and gravity at its start, and how the Earth turns gravity
-)
+# unknowns of a window: velocity and gravity at its start, and how the Earth turns gravity
+OWN: Final = 9
 FEWEST_PINGS: Final = 8  # in a window
 FEWEST_WINDOWS: Final = 3
 # Standard deviations of the biases and of the lever arm before the fit.

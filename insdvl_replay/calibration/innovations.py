@@ -66,7 +66,9 @@ PARAMETERS: Final = (
     Parameter("arm_x", "arm", "arm x", *_LENGTH, _TURNS),
     Parameter("arm_y", "arm", "arm y", *_LENGTH, _TURNS),
     Parameter("arm_z", "arm", "arm z", *_LENGTH, _LEANING),
-    Parameter("scale", "scale", "scale", "scale", "%", 100.0, 0.05, 1e-3, "large changes of speed"),
+    Parameter(
+        "scale", "scale", "scale", "scale", "%", 100.0, 0.05, 1e-3, "large changes of speed"
+    ),
 )
 # Of a reference, in the same order.
 REFERENCE_PARAMETERS: Final = (
@@ -74,10 +76,18 @@ REFERENCE_PARAMETERS: Final = (
         "reference_clock", "reference_clock", "ref. clock", *_TIME, "changes of speed, or turns"
     ),
     Parameter(
-        "reference_mounting_x", "reference_mounting", "ref. mounting x", *_ANGLE, "turns, for level"
+        "reference_mounting_x",
+        "reference_mounting",
+        "ref. mounting x",
+        *_ANGLE,
+        "turns, for level",
     ),
     Parameter(
-        "reference_mounting_y", "reference_mounting", "ref. mounting y", *_ANGLE, "turns, for level"
+        "reference_mounting_y",
+        "reference_mounting",
+        "ref. mounting y",
+        *_ANGLE,
+        "turns, for level",
     ),
     Parameter("reference_mounting_z", "reference_mounting", "ref. mounting z", *_ANGLE, _WAY),
     Parameter("reference_arm_x", "reference_arm", "ref. arm x", *_LENGTH, _TURNS),
@@ -181,9 +191,8 @@ READ_S: Final = 1800.0  # most that is used of a dive; more adds little
 START_SPEED_SD_MPS: Final = 2.0  # large, so that the pings determine the velocity at the start
 WILD: Final = 20.0  # times the upper quartile of the distance of pings from the pings around them
 LEAST_OFF_MPS: Final = 0.01  # usual distance even without motion
-FAR: Final = (
-    1e3  # replaces an innovation that is larger, or not finite, in its own standard deviations
-)
+# replaces an innovation that is larger, or not finite, in its own standard deviations
+FAR: Final = 1e3
 NO_CHANGE: Final = np.zeros(len(NAMES))
 
 
@@ -295,7 +304,9 @@ class DiveInnovations:
             full_unit_cov_b=configured.full_unit_cov_b,
         )
         moved = replace(
-            self.prepared, velocities=pings, mounting=moved_mounting(self.prepared.mounting, change)
+            self.prepared,
+            velocities=pings,
+            mounting=moved_mounting(self.prepared.mounting, change),
         )
         start_ns = self.prepared.alignment.start_ns
         end_ns = self.prepared.end_ns
@@ -351,7 +362,8 @@ def steady(velocity_b: Floats) -> Mask:
         return np.zeros(0, bool)
     padded = np.pad(velocity_b, ((2, 2), (0, 0)), mode="edge")
     off = np.abs(
-        velocity_b - np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1)
+        velocity_b
+        - np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1)
     )
     usual = np.maximum(np.quantile(off, 0.75, axis=0), LEAST_OFF_MPS)
     return np.asarray((off <= WILD * usual).all(axis=1))

@@ -478,7 +478,9 @@ def nis_per_dof(dive: DiveInnovations, change: Floats) -> float:
 
 def _costs(innovations: Innovations) -> Floats:
     """Return minus twice the log-likelihood of each ping, but for a constant."""
-    return np.asarray(innovations.log_det[SKIPPED:-SKIPPED] + innovations.dof * _sizes(innovations))
+    return np.asarray(
+        innovations.log_det[SKIPPED:-SKIPPED] + innovations.dof * _sizes(innovations)
+    )
 
 
 def _sizes(innovations: Innovations) -> Floats:

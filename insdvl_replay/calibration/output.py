@@ -212,7 +212,9 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
         "Expected: 1 before and after, and a lag-1 correlation of 0.",
     )
     if found.reference is not None:
-        yield _parameter_table("The reference: change from the configuration", found.reference.rows)
+        yield _parameter_table(
+            "The reference: change from the configuration", found.reference.rows
+        )
         yield shown(ReferenceDiveRow, found.reference.dives)
         if found.reference.starts:
             yield shown(StartRow, found.reference.starts)
@@ -397,7 +399,9 @@ _CAPTION: Final = (
 _PLACES: Final = "dive, in the order of the table"
 
 
-def calibration_figures(found: Calibration, dives: Sequence[DiveInnovations]) -> tuple[Figure, ...]:
+def calibration_figures(
+    found: Calibration, dives: Sequence[DiveInnovations]
+) -> tuple[Figure, ...]:
     """Draw innovations before and after, the cost of a delay, the scatter between dives, and drift in outages."""
     figures = []
     profiles = []
@@ -469,7 +473,8 @@ def _drifts(rows: Sequence[HeldOutRow]) -> Iterator[Figure]:
             np.repeat(place, 3), _interrupted(pairs[:, 0], pairs[:, 1]), REFERENCE, name=""
         )
         ends = [
-            Curve(place, pairs[:, i], style, points=True) for i, style in enumerate((BEFORE, AFTER))
+            Curve(place, pairs[:, i], style, points=True)
+            for i, style in enumerate((BEFORE, AFTER))
         ]
         caption = f"Median drift in 60 s without DVL; {counted(len(pairs), 'dive')} had windows."
         panel = Panel("horizontal drift [m]", _PLACES, (bars, *ends), x_whole=True)

@@ -37,7 +37,9 @@ class ParameterRow(Struct, frozen=True):
     signal_to_noise: Annotated[Number, Meta(description="prior's sd over that of the data")] = None
     birge: Annotated[
         Number,
-        Meta(description="Birge ratio: scatter between dives over the expected one; 1 is expected"),
+        Meta(
+            description="Birge ratio: scatter between dives over the expected one; 1 is expected"
+        ),
     ] = None
     status: Estimated = Estimated.HELD
     why: Annotated[
@@ -66,9 +68,8 @@ class NoiseRow(Struct, frozen=True):
     @property
     def is_proposed(self) -> bool:
         """Whether it is estimated, of a class, or a limit other than configured; never a noise that no sensor has."""
-        from insdvl_replay.evaluation.notes import (
-            CLASSES,
-        )  # heavy, and a schema needs the rows alone
+        # heavy, and a schema needs the rows alone
+        from insdvl_replay.evaluation.notes import CLASSES
 
         known = self.status == Estimated.ESTIMATED
         unknown = (
@@ -84,7 +85,9 @@ class DiveRow(Struct, frozen=True):
 
     dive: str
     pings: int
-    left_out: Annotated[int, Meta(description="outliers: pings too far from the pings around them")]
+    left_out: Annotated[
+        int, Meta(description="outliers: pings too far from the pings around them")
+    ]
     delay_s: Number
     delay_sd_s: Number
     before_x: Annotated[float, Meta(description="scatter by axis, forward, starboard, down")]

@@ -34,9 +34,8 @@ from insdvl_replay.evaluation.sentences import headline
 
 OLD: Final = "before"  # name of the old side in sentences
 _TABLES: Final = [layout for layout in TABLES if layout.name in ("evidence", "drift", "outage")]
-_NO_CHANGE: Final = (
-    0.01  # of every value that may decide or warn: so small a change on a dive is none
-)
+# of every value that may decide or warn: so small a change on a dive is none
+_NO_CHANGE: Final = 0.01
 
 
 class DiveChange(Struct, frozen=True):
@@ -57,7 +56,9 @@ class Answer(answers.Answer, frozen=True, kw_only=True):
     lost: Annotated[int, Meta(description="dives in which only the old side is evaluated")]
     largest_change: Annotated[
         Number,
-        Meta(description="largest relative change of a value that may decide or warn, on any dive"),
+        Meta(
+            description="largest relative change of a value that may decide or warn, on any dive"
+        ),
     ]
     by_dive: Annotated[
         tuple[DiveChange, ...], Meta(description="the primary quantity, dive by dive")
@@ -88,9 +89,8 @@ class _Paired(Struct, frozen=True):
 
     name: str
     pairs: list[Pair]  # the dives
-    reasons: list[
-        str
-    ]  # why it is not evaluated on a dive of them, on the new side or on the old one; empty if it is
+    # why it is not evaluated on a dive of them, on the new side or on the old one; empty if it is
+    reasons: list[str]
     lost: int  # dives in which only the old side is evaluated
     evaluated: list[Pair]  # dives on which a side is evaluated
     evidence: list[list[EvidenceRow]]  # of these

@@ -53,7 +53,9 @@ def gate_findings(
         f"column {gate.column}"
     )
     return (
-        Finding(gate.table, gate.filter, gate.row, gate.column, None, None, sentence, passed=False),
+        Finding(
+            gate.table, gate.filter, gate.row, gate.column, None, None, sentence, passed=False
+        ),
     )
 
 

@@ -57,7 +57,9 @@ def expected_of(gates: Gates, gate: Gate, log: StoredLog) -> "StoredReport | Tra
     command = f"`insdvl-replay check {gates.path} --update`"
     with looked_for(path):
         if not path.is_file():
-            raise ConfigError(f"{path}: there are no expected values yet", f"{command} writes them")
+            raise ConfigError(
+                f"{path}: there are no expected values yet", f"{command} writes them"
+            )
     expected = stored_values(gate, path)
     if expected is None:
         kind = "trajectory" if isinstance(gate, TrajectoryGate) else "result"

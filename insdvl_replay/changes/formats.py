@@ -304,9 +304,7 @@ def update_text(
 ) -> str:
     """Return the changes of the expected values: each new or changed one, and the number of unchanged ones."""
     lines = [f"{dive}: {_new_text(cell)}" for dive, cell in changes if cell.is_new]
-    count = (
-        f"{counted(len(lines), 'value')} new or changed, {len(changes) - len(lines)} print the same"
-    )
+    count = f"{counted(len(lines), 'value')} new or changed, {len(changes) - len(lines)} print the same"
     return "".join(f"{visible(line)}\n" for line in (*lines, count))
 
 

@@ -22,9 +22,7 @@ from insdvl_replay.core.errors import (
     require_known,
 )
 from insdvl_replay.core.path_kinds import require_kind_of_toml
-from insdvl_replay.core.report import (
-    StoredReport,
-)
+from insdvl_replay.core.report import StoredReport
 from insdvl_replay.core.states import COLUMNS, GROUPS
 from insdvl_replay.core.tables import ANSWERS, CANDIDATES, TABLES, PooledRow, layout_of
 from insdvl_replay.core.words import GateLevel
@@ -38,7 +36,9 @@ LOG: Final = "{log}"  # in the path of expected values, the dive's name
 POOLED: Final = "pooled"  # the table of the evidence pooled over all dives, as in the ``evidence.csv`` of several dives
 OVER_DIVES: Final = (ANSWERS.name, POOLED)
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
-ON_TRAJECTORY: Final = 'expected = "expected/{log}.npz", or within = [0.0, 2.0] with share_pct = 95'
+ON_TRAJECTORY: Final = (
+    'expected = "expected/{log}.npz", or within = [0.0, 2.0] with share_pct = 95'
+)
 LAYOUTS: Final = {
     layout.name: layout
     for layout in (
@@ -60,9 +60,8 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     table: str
     filter: str = ANY
     row: str = ANY
-    expected: str | None = (
-        None  # stored values, relative to the gate file; ``{log}`` is the dive's name
-    )
+    # stored values, relative to the gate file; ``{log}`` is the dive's name
+    expected: str | None = None
     dives: tuple[str, ...] = ()  # name patterns of the dives to check; empty for all
     share_of_dives_pct: Share | None = None  # the gate passes if this share of the dives passes it
     level: GateLevel = GateLevel.ERROR
@@ -78,9 +77,8 @@ class CellGate(Gate, frozen=True, kw_only=True):
     column: str
     min: Limit | None = None  # inclusive, as the maximum
     max: Limit | None = None
-    equals: str | int | float | tuple[str | int | float, ...] | None = (
-        None  # the allowed value or values
-    )
+    # the allowed value or values
+    equals: str | int | float | tuple[str | int | float, ...] | None = None
     # Allowed loss against the expected value: in percent, or in percentage points if the value is a percentage; and in
     # the unit of the value. The larger of the two counts.
     max_worse_pct: Allowance | None = None
@@ -289,7 +287,9 @@ def _check_conditions(gate: CellGate) -> None:
     if gate.min is None and gate.max is None and gate.equals is None and gate.expected is None:
         raise ConfigError("has no condition", "add min, max, equals or expected")
     if gate.min is not None and gate.max is not None and gate.min > gate.max:
-        raise ConfigError(f"min = {gate.min:g} is above max = {gate.max:g}", "exchange min and max")
+        raise ConfigError(
+            f"min = {gate.min:g} is above max = {gate.max:g}", "exchange min and max"
+        )
     has_words = LAYOUTS[gate.table].kinds[gate.column] == "text"
     has_limits = gate.min is not None or gate.max is not None
     if has_words and has_limits:

@@ -77,7 +77,9 @@ def together(dives: Sequence[Checked]) -> Checked:
     """
     reports = [dive.result for dive in dives if isinstance(dive.result, StoredReport)]
     if not reports:
-        return Checked(ResultError("no dive has a result", "see the dives above"), Path(EVERY_DIVE))
+        return Checked(
+            ResultError("no dive has a result", "see the dives above"), Path(EVERY_DIVE)
+        )
     from insdvl_replay.evaluation.answers import answer_row
 
     tables: dict[str, list[Row]] = {ANSWERS.name: [], POOLED: []}
@@ -170,7 +172,9 @@ def _outcomes_of_dive(gates: Gates, dive: Checked) -> list[GateOutcome]:
     return [replace(item, causes=causes) if item in missed else item for item in outcomes]
 
 
-def _with_share(gate: Gate, share_pct: float, outcomes: Sequence[GateOutcome]) -> list[GateOutcome]:
+def _with_share(
+    gate: Gate, share_pct: float, outcomes: Sequence[GateOutcome]
+) -> list[GateOutcome]:
     """Make failures of a gate on single dives warnings, if a large enough share of the dives passed."""
     own = [item for item in outcomes if item.gate == gate.name]
     passed = sum(item.status == GateStatus.PASSED for item in own)
@@ -190,7 +194,9 @@ def _outcome(gates: Gates, gate: Gate, dive: Checked) -> GateOutcome:
     outcome = GateOutcome(dive.name, gate.name, GateStatus.OFF, line=gates.lines.get(gate.name, 0))
     if gate.level == GateLevel.OFF:
         return outcome
-    outcome = replace(outcome, is_trajectory=gate.table == TRAJECTORY and gate.expected is not None)
+    outcome = replace(
+        outcome, is_trajectory=gate.table == TRAJECTORY and gate.expected is not None
+    )
     if isinstance(dive.result, Exception):
         return replace(outcome, status=GateStatus.UNUSABLE, reasons=(str(dive.result),))
     missed = GateStatus.WARNING if gate.level == GateLevel.WARN else GateStatus.FAILED
@@ -211,7 +217,9 @@ def findings_of(
 ) -> tuple[Finding, ...]:
     """Return what a gate finds in a result, in its tables or in its trajectory."""
     if isinstance(gate, CellGate):
-        return gate_findings(gate, report, expected if isinstance(expected, StoredReport) else None)
+        return gate_findings(
+            gate, report, expected if isinstance(expected, StoredReport) else None
+        )
     assert isinstance(gate, TrajectoryGate)
     assert not isinstance(expected, StoredReport)
     from insdvl_replay.changes.trajectory_gates import trajectory_findings

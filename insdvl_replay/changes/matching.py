@@ -126,7 +126,9 @@ def _nothing_in_common(old: Sequence[StoredResult], new: Sequence[StoredResult])
     )
 
 
-def _require_one_counterpart(before: Sequence[StoredResult], after: Sequence[StoredResult]) -> None:
+def _require_one_counterpart(
+    before: Sequence[StoredResult], after: Sequence[StoredResult]
+) -> None:
     """Raise if a dive is left on both sides: it has several results, and the matching ones are not known."""
     for result in after:
         if not any(_may_match(other, result) for other in before):

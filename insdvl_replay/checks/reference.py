@@ -100,7 +100,11 @@ class GyroScale:
 
 
 def plausibility_remarks(
-    place: str, imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+    place: str,
+    imu: ImuColumns,
+    dvl: DvlColumns,
+    reference: ReferenceColumns | None,
+    config: Config,
 ) -> Iterator[Remark]:
     """Check IMU, DVL and reference; the place is the file in messages to the user."""
     by_attitude, track = _comparisons(imu, dvl, reference, config)
@@ -122,7 +126,11 @@ def plausibility_remarks(
 
 
 def plausibility_notes(
-    place: str, imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+    place: str,
+    imu: ImuColumns,
+    dvl: DvlColumns,
+    reference: ReferenceColumns | None,
+    config: Config,
 ) -> tuple[Note, ...]:
     """Run all checks; raise the first error."""
     notes = []

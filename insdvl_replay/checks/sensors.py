@@ -201,7 +201,9 @@ def _contradictions(
     else:
         both = np.isfinite(known.position[row, 2]) & np.isfinite(values[:, 0])
         row = row[both]
-        yield from _depth_contradictions(values[both], known.mat_nb[row], known.position[row], zero)
+        yield from _depth_contradictions(
+            values[both], known.mat_nb[row], known.position[row], zero
+        )
 
 
 def _whose(zero: Depth | None) -> str:

@@ -28,7 +28,9 @@ _GRAVITY: Final = (
     "the specific force is {size:.3f} m/s^2 (median of the quiet seconds), "
     "but gravity is {gravity:.3f} m/s^2"
 )
-_GYRO: Final = "the angular rate is {scale:.3g} times the rate derived from {by}, in the whole dive"
+_GYRO: Final = (
+    "the angular rate is {scale:.3g} times the rate derived from {by}, in the whole dive"
+)
 _DVL_SCALE: Final = "the DVL's velocity is {scale:.3f} times the reference's, in the whole dive"
 _ZERO_HINT: Final = (
     "set depth.surface_height_m, the height of depth 0 above the ellipsoid, or leave it out"

@@ -246,7 +246,9 @@ def calibrate(
     logs: opt.Logs,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Write the result as settings for -c."),
+        typer.Option(
+            "-o", "--output", metavar="FILE", help="Write the result as settings for -c."
+        ),
     ] = None,
     page_file: Annotated[
         Path | None,
@@ -411,7 +413,9 @@ def about_studies() -> None:
 @study.command(cls=opt.PlainCommand)
 def montecarlo(
     scenario: opt.Scenario,
-    runs: Annotated[int, typer.Option(metavar="N", min=2, help="Number of simulated dives.")] = 100,
+    runs: Annotated[
+        int, typer.Option(metavar="N", min=2, help="Number of simulated dives.")
+    ] = 100,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Random seed of the study.")] = 1,
     run: Annotated[
         int | None,

@@ -49,7 +49,9 @@ def compare(
     ] = [],
     columns: Annotated[
         list[str],
-        typer.Option("--column", metavar="NAME", help="Compare only this column. May be repeated."),
+        typer.Option(
+            "--column", metavar="NAME", help="Compare only this column. May be repeated."
+        ),
     ] = [],
     pairs: Annotated[
         list[str],
@@ -68,7 +70,9 @@ def compare(
     ] = None,
     only_changed: Annotated[
         bool,
-        typer.Option("--only-changed", help="Show all values that changed, not only the evidence."),
+        typer.Option(
+            "--only-changed", help="Show all values that changed, not only the evidence."
+        ),
     ] = False,
     everything: Annotated[
         bool, typer.Option("--all", help="Show all values, also unchanged ones.")

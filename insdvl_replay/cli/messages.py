@@ -157,7 +157,9 @@ def _option_meant(option: str, context: Any) -> str:
         for name in (*parameter.opts, *parameter.secondary_opts)
     }
     # Of short words many are alike by chance, as json and geojson are.
-    found = most_like(word, [name for name in names if len(name) > 1], most=1, least=_ALIKE_OPTIONS)
+    found = most_like(
+        word, [name for name in names if len(name) > 1], most=1, least=_ALIKE_OPTIONS
+    )
     return names[found[0]] if found else ""
 
 

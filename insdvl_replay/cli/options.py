@@ -51,7 +51,9 @@ def _raise_if_path(args: list[str]) -> None:
     if (folder := result_named(path)) is not None:
         hint = f"it is a result: open {folder / PAGES[0]}, or `insdvl-replay compare OLD {shlex.quote(args[0])}`"
     elif path.suffix == ".toml" and path.is_file():
-        hint = f"settings: `insdvl-replay run LOG -c {typed}`; gates: `insdvl-replay check {typed}`"
+        hint = (
+            f"settings: `insdvl-replay run LOG -c {typed}`; gates: `insdvl-replay check {typed}`"
+        )
     elif looks_like_log(path) or path.exists() or path.suffix.lower() in TABLE_SUFFIXES:
         hint = f"did you mean `insdvl-replay run {typed}`?"
     if hint:
@@ -102,7 +104,8 @@ End = Annotated[
 Offline = Annotated[
     bool,
     typer.Option(
-        "--offline", help="Fetch nothing: of URLs, use the logs that earlier commands have fetched."
+        "--offline",
+        help="Fetch nothing: of URLs, use the logs that earlier commands have fetched.",
     ),
 ]
 AllowDamaged = Annotated[
@@ -162,7 +165,9 @@ Outages = Annotated[
 Force = Annotated[bool, typer.Option("--force", help="Replace what an earlier run wrote.")]
 Jobs = Annotated[
     int,
-    typer.Option("--jobs", metavar="N", min=1, help="Number of parallel processes, one dive each."),
+    typer.Option(
+        "--jobs", metavar="N", min=1, help="Number of parallel processes, one dive each."
+    ),
 ]
 Scheduler = Annotated[
     str | None,

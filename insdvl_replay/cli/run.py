@@ -64,7 +64,8 @@ def run(
     control: Annotated[
         bool,
         typer.Option(
-            "--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log."
+            "--control",
+            help="Add a filter `tuned`: the baseline with its noise fitted to the log.",
         ),
     ] = False,
     tum: Annotated[
@@ -182,7 +183,9 @@ def run(
         from insdvl_replay.changes.comparison import parse_limit  # needs scipy
 
         limit = parse_limit(fail_on)
-        sides = plan_against(found, output, options, layers, against, fetch, how, one_dive=one_dive)
+        sides = plan_against(
+            found, output, options, layers, against, fetch, how, one_dive=one_dive
+        )
         replays = outcomes(sides.jobs, how, lake)
         return answer_against(sides, replays, limit, format_, verbose, quiet=quiet)
     configs = {file: layers.load(file) for file in {dive.settings for dive in found}}

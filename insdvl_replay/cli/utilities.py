@@ -21,7 +21,16 @@ if TYPE_CHECKING:
 
 _Value = TypeVar("_Value")
 _SHORT_S = 10.0
-SCHEMAS = ("config", "report", "inspection", "study", "comparison", "calibration", "check", "start")
+SCHEMAS = (
+    "config",
+    "report",
+    "inspection",
+    "study",
+    "comparison",
+    "calibration",
+    "check",
+    "start",
+)
 """Everything with a JSON schema: the settings, `report.json` of a replay and of a study, and the `--format json` output
 of the other commands."""
 
@@ -200,7 +209,9 @@ def config(
     """
     from insdvl_replay.core.config_file import load_config, render_toml
 
-    write_stdout(render_toml(load_config(preset, file, settings, allow_code=True, report=log_info)))
+    write_stdout(
+        render_toml(load_config(preset, file, settings, allow_code=True, report=log_info))
+    )
 
 
 def schema(

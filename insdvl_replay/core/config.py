@@ -148,7 +148,9 @@ class Dvl(Section, frozen=True):
     ] = None
     beam_azimuth_deg: Annotated[
         tuple[float, ...] | None,
-        Comment("from forward towards starboard; left out: by the message, else 45, 135, 225, 315"),
+        Comment(
+            "from forward towards starboard; left out: by the message, else 45, 135, 225, 315"
+        ),
     ] = None
     lever_arm_m: Annotated[Vector, Comment("IMU to DVL, forward-starboard-down")] = (0.0, 0.0, 0.0)
     mounting_rpy_deg: Annotated[Vector, Comment("DVL to body, roll, pitch, heading")] = (
@@ -181,9 +183,9 @@ class Depth(Section, frozen=True):
     depth: Annotated[
         str | None, Comment("field path, m, positive downwards; left out: by type")
     ] = None
-    height: Annotated[str | None, Comment("field path, m, positive upwards; left out: by type")] = (
-        None
-    )
+    height: Annotated[
+        str | None, Comment("field path, m, positive upwards; left out: by type")
+    ] = None
     pressure: FieldPath = None
     pressure_unit: Annotated[
         Literal["Pa", "hPa", "kPa", "dbar", "bar", "mbar", "MPa", "psi"] | None,

@@ -52,9 +52,8 @@ from insdvl_replay.core.path_kinds import looks_like_log, require_kind_of_toml
 S = TypeVar("S", bound=Struct)
 
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
-FITTED_LIKE: Final = (
-    "fog"  # whose filters a fitted noise belongs to; those of the other classes are the same
-)
+# whose filters a fitted noise belongs to; those of the other classes are the same
+FITTED_LIKE: Final = "fog"
 FOUND: Final = "found"  # the table of a file of found settings that sets nothing
 SECTIONS: Final = frozenset(ConfigFile.__struct_fields__)
 LARGEST: Final = 1e30  # No measured value is larger, and powers of smaller values do not overflow.

@@ -122,9 +122,8 @@ class Columns:
     """Rows at times, all at once or some of them."""
 
     time_ns: TimeNs  # (k,) of validity, strictly increasing
-    per_row: ClassVar[
-        tuple[str, ...]
-    ] = ()  # the other fields that have a row at each time, or are None
+    # the other fields that have a row at each time, or are None
+    per_row: ClassVar[tuple[str, ...]] = ()
 
     def rows(self, keep: Mask | slice) -> Self:
         """Keep some of the rows, chosen by a mask of shape (k,) or, without copying them, by a slice."""
@@ -168,15 +167,12 @@ class ImuColumns(Columns):
 class DvlColumns(Columns):
     """Pings of the DVL, either as beams or as velocities."""
 
-    beam_velocity_mps: Floats | None = (
-        None  # (k, beams) along the beams, towards the seabed; NaN where a beam is lost
-    )
-    beam_vectors_d: Floats | None = (
-        None  # (beams, 3) unit vectors towards the seabed; none with velocities: a Janus's
-    )
-    velocity_d: Floats | None = (
-        None  # (k, 3) over ground, m/s, NaN where invalid; of instruments without beams
-    )
+    # (k, beams) along the beams, towards the seabed; NaN where a beam is lost
+    beam_velocity_mps: Floats | None = None
+    # (beams, 3) unit vectors towards the seabed; none with velocities: a Janus's
+    beam_vectors_d: Floats | None = None
+    # (k, 3) over ground, m/s, NaN where invalid; of instruments without beams
+    velocity_d: Floats | None = None
     look_d: Floats | None = None  # (3,) where the beams look on average, if the messages tell it
     per_row = ("beam_velocity_mps", "velocity_d")
 
@@ -186,12 +182,10 @@ class SensorColumns(Columns):
     """Readings of a sensor beside IMU and DVL, see `states.SENSORS`."""
 
     values: Floats  # (k, s); of a depth m below the surface; of a position NaN for a height that a fix lacks
-    mat_nb: Floats | None = (
-        None  # (k, 3, 3); of a heading the attitude that it is part of, if its messages hold one
-    )
-    attitude_sd: Floats | None = (
-        None  # (k, 3) rad, of that attitude about three axes, the last one upright, if stated
-    )
+    # (k, 3, 3); of a heading the attitude that it is part of, if its messages hold one
+    mat_nb: Floats | None = None
+    # (k, 3) rad, of that attitude about three axes, the last one upright, if stated
+    attitude_sd: Floats | None = None
     per_row = ("values", "mat_nb", "attitude_sd")
 
 
@@ -223,7 +217,8 @@ class ReferenceColumns(Columns):
             "attitudes": self.mat_nb.reshape(-1, 9),
         }
         return {
-            name: np.asarray(np.isfinite(values).all(axis=1)) for name, values in quantities.items()
+            name: np.asarray(np.isfinite(values).all(axis=1))
+            for name, values in quantities.items()
         }
 
     @property
@@ -283,19 +278,16 @@ class Dive:
     dvl: DvlColumns
     reference: ReferenceColumns | None = None
     truth: TruthColumns | None = None
-    sensors: Mapping[str, SensorColumns] = field(
-        default_factory=dict
-    )  # those of `states.SENSORS` that were asked for
+    # those of `states.SENSORS` that were asked for
+    sensors: Mapping[str, SensorColumns] = field(default_factory=dict)
     solutions: Mapping[str, SolutionColumns] = field(default_factory=dict)  # by filter
-    topics: Mapping[str, SensorColumns] = field(
-        default_factory=dict
-    )  # of ``[topics]``, as the log has them
+    # of ``[topics]``, as the log has them
+    topics: Mapping[str, SensorColumns] = field(default_factory=dict)
     sha256: str = ""  # of the log's bytes; empty for a dive that was never a file
     paths: tuple[Path, ...] = ()  # of the log's files
     channels: tuple[Channel, ...] = ()  # what the log holds
     reference_delay: ReferenceDelay | None = None  # None: nobody has looked
     imu_fingerprint: ImuFingerprint | None = None  # of all samples; None: not taken yet
     start_heading: StartHeading | None = None  # None: not replayed yet
-    notes: tuple[Note, ...] = field(
-        default=()
-    )  # what was dropped, assumed or found odd while reading
+    # what was dropped, assumed or found odd while reading
+    notes: tuple[Note, ...] = field(default=())

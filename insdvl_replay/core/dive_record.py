@@ -33,12 +33,10 @@ class Clock:
     spread_s: float  # from the 5th to the 95th percentile of log time minus stamp
     back_steps: int  # stamps that are before the one before in the file
     repeats: int  # stamps that equal it
-    rate_hz: (
-        float | None
-    )  # different stamps over the time between the first and the last; None where all repeat
-    latency_s: float = (
-        0.0  # that the configuration takes off the stamps, and was not taken off here
-    )
+    # different stamps over the time between the first and the last; None where all repeat
+    rate_hz: float | None
+    # that the configuration takes off the stamps, and was not taken off here
+    latency_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -93,9 +91,8 @@ class ImuFingerprint:
 
     first_ns: int  # of the IMU's samples, on the log's clock
     last_ns: int
-    at_s: tuple[
-        int, ...
-    ] = ()  # whole seconds of the log's clock, at or after which the first sample is digested
+    # whole seconds of the log's clock, at or after which the first sample is digested
+    at_s: tuple[int, ...] = ()
     digests: tuple[str, ...] = ()
 
 

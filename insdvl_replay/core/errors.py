@@ -253,9 +253,8 @@ def read_regular(path: Path, most_bytes: int) -> bytes:
         state = os.fstat(file.fileno())
         if not stat.S_ISREG(state.st_mode):
             raise OSError(errno.EINVAL, "it is no regular file", str(path))
-        data = file.read(
-            min(state.st_size, most_bytes) + 1
-        )  # Python takes the memory before it reads
+        # Python takes the memory before it reads
+        data = file.read(min(state.st_size, most_bytes) + 1)
     if len(data) > most_bytes:
         raise OSError(errno.EFBIG, f"it has more than {most_bytes >> 20} MiB", str(path))
     return data

@@ -17,9 +17,8 @@ class Innovations:
     unit: str
     axes: tuple[str, ...]  # names of its components; none of a measurement that has one
     time_ns: TimeNs  # (m,) of the updates
-    valid_ns: (
-        TimeNs  # (m,) of validity of what was measured: a slope's is in the middle of its window
-    )
+    # (m,) of validity of what was measured: a slope's is in the middle of its window
+    valid_ns: TimeNs
     measured: Floats  # (m, s), of the DVL in b
     innovation: Floats  # (m, s) predicted minus measured
     sd: Floats  # (m, s) square roots of the diagonal of S = H P H' + R
@@ -27,15 +26,15 @@ class Innovations:
     used: Mask  # (m,) false where the gate rejected it
     log_det: Floats  # (m,) logarithm of the determinant of S, for the likelihood
     gate: float  # largest NIS that was used; infinite where none was rejected; negative of a held-out sensor
-    reopen_after: (
-        int  # rejections in a row after which the velocity's uncertainty was opened; 0: never
-    )
+    # rejections in a row after which the velocity's uncertainty was opened; 0: never
+    reopen_after: int
     # (m,) used in spite of the gate, after so many rejections in a row; NIS and standard deviations are those before
     reopened: Mask
-    noise_factor: float = (
-        1.0  # by which R is larger at the end than configured; 1 but for adaptive noise
+    # by which R is larger at the end than configured; 1 but for adaptive noise
+    noise_factor: float = 1.0
+    holds_height: bool = (
+        False  # it measures the velocity down, see `nav.earth_model.GravityHeight`
     )
-    holds_height: bool = False  # it measures the velocity down, see `nav.earth_model.GravityHeight`
 
     @property
     def dof(self) -> int:
@@ -75,9 +74,8 @@ class History:
 
     filter: str  # its name in the configuration
     time_ns: TimeNs  # (k,) strictly increasing
-    updated: NDArray[
-        np.bool_
-    ]  # (k,) whether a ping was used; the last one is the end of what a filter learnt
+    # (k,) whether a ping was used; the last one is the end of what a filter learnt
+    updated: NDArray[np.bool_]
     position: Floats  # (k, 3) latitude rad, longitude rad, height m
     velocity_n: Floats  # (k, 3) over ground, m/s
     mat_nb: Floats  # (k, 3, 3)
@@ -88,9 +86,8 @@ class History:
     cov: Floats  # (c, n, n) P at these times
     innovations: tuple[Innovations, ...]  # one for each kind of aiding, in the filter's order
     states: tuple[State, ...] = STATES  # the twelve, and perhaps more
-    constants: Floats = field(
-        default_factory=lambda: np.empty((0, 0))
-    )  # (k, c) estimates of the last c states, SI
+    # (k, c) estimates of the last c states, SI
+    constants: Floats = field(default_factory=lambda: np.empty((0, 0)))
     is_partial: bool = False  # whether NaN means that it has nothing there, as of a solution, and not that it diverged
     has_own_start: bool = False  # whether it did not start with the others on the reference
     failure: str = ""  # why a candidate gave no trajectory

@@ -11,9 +11,8 @@ from insdvl_replay.core.dive_record import LOG_SUFFIXES
 from insdvl_replay.core.errors import ConfigError
 
 REPORT: Final = "report.json"  # the file that identifies a result folder
-SUMMARY: Final = (
-    "summary.csv"  # of a run of several dives, beside their folders, which its column `log` names
-)
+# of a run of several dives, beside their folders, which its column `log` names
+SUMMARY: Final = "summary.csv"
 PAGES: Final = ("report.html", "index.html")
 TomlKind = Literal["settings", "gates", "dives"]
 

@@ -45,12 +45,13 @@ ALL_CREDIBILITY_GROUPS: Final = {**CREDIBILITY_GROUPS, "position": POSITION}
 # The row of all compared states together, in which small errors of some may hide large ones of others.
 JOINT: Final = "all"
 AXES: Final = ("x", "y", "z")  # Axes of a measurement in b.
+# Of a measurement of the user's own, which may be along no axes.
 COMPONENTS: Final = (
     "c1",
     "c2",
     "c3",
     "c4",
-)  # Of a measurement of the user's own, which may be along no axes.
+)
 
 
 def axis_of(measurement: str, axis: str) -> str:
@@ -65,11 +66,12 @@ def is_whole(measurement: str) -> bool:
     )
 
 
-PARITY: Final = (
-    "parity"  # How the four beams of a ping agree: noise that is measured without a filter.
-)
+# How the four beams of a ping agree: noise that is measured without a filter.
+PARITY: Final = "parity"
 _BEAM: Final = "beam_"
-HELD_OUT: Final = "held_out_"  # So begins the name of a sensor of whose readings no filter is told.
+HELD_OUT: Final = (
+    "held_out_"  # So begins the name of a sensor of whose readings no filter is told.
+)
 
 
 # So ends the code of the note, behind a sensor's name, that its readings are the reference's own.
@@ -120,10 +122,11 @@ DRIFT_QUANTITIES: Final = {
     "velocity_along": "m/s",
     "velocity_across": "m/s",
 }
+# Rows of the track fit and their units.
 TRACK_FIT_QUANTITIES: Final = {
     "scale": "%",
     "turn": "deg",
-}  # Rows of the track fit and their units.
+}
 OUTAGE_WINDOWS_S: Final = ("30", "60", "120", "300")  # Lengths for which the DVL is withheld.
 _OUTAGE: Final = tuple(f"outage_{window}s" for window in OUTAGE_WINDOWS_S)
 # Errors whose convergence is measured, and how `reference_errors.squared_errors` names them.

@@ -109,12 +109,15 @@ class Report(Struct, frozen=True):
         Meta(description="verdict and mean improvements of each candidate"),
     ]
     tables: Tables
-    notes: Annotated[list[Note], Meta(description="notes: dropped data, assumptions and anomalies")]
+    notes: Annotated[
+        list[Note], Meta(description="notes: dropped data, assumptions and anomalies")
+    ]
     config: Annotated[
         dict[str, Any], Meta(description="resolved settings, as in config.schema.json")
     ]
     code: Annotated[
-        dict[str, CodeFile], Meta(description="user code that was run, by its name in the settings")
+        dict[str, CodeFile],
+        Meta(description="user code that was run, by its name in the settings"),
     ] = {}
     reference_delay: Annotated[
         ReferenceDelay | None,

@@ -44,9 +44,8 @@ LEAST_BYTES: Final = 640 << 20
 LEAST_TO_COMPILE_BYTES: Final = 832 << 20
 """Address space in which the filter can be compiled: with less, the compiler ends the process."""
 _FULL: Final = 0.5  # share of the limit that is taken when a library that needs a hundred megabytes finds no room
-_LITTLE: Final = (
-    4 << 30
-)  # address space in which one thread multiplies matrices: each needs a buffer
+# address space in which one thread multiplies matrices: each needs a buffer
+_LITTLE: Final = 4 << 30
 _OF_LIBRARIES: Final = (ImportError, OSError, RuntimeError, SystemError)
 _COMPILER: Final = ("numba", "llvmlite")
 

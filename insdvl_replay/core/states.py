@@ -21,9 +21,8 @@ LARGEST_RATE_RADPS: Final = 35.0  # 2000 deg/s, the range of the quickest gyros 
 FASTEST_MPS: Final = 20.0  # over ground
 LOWEST_M: Final = -11_000.0  # the deepest trench, above the ellipsoid
 HIGHEST_M: Final = 9_000.0  # above any lake
-NO_HEIGHT_M: Final = (
-    9_999.0  # with a minus it would be a depth of the sea, but programs write it for none
-)
+# with a minus it would be a depth of the sea, but programs write it for none
+NO_HEIGHT_M: Final = 9_999.0
 LARGEST_ANGLE_RAD: Final = 720.0 * DEG
 GRAVITY_MPS2: Final = 9.81  # near enough to tell a unit by
 
@@ -43,9 +42,8 @@ DV: Final = slice(0, 3)  # Velocity error, in n.
 PHI: Final = slice(3, 6)  # Misalignment, in n.
 BA: Final = slice(6, 9)  # Accelerometer bias, in b.
 BG: Final = slice(9, 12)  # Gyro bias, in b.
-POSITION: Final = slice(
-    12, 15
-)  # Position error, in n, of a filter that estimates it: the first of `MORE_STATES`.
+# Position error, in n, of a filter that estimates it: the first of `MORE_STATES`.
+POSITION: Final = slice(12, 15)
 
 
 def _triplet(first: int, id_: str, label: str, axes: str, unit: str, factor: float) -> list[State]:
@@ -126,9 +124,8 @@ SENSORS: Final[dict[str, Sensor]] = {
 }
 DVL_AIDING: Final = ("velocity", "acceleration", "beams")
 AIDING: Final = (*DVL_AIDING, *SENSORS)  # Words for what can aid a filter.
-BY_SENSOR: Final = (
-    "sensor"  # In place of the heading at the start, and as what the start comes from.
-)
+# In place of the heading at the start, and as what the start comes from.
+BY_SENSOR: Final = "sensor"
 
 
 def states_for(aiding: Iterable[str]) -> tuple[str, ...]:
@@ -161,9 +158,10 @@ GROUPS: Final = {
     ),
 }
 COLUMNS: Final[tuple[str, ...]] = tuple(chain.from_iterable(GROUPS.values()))
+# Columns that wrap around at 360 deg.
 ANGLES: Final = (
     "roll_deg",
     "pitch_deg",
     "heading_deg",
     "heading_error_deg",
-)  # Columns that wrap around at 360 deg.
+)

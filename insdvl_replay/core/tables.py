@@ -44,12 +44,13 @@ Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
 Kind = Literal["text", "count", "number"]
 # End of the name of a percentage column. Its changes are in percentage points.
 PERCENTAGE: Final = "_pct"
+# Units by the end of a column's name.
 UNITS: Final = {
     PERCENTAGE: "%",
     "_s": "s",
     "_mps": "m/s",
     "_m": "m",
-}  # Units by the end of a column's name.
+}
 RATIO: Final = "ratio"  # Columns whose names begin with this have no unit.
 
 
@@ -81,13 +82,11 @@ class Col:
     comment: str = ""  # meaning of this column and of those after it until the next comment
     better: Better | None = None  # None for words, counts and limits
     primary: bool = False  # the main column of the table
-    names: tuple[str, ...] | None = (
-        None  # possible names of a row, if the column names the row; empty if the user chooses them
-    )
+    # possible names of a row, if the column names the row; empty if the user chooses them
+    names: tuple[str, ...] | None = None
     best_first: tuple[str, ...] = ()  # the ranked words
-    head: str = (
-        ""  # heading of the shown column, with ``{filter}`` and ``{baseline}``; empty: not shown
-    )
+    # heading of the shown column, with ``{filter}`` and ``{baseline}``; empty: not shown
+    head: str = ""
     form: str = ""  # format, a key of `document.tables.FORMS`
 
 
@@ -120,9 +119,8 @@ class TableLayout:
                 self.key = column
                 self.rows = found.names
         self.about: str = getattr(row, "about", row.__doc__ or "")  # meaning of a row
-        self.baseline_too: bool = getattr(
-            row, "baseline_too", False
-        )  # else it has a row for each candidate only
+        # else it has a row for each candidate only
+        self.baseline_too: bool = getattr(row, "baseline_too", False)
         # Each filter has a table of its own, whose title names it.
         self.by_filter: bool = getattr(row, "by_filter", False)
         self.title: str = getattr(row, "title", "")
@@ -359,7 +357,9 @@ class ConsistencyRow(Struct, frozen=True):
 
     log: Annotated[
         str,
-        Col("Dive, filter, and measurement such as velocity, or an axis of it such as velocity_x."),
+        Col(
+            "Dive, filter, and measurement such as velocity, or an axis of it such as velocity_x."
+        ),
     ]
     filter: Annotated[str, Col(head="filter")]
     measurement: Annotated[str, Col(head="measurement", form="words", names=_MEASUREMENTS)]
@@ -1040,10 +1040,11 @@ TABLES: Final[tuple[TableLayout, ...]] = tuple(_layouts())
 CANDIDATES: Final = layout_of("filters", CandidateVerdict)
 LAKE: Final = layout_of("lake", LakeRow)
 ANSWERS: Final = layout_of("answers", AnswerRow)  # over all dives of a run
+# All tables that results are compared by, most important first.
 LAYOUTS: Final = (
     CANDIDATES,
     *TABLES,
-)  # All tables that results are compared by, most important first.
+)
 
 
 def each_table(tables: Tables) -> Iterator[tuple[TableLayout, Sequence[Struct]]]:

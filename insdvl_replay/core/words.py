@@ -42,9 +42,8 @@ class EvidenceVerdict(StrEnum):
     """The word of one ratio over several dives, by its interval and the band of a factor 1.05 to each side of 1."""
 
     BETTER = "better"  # The interval is wholly left of the band.
-    EQUIVALENT = (
-        "equivalent"  # Wholly inside; or a proof shows that the ratio cannot leave the band.
-    )
+    # Wholly inside; or a proof shows that the ratio cannot leave the band.
+    EQUIVALENT = "equivalent"
     UNDECIDED = "undecided"
     WORSE = "worse"  # Wholly right.
 
@@ -147,9 +146,8 @@ class ReferenceStatus(StrEnum):
     # The candidate is an onboard solution without this quantity at the times of the reference.
     NOT_IN_SOLUTION = "not in solution"
     NO_DISTANCE = "no distance"
-    PARTLY_COVERED = (
-        "partly covered"  # The reference has the quantity only in a part of the replay.
-    )
+    # The reference has the quantity only in a part of the replay.
+    PARTLY_COVERED = "partly covered"
     LOST_IN_GAP = "lost in gap"  # The position was lost in a long IMU gap.
 
 
@@ -157,10 +155,11 @@ class DelayStatus(StrEnum):
     """Whether the delay of a reference against the IMU is known."""
 
     DETERMINED = "determined"
-    CONTRADICTORY = (
-        "contradictory"  # Turns and accelerations have different delays; the larger one is given.
+    # Turns and accelerations have different delays; the larger one is given.
+    CONTRADICTORY = "contradictory"
+    LITTLE_MOTION = (
+        "little motion"  # The vehicle moves too little, or the reference is too coarse.
     )
-    LITTLE_MOTION = "little motion"  # The vehicle moves too little, or the reference is too coarse.
     NO_ATTITUDE = "no attitude"  # Without one, turns and accelerations cannot be compared.
     NO_REFERENCE = "no reference"
 
@@ -232,8 +231,7 @@ class Estimated(StrEnum):
     ESTIMATED = "estimated"
     HELD = "held"  # It cannot be determined from these dives and is unchanged.
     IMPLAUSIBLE = "implausible"  # The estimate cannot be right and is not proposed.
-    NOT_DETERMINED = (
-        "not determined"  # A noise that these dives determine only to more than a factor of two.
-    )
+    # A noise that these dives determine only to more than a factor of two.
+    NOT_DETERMINED = "not determined"
     OF_CLASS = "of class"  # A noise that these dives contradict but do not determine: that of the class of the IMU.
     NOT_ASKED = "not asked"

@@ -15,9 +15,8 @@ class Stroke(NamedTuple):
     """How the lines of a style are drawn; None where the style leaves it to others."""
 
     colour: str | None  # in the light, such as #c0232c
-    dashes: (
-        tuple[float, ...] | None
-    )  # lengths in pixels, of dashes and gaps in turn; empty: unbroken
+    # lengths in pixels, of dashes and gaps in turn; empty: unbroken
+    dashes: tuple[float, ...] | None
 
 
 def style_sheet() -> str:

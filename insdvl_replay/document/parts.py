@@ -58,12 +58,10 @@ class Curve:
     style: str  # class in the style sheet
     points: bool = False
     label: str = ""  # text at the end of the line
-    band: "tuple[Floats, Floats] | None" = (
-        None  # (k,), lower and upper edge of the area about the line
-    )
-    name: str | None = (
-        None  # at the cursor; None: the label, or that of the style in the legend; empty: not read
-    )
+    # (k,), lower and upper edge of the area about the line
+    band: "tuple[Floats, Floats] | None" = None
+    # at the cursor; None: the label, or that of the style in the legend; empty: not read
+    name: str | None = None
     time: "Floats | None" = None  # (k,), of each point of a track, in seconds
 
 
@@ -129,9 +127,8 @@ class DisplayTable:
     alignment: str  # a letter for each column: l for words, r for numbers
     rows: tuple[tuple[CellText, ...], ...]
     footnote: str = ""
-    spare: tuple[
-        int | tuple[int, ...], ...
-    ] = ()  # columns that a narrow terminal leaves out, in this order
+    # columns that a narrow terminal leaves out, in this order
+    spare: tuple[int | tuple[int, ...], ...] = ()
     folds: int = 0  # letters that may be folded before a column is left out
     links: tuple[str, ...] | None = None  # link target of the first cell of each row; "" for none
     folded: bool = False  # in HTML folded under its title; left out in print
@@ -236,9 +233,8 @@ class Block:
 class Result:
     """The result of a command."""
 
-    kind: (
-        str  # montecarlo, window, observability, calibration, inspection, comparison, check, replay
-    )
+    # montecarlo, window, observability, calibration, inspection, comparison, check, replay
+    kind: str
     title: str
     sentences: Sequence[Sentence] = ()
     tables: "Mapping[str, Sequence[Struct] | Block | pd.DataFrame]" = field(default_factory=dict)
@@ -246,12 +242,10 @@ class Result:
     notes: Sequence[Note] = ()
     config: Config | None = None  # resolved settings
     arguments: Mapping[str, Any] = field(default_factory=dict)  # of the command
-    facts: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # other results, neither sentence nor table
-    series: "Mapping[str, Sequence[Struct] | pd.DataFrame]" = field(
-        default_factory=dict
-    )  # long tables: CSV files only
+    # other results, neither sentence nor table
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    # long tables: CSV files only
+    series: "Mapping[str, Sequence[Struct] | pd.DataFrame]" = field(default_factory=dict)
     block: str = "table"  # name of the CSV column with the table's name; empty for one table
     display: Sequence[Part] = ()  # the tables as shown; empty: by their row types
     document: Sequence[Part] | None = None  # all parts in another order; None: in the usual order
@@ -278,7 +272,9 @@ class ResultJson(Struct, frozen=True):
         dict[str, list[dict[str, Any]]],
         Meta(description="row for row as in the CSV files; null for what is missing"),
     ]
-    notes: Annotated[list[Note], Meta(description="notes: dropped data, assumptions and anomalies")]
+    notes: Annotated[
+        list[Note], Meta(description="notes: dropped data, assumptions and anomalies")
+    ]
     config: Annotated[
         dict[str, Any], Meta(description="resolved settings, as in config.schema.json")
     ]

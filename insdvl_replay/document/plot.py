@@ -558,7 +558,9 @@ def _behind(number: int) -> str:
 
 def _steps_of_time(time_s: Floats) -> str:
     """Write times as steps of a hundredth of a second."""
-    return " ".join(map(str, np.diff(np.rint(100.0 * time_s).astype(np.int64), prepend=0).tolist()))
+    return " ".join(
+        map(str, np.diff(np.rint(100.0 * time_s).astype(np.int64), prepend=0).tolist())
+    )
 
 
 def _one_of_each_cell(x: Floats, y: Floats) -> Integers:

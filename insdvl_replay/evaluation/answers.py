@@ -57,9 +57,8 @@ CONFIRMED: Final = 0.5  # Share of the predicted improvement that has to be meas
 NO_EFFECT: Final = 0.01  # A candidate that moves every error by less has no effect.
 # A candidate that moves an error by less cannot leave the band, on whatever dives.
 PROVED: Final = 1.0 - 1.0 / BAND
-NOISY: Final = (
-    0.5  # Share of the reference's noise above which equality of filters is that of the noise.
-)
+# Share of the reference's noise above which equality of filters is that of the noise.
+NOISY: Final = 0.5
 EVERY_DIVE: Final = "*"  # Instead of a dive's name.
 CONTROL: Final = "tuned"  # The filter that `--control` adds.
 DECIDED: Final = (EvidenceVerdict.BETTER, EvidenceVerdict.WORSE)
@@ -116,9 +115,12 @@ class Answer(Struct, frozen=True, kw_only=True):
         int, Meta(description="dives that have the filter; of a comparison, on both sides")
     ]
     evaluated: Annotated[
-        int, Meta(description="of them, those in which it is evaluated; of a comparison, on a side")
+        int,
+        Meta(description="of them, those in which it is evaluated; of a comparison, on a side"),
     ]
-    rows: tuple[PooledRow, ...]  # the primary row, those that can warn, convergence, and the others
+    rows: tuple[
+        PooledRow, ...
+    ]  # the primary row, those that can warn, convergence, and the others
     primary: Annotated[str, Meta(description="the quantity that decides; empty for none")] = ""
     settling: Annotated[
         str,
@@ -241,9 +243,8 @@ def _fewest_dives_with(quantity: str, dives: int) -> int:
 
 def pooled_evidence(
     candidate: str,
-    dives: Sequence[
-        Sequence[EvidenceRow]
-    ],  # the candidate's rows of each dive in which it is evaluated
+    # the candidate's rows of each dive in which it is evaluated
+    dives: Sequence[Sequence[EvidenceRow]],
     *,
     primary: str | None = None,  # the quantity that decides; None: by `primary_of`
     level: float = LEVEL,

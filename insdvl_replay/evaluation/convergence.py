@@ -158,9 +158,8 @@ class ConvergenceCurves(NamedTuple):
     """Errors of all filters from random starts in one quantity, at g times with growing steps."""
 
     time_s: Floats  # (g,), after the start
-    rms: Mapping[
-        str, Floats
-    ]  # (g,) by filter, SI units: true errors over the starts, over the last part of the time
+    # (g,) by filter, SI units: true errors over the starts, over the last part of the time
+    rms: Mapping[str, Floats]
     predicted: Mapping[str, Floats]  # (g,) by filter: what it predicts of them from its own start
     limit: float  # below which a filter has converged
 

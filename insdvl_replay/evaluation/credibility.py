@@ -66,9 +66,8 @@ class StateErrors:
     cov: Floats  # (k, n, n), P
     heading: Floats  # (k,), of the reference, rad
     has_sd: Mask  # (n,), states for which the filter has a standard deviation
-    exact_start: bool = (
-        True  # it starts on the reference, so its errors are below sigma for a while
-    )
+    # it starts on the reference, so its errors are below sigma for a while
+    exact_start: bool = True
 
     @property
     def is_known(self) -> Mask:

@@ -89,21 +89,18 @@ def evaluated_times(
 def tables_of_filters(
     dive: Dive,
     histories: tuple[History, ...],  # the first is the baseline
-    spread: tuple[
-        History, ...
-    ],  # of those that were run here, from a start as uncertain as [initial]
+    # of those that were run here, from a start as uncertain as [initial]
+    spread: tuple[History, ...],
     drawn: tuple[DrawnErrors, ...],  # of the filters, in the same order; empty without a reference
     outages: OutageRuns,
     user_outages: Mapping[str, OutageRuns],  # by filter of the user's, with the baseline's runs
     noise: ReferenceNoise,
-    sensor_sd: Mapping[
-        str, Floats
-    ],  # (s,), noise of one reading of each sensor that may be held out
+    # (s,), noise of one reading of each sensor that may be held out
+    sensor_sd: Mapping[str, Floats],
     jumps: list[JumpRow],  # from `drift.jump_table`
     *,
-    turned: tuple[
-        History, ...
-    ] = (),  # of those that depend on the heading at the start, from a drawn one
+    # of those that depend on the heading at the start, from a drawn one
+    turned: tuple[History, ...] = (),
     start_ns: int,
     bridged_gaps: bool,  # the filters went through long gaps of the IMU
     independent: bool,  # the reference shares no sensors with the filters
@@ -122,7 +119,9 @@ def tables_of_filters(
     if reference is not None:
         for history in histories:
             errors[history.filter] = reference_errors(history, reference, baseline)
-            in_states[history.filter] = state_errors(history, reference, dive.truth).after(start_ns)
+            in_states[history.filter] = state_errors(history, reference, dive.truth).after(
+                start_ns
+            )
         drift = drift_table(
             log, errors, reference, start_ns, lost_m=lost_m, bridged_gaps=bridged_gaps
         )
@@ -284,7 +283,9 @@ def turned_pairs(
     """Pair the positions of the baseline and of each candidate from a drawn heading, by candidate."""
     if len(turned) < 2 or reference is None:
         return {}
-    errors = {history.filter: reference_errors(history, reference, turned[0]) for history in turned}
+    errors = {
+        history.filter: reference_errors(history, reference, turned[0]) for history in turned
+    }
     tracks = track_series(turned, errors, noise, bridged_gaps=bridged_gaps)
     found: dict[str, Series] = {}
     for history in turned:
@@ -429,9 +430,8 @@ class Curves:
     """The curves of the evidence on one dive."""
 
     outage: Mapping[str, OutageCurve]  # by filter; empty where the dive is too short
-    convergence: Mapping[
-        str, ConvergenceCurves
-    ]  # by quantity; empty without a reference or random starts
+    # by quantity; empty without a reference or random starts
+    convergence: Mapping[str, ConvergenceCurves]
     position: Mapping[str, PositionCurve]  # by filter; empty without positions of a reference
 
 

@@ -64,14 +64,17 @@ DRIFTS: Final = ("drift_30s", "drift_60s", "drift_100m")
 # Quantities that a wrong heading changes only to second order.
 HEADING_FREE: Final = ("velocity_along", "depth_60s")
 SETTLED: Final = 1.2  # A sigma has settled once it stays below this many times the last one.
-MOST_LEFT_OUT: Final = 0.5  # share of a dive, at most, that is left out until the sigma has settled
+MOST_LEFT_OUT: Final = (
+    0.5  # share of a dive, at most, that is left out until the sigma has settled
+)
 # Squared errors of the baseline beyond the noise of the reference count for at least this share of all.
 LEAST_OWN_SHARE: Final = 0.1
 FEWEST_WINDOWS: Final = 2  # of an outage row that may decide
+# Sensors that measure the position, with their axes of n.
 ALONG: Final = {
     "depth": [2],
     "position": [0, 1],
-}  # Sensors that measure the position, with their axes of n.
+}
 
 
 # --- Errors against the reference, and against held-out sensors.
@@ -102,9 +105,8 @@ def accuracy_errors(
     errors: ReferenceErrors,
     reference: ReferenceColumns,
     noise: ReferenceNoise,
-    settled_s: Mapping[
-        str, float
-    ],  # by quantity, time after the start up to which the baseline settles
+    # by quantity, time after the start up to which the baseline settles
+    settled_s: Mapping[str, float],
     *,
     start_ns: int,
     bridged_gaps: bool,  # there were long IMU gaps, in which the position is lost
@@ -118,9 +120,8 @@ def accuracy_errors(
         segments_of.append(distance_segments(time_ns, travelled_m))
         for name, segments in zip(DRIFTS, segments_of, strict=True):
             change_m = segment_change(errors, segments)[:, :2]
-            found[name] = ErrorSeries(
-                "m", change_m, 2.0 * noise.position_m
-            )  # of both ends, two axes
+            # of both ends, two axes
+            found[name] = ErrorSeries("m", change_m, 2.0 * noise.position_m)
         down_m = segment_change(errors, segments_of[1])[:, 2:]
         found["depth_60s"] = ErrorSeries("m", down_m, math.sqrt(2.0) * noise.position_m)
     course = course_errors(errors, reference)
@@ -325,36 +326,28 @@ def _rms(errors: Floats) -> float:
 class Measured:
     """All measured errors of the filters of a dive, as pairs of the baseline and of each candidate."""
 
-    accuracy: Mapping[str, Pair] = field(
-        default_factory=dict
-    )  # by candidate, against the reference
-    outage: Mapping[str, Pair] = field(
-        default_factory=dict
-    )  # by candidate and window: horizontal drifts
-    held_out: Mapping[str, Pair] = field(
-        default_factory=dict
-    )  # by candidate, against held-out sensors
-    track: Mapping[str, Pair] = field(
-        default_factory=dict
-    )  # by candidate: errors of position and depth
+    # by candidate, against the reference
+    accuracy: Mapping[str, Pair] = field(default_factory=dict)
+    # by candidate and window: horizontal drifts
+    outage: Mapping[str, Pair] = field(default_factory=dict)
+    # by candidate, against held-out sensors
+    held_out: Mapping[str, Pair] = field(default_factory=dict)
+    # by candidate: errors of position and depth
+    track: Mapping[str, Pair] = field(default_factory=dict)
     # by candidate and quantity: rows of the track that are not a root mean square of these errors
     ends: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
-    convergence: Mapping[str, Mapping[str, MeasuredConvergence]] = field(
-        default_factory=dict
-    )  # by candidate, quantity
+    # by candidate, quantity
+    convergence: Mapping[str, Mapping[str, MeasuredConvergence]] = field(default_factory=dict)
     prediction: Mapping[str, Score] = field(default_factory=dict)  # by candidate
-    crps: Mapping[str, tuple[float, float]] = field(
-        default_factory=dict
-    )  # by candidate: of the position, m
+    # by candidate: of the position, m
+    crps: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     drawn: int = 0  # starts behind the convergence
-    partial: Collection[
-        str
-    ] = ()  # candidates that are compared only in the quantities that they have
+    # candidates that are compared only in the quantities that they have
+    partial: Collection[str] = ()
     # Differences of velocities below it are those of a late reference, m/s; None where its delay is not known.
     late_mps: float | None = 0.0
-    independent: bool = (
-        True  # whether the reference, or the held-out fixes, share no sensors with the filters
-    )
+    # whether the reference, or the held-out fixes, share no sensors with the filters
+    independent: bool = True
 
 
 def evidence_table(

@@ -324,9 +324,8 @@ class SensorClasses(NamedTuple):
     """The classes of one kind of sensor."""
 
     name: str
-    worst: Mapping[
-        str, float
-    ]  # the worst white noise of each class, SI units, best class first; as of the presets
+    # the worst white noise of each class, SI units, best class first; as of the presets
+    worst: Mapping[str, float]
     least: float  # below the noise of the best sensors
 
 
@@ -355,9 +354,8 @@ def readings_scatter(readings: Floats, step_s: float) -> float:
     least the sensor's noise, unless the sensor smooths. Returns the largest axis, each the median over blocks; NaN for
     fewer than three readings.
     """
-    bends = np.diff(readings, n=2, axis=0) / np.sqrt(
-        6.0
-    )  # of white noise: 1, -2 and 1 times it, squared and added
+    # of white noise: 1, -2 and 1 times it, squared and added
+    bends = np.diff(readings, n=2, axis=0) / np.sqrt(6.0)
     if not len(bends):
         return np.nan
     length = min(BLOCK, len(bends))
@@ -464,9 +462,8 @@ def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, 
     # Turn and change of velocity since the last sample before each recorded time.
     rows = np.arange(sampled[0] + 1, sampled[-1] + 1)
     last = sampled[np.searchsorted(sampled, rows, side="left") - 1]
-    trace = np.einsum(
-        "kij,kij->k", history.mat_nb[rows], history.mat_nb[last]
-    )  # of a rotation: 1 + 2 cos(angle)
+    # of a rotation: 1 + 2 cos(angle)
+    trace = np.einsum("kij,kij->k", history.mat_nb[rows], history.mat_nb[last])
     turn = np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
     change_mps = np.linalg.norm(history.velocity_n[rows] - history.velocity_n[last], axis=1)
     since = history.time_ns[last]

@@ -35,9 +35,8 @@ SHOWN_EVERY_S: Final = 30  # Windows for a picture of the drift over time may ov
 # Of one length. More tell hardly more of a dive, which counts once, but take several times as long as
 # the filters themselves: in nine hours those of all lengths would be three dives long.
 MOST_WINDOWS: Final = 100
-OUTAGE: Final = (
-    2.5  # A gap of this many usual intervals is an outage; a single missing ping is not.
-)
+# A gap of this many usual intervals is an outage; a single missing ping is not.
+OUTAGE: Final = 2.5
 # With fewer pings in a window, the trapezoidal rule makes the drift over 1 % too large.
 FEWEST_PINGS: Final = 6
 NAN: Final = float("nan")
@@ -144,9 +143,8 @@ class OutageRun:
     """One filter in one run: at the last used ping, and at the held-out pings."""
 
     time_s: Floats  # (k,), from the last used ping on
-    velocity_error_n: (
-        Floats  # (k, 3), m/s, predicted minus measured at the DVL; zero at the last used ping
-    )
+    # (k, 3), m/s, predicted minus measured at the DVL; zero at the last used ping
+    velocity_error_n: Floats
     drift_n: Floats  # (k, 3), m, its integral
     nis: Floats  # (k,), of each held-out ping; NaN at the last used one
     minus_log_score: Floats  # (k,), nat, of each held-out ping; NaN at the last used one
@@ -158,9 +156,8 @@ class OutageRuns:
 
     plan: OutagePlan
     distance_m: Floats  # (m,), travelled up to each ping of the plan, by the DVL's velocities
-    runs: Mapping[
-        str, tuple[OutageRun, ...]
-    ]  # by filter, the baseline first; one for each of the plan's runs
+    # by filter, the baseline first; one for each of the plan's runs
+    runs: Mapping[str, tuple[OutageRun, ...]]
 
 
 def outage_run(history: History) -> OutageRun:

@@ -28,9 +28,8 @@ from insdvl_replay.evaluation.series import thinned
 from insdvl_replay.geometry.frames import north_east_down_m, north_east_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat
 
-WELL_COVERED: Final = (
-    0.9  # Share of a replay that has to be covered before errors count as those of the whole.
-)
+# Share of a replay that has to be covered before errors count as those of the whole.
+WELL_COVERED: Final = 0.9
 USUAL_STEPS: Final = 5.0  # A step of up to this many usual steps is no gap.
 SHORT_S: Final = 2.5  # A shorter step is no gap either.
 CHORD_S: Final = 10.0  # Shorter steps between positions would add up noise instead of distance.
@@ -127,13 +126,11 @@ class ReferenceErrors:
     time_ns: TimeNs
     position_error_ned_m: Floats  # (k, 3), north, east, down
     velocity_error_n: Floats  # (k, 3), m/s
-    attitude_error_rad: (
-        Floats  # (k, 3), roll, pitch, heading: about level forward, level starboard and down
-    )
+    # (k, 3), roll, pitch, heading: about level forward, level starboard and down
+    attitude_error_rad: Floats
     distance_m: float  # horizontal, from the start to the last compared position
-    drifting_ned_m: (
-        Floats  # (k, 3), position errors with all corrections of the position taken back
-    )
+    # (k, 3), position errors with all corrections of the position taken back
+    drifting_ned_m: Floats
 
 
 def reference_errors(
@@ -195,7 +192,9 @@ def motion_error(
     turned = mat_nb[known] @ np.swapaxes(true_mat_nb[known], 1, 2)
     misalignment_n[known] = vector_from_mat(turned)
     invariant_error_n = velocity_n[known] - np.einsum("kij,kj->ki", turned, true_velocity_n[known])
-    velocity_error_n[known] = invariant_error_n - np.cross(velocity_n[known], misalignment_n[known])
+    velocity_error_n[known] = invariant_error_n - np.cross(
+        velocity_n[known], misalignment_n[known]
+    )
     return velocity_error_n, misalignment_n
 
 

@@ -39,9 +39,8 @@ class Repeat:
     is_equal: bool = False  # to the last bit
     moves_m: float = math.nan  # root mean square of the horizontal distance of both tracks
     quantity: str = ""  # that may decide on this dive; empty for none
-    acts: float = (
-        math.nan
-    )  # difference of both runs in this quantity over the error of the baseline
+    # difference of both runs in this quantity over the error of the baseline
+    acts: float = math.nan
     failure: str = ""  # why the run gave nothing
 
     @property
@@ -117,7 +116,9 @@ def errors_of_runs(
     errors = {history.filter: reference_errors(history, reference, baseline) for history in named}
     settled_s = settling_times(baseline, errors[baseline.filter].time_ns)
     tracks = track_series(named, errors, noise, bridged_gaps=bridged_gaps)
-    in_time = accuracy_series(named, errors, reference, noise, settled_s, bridged_gaps=bridged_gaps)
+    in_time = accuracy_series(
+        named, errors, reference, noise, settled_s, bridged_gaps=bridged_gaps
+    )
     found = []
     for history in named:
         series = {**tracks[history.filter], **in_time[history.filter]}

@@ -25,7 +25,9 @@ THREE_DIGITS: Final = 9.995  # From here on a ratio has three digits instead of 
 SOUGHT: Final = 0.9  # The ratio for which a number of dives is given.
 # Scatter of the ratio over dives, before any is known, for a candidate that moves the error by its own size.
 SCATTER_OF_ACTS: Final = 0.6
-NOT_NAVIGATED: Final = "How well it navigates with the DVL was not measured: no position reference."
+NOT_NAVIGATED: Final = (
+    "How well it navigates with the DVL was not measured: no position reference."
+)
 # The words with which the sentence on a prediction begins; pages stress them.
 CONFIRMED: Final = "Confirmed"
 NOT_CONFIRMED: Final = "Not confirmed"

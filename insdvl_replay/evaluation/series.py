@@ -87,7 +87,9 @@ def samples_in_mean_square(standardised: Floats) -> float:
         share = _squared_correlation_time(series) / len(series)
         averages = _averages(series)
         if len(averages):
-            slow_share = float(np.mean(averages**2) / max(np.mean(series**2), np.finfo(float).tiny))
+            slow_share = float(
+                np.mean(averages**2) / max(np.mean(series**2), np.finfo(float).tiny)
+            )
             share = max(share, slow_share**2 * _squared_correlation_time(averages) / len(averages))
         shares.append(share)
     return float(np.clip(1.0 / np.mean(shares), 1.0, len(standardised)))

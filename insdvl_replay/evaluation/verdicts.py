@@ -58,9 +58,8 @@ MANY_REOPENED: Final = 0.01  # Share of the pings; each comes after several that
 FEW: Final = 2  # Up to this number of rejections prove nothing, even in a short dive.
 # Innovations three times as large as predicted come from wrong axes, units or clocks.
 LARGEST_NIS_PER_DOF: Final = 10.0
-SMALLEST_NIS_PER_DOF: Final = (
-    0.1  # With a noise variance that is ten times too large a filter is not the one that was tuned.
-)
+# With a noise variance that is ten times too large a filter is not the one that was tuned.
+SMALLEST_NIS_PER_DOF: Final = 0.1
 # Percent of the distance, with the DVL available. Dead reckoning by a DVL without an INS drifts less.
 FARTHEST_PCT: Final = 20.0
 # Notes on columns of a dive that contradict each other.
@@ -79,7 +78,9 @@ def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
 
     Axes do not count: with eight tests, every third consistent filter fails one by chance.
     """
-    words = {row.verdict for row in table if row.filter == filter_name and is_used(row.measurement)}
+    words = {
+        row.verdict for row in table if row.filter == filter_name and is_used(row.measurement)
+    }
     if not words:
         return Consistency.NOT_AVAILABLE
     return _worst_of(words, Consistency.INSUFFICIENT)
@@ -312,7 +313,9 @@ def misread(name: str, rows: Sequence[ConsistencyRow]) -> str:
 
     It has other units, axes or a clock than the settings say, and a position may not show what comes of it.
     """
-    others = [row for row in rows if row.measurement != "velocity" and not is_beam(row.measurement)]
+    others = [
+        row for row in rows if row.measurement != "velocity" and not is_beam(row.measurement)
+    ]
     return surprised(name, [row for row in others if row.measurement not in DVL_AIDING])
 
 
@@ -414,9 +417,8 @@ def verdicts(
     tables: Tables,
     baseline: str,
     candidates: Sequence[str],
-    unsound: Mapping[
-        str, str
-    ],  # by candidate what keeps it from being evaluated, from `not_evaluated`
+    # by candidate what keeps it from being evaluated, from `not_evaluated`
+    unsound: Mapping[str, str],
     primary: str = "",  # the quantity that the settings name
     varying: Mapping[str, str] = MappingProxyType({}),  # by candidate, why it does not repeat
     start: str = "",  # what the heading at the start comes from
@@ -497,7 +499,9 @@ def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
         row for row in tables.consistency if row.filter == candidate and is_used(row.measurement)
     ]
     if not all(row.measurement in DVL_AIDING or is_beam(row.measurement) for row in used):
-        sizes = ", ".join(f"{row.measurement} {finite(row.mean_nis) / row.dof:.3g}" for row in used)
+        sizes = ", ".join(
+            f"{row.measurement} {finite(row.mean_nis) / row.dof:.3g}" for row in used
+        )
         sentence = f"{sentence} NIS / dof of {candidate}: {sizes}."
     return f"{sentence}{alarm}"
 

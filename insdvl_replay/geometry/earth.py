@@ -17,9 +17,8 @@ ECCENTRICITY_2: Final = 6.69437999014e-3  # first eccentricity squared
 GRAVITY_EQUATOR: Final = 9.7803253359  # m/s^2
 SOMIGLIANA_K: Final = 1.931852652458e-3
 FLATTENING: Final = 1.0 / 298.257223563
-GRAVITY_RATIO: Final = (
-    3.449786506841e-3  # centrifugal acceleration to gravity at the equator, m = w^2 a^2 b / GM
-)
+# centrifugal acceleration to gravity at the equator, m = w^2 a^2 b / GM
+GRAVITY_RATIO: Final = 3.449786506841e-3
 
 
 def earth_rate_n(latitude: float | Floats) -> Floats:

@@ -42,7 +42,8 @@ def east_north_up_m(position: Floats, origin: Floats) -> Floats:
     latitude, longitude, up_m = (position - origin).T
     radius_north_m, radius_east_m, cosine = _radii_m((position + origin) / 2.0)
     return np.stack(
-        [wrap_angle(longitude) * (radius_east_m * cosine), latitude * radius_north_m, up_m], axis=-1
+        [wrap_angle(longitude) * (radius_east_m * cosine), latitude * radius_north_m, up_m],
+        axis=-1,
     )
 
 
@@ -71,9 +72,8 @@ def quat_enu_flu(mat_nb: Floats) -> Floats:
 
 TILT_DEG: Final = 30.0  # from the z axis; most instruments have 20, 22.5, 25 or 30
 AZIMUTH_DEG: Final = (45.0, 135.0, 225.0, 315.0)  # from forward towards starboard
-_DOWN: Final = (
-    0.5  # least part along z of the mean beam of a DVL that looks down, whatever its tilt
-)
+# least part along z of the mean beam of a DVL that looks down, whatever its tilt
+_DOWN: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,8 @@ def steps_of(motion: ReferenceColumns) -> Steps:
         # the next term of Euler and Maclaurin.
         step_s, acceleration = np.diff(velocity_s), np.gradient(velocity, velocity_s)
         moved_m = (
-            0.5 * (velocity[1:] + velocity[:-1]) * step_s - np.diff(acceleration) * step_s**2 / 12.0
+            0.5 * (velocity[1:] + velocity[:-1]) * step_s
+            - np.diff(acceleration) * step_s**2 / 12.0
         )
         summed_m = np.append(0.0, np.cumsum(moved_m))
         paused_s = np.append(0.0, np.cumsum(np.where(step_s > LONGEST_PAUSE_S, step_s, 0.0)))

@@ -59,9 +59,8 @@ CONTRADICTIONS: Final = frozenset(
 REFERENCE_LATENCY: Final = "reference.latency_s"
 LATENCY_DIGITS: Final = 3  # of a delay, s
 SHORT_S: Final = 30.0  # shorter logs are the last by which settings are found
-_NOT_NEEDED: Final = (
-    "dvl.valid",
-)  # keys of a proposal without a value with which a replay works all the same
+# keys of a proposal without a value with which a replay works all the same
+_NOT_NEEDED: Final = ("dvl.valid",)
 MOST_DIFFERENCES: Final = 4  # that are named
 # Settings of the DVL that a calibration changes a little.
 _CALIBRATED: Final = (*GROUPS.values(), "velocity_sd_mps", "beam_sd_mps")
@@ -402,7 +401,9 @@ def stored_settings(folder: Path, given: Given) -> Config | None:
 # --- The start.
 
 
-def _with_latitude(config: Config, reference: ReferenceColumns | None, notes: list[Note]) -> Config:
+def _with_latitude(
+    config: Config, reference: ReferenceColumns | None, notes: list[Note]
+) -> Config:
     """Set a latitude where no reference gives one."""
     if config.initial.latitude_deg is not None or (
         reference is not None and reference.has_position

@@ -29,9 +29,7 @@ from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import Table, read_sample, read_tables
 from insdvl_replay.logs.columns.topics import Source
-from insdvl_replay.logs.formats.fields import (
-    check_encoding,
-)
+from insdvl_replay.logs.formats.fields import check_encoding
 from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.formats.readers import channel_paths
 from insdvl_replay.logs.formats.recording import Recording
@@ -61,19 +59,16 @@ class DryRun:
     log: Recording
     config: Config
     deep: bool  # reads the messages whole, not only the first of each topic
-    clocks: list[Clock] = field(
-        default_factory=list
-    )  # of the topics with a role, then of the others
+    # of the topics with a role, then of the others
+    clocks: list[Clock] = field(default_factory=list)
     notes: list[Note] = field(default_factory=list)
     blockers: list[Blocker] = field(default_factory=list)
     pings: PingFacts | None = None
     reference: ReferenceFacts | None = None
-    warned: set[str] = field(
-        default_factory=set
-    )  # of several topics for one role, those of which there is a warning
-    refused: dict[str, str] = field(
-        default_factory=dict
-    )  # and those with which a replay would stop, with the reason
+    # of several topics for one role, those of which there is a warning
+    warned: set[str] = field(default_factory=set)
+    # and those with which a replay would stop, with the reason
+    refused: dict[str, str] = field(default_factory=dict)
     columns: RoleColumns = field(init=False)
     other_imus: dict[str, ImuColumns] = field(default_factory=dict)  # that could be it, by topic
 

@@ -32,16 +32,20 @@ from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import horizontal
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector
-from insdvl_replay.inspection.trials import Hypothesis, Trials, rpy_of, turned_about_down, with_cost
+from insdvl_replay.inspection.trials import (
+    Hypothesis,
+    Trials,
+    rpy_of,
+    turned_about_down,
+    with_cost,
+)
 
 APART_RAD: Final = 10.0 * DEG  # alternatives that are nearer are one answer
 MOST_OTHERS: Final = 3  # relations of axes and scale that are fitted beside the best
-NO_WORSE: Final = (
-    1.1  # ratio of costs that the delay and the coarse noise of trials make, whatever is true
-)
-TILTED_RAD: Final = (
-    10.0 * DEG
-)  # from which gravity shows an IMU that is built in obliquely; trim of a vehicle is less
+# ratio of costs that the delay and the coarse noise of trials make, whatever is true
+NO_WORSE: Final = 1.1
+# from which gravity shows an IMU that is built in obliquely; trim of a vehicle is less
+TILTED_RAD: Final = 10.0 * DEG
 TURNED_RAD: Final = 3.0 * DEG  # from which the reference's attitude shows it
 LEAST_SHARE: Final = 0.8  # of the mean velocity in the mean speed, of a vehicle that goes one way
 SIDEWAYS_RAD: Final = 60.0 * DEG  # no vehicle goes so far from forward
@@ -189,7 +193,9 @@ def in_body(
         )
         if turn is not None:
             in_reference = (
-                best if angle_between(turn, np.eye(3)) < TURNED_RAD else best.with_body_turned(turn)
+                best
+                if angle_between(turn, np.eye(3)) < TURNED_RAD
+                else best.with_body_turned(turn)
             )
             return in_reference, None
     level = _turn_of_axis(down_of(imu), _DOWN)

@@ -42,9 +42,8 @@ class LogFacts:
     chunks: int
     messages: int
     has_summary: bool  # whether the file closes with a summary
-    start_utc: (
-        str | None
-    )  # log time of the first message, ISO 8601; None without messages, or before 1970
+    # log time of the first message, ISO 8601; None without messages, or before 1970
+    start_utc: str | None
     duration_s: float  # from the first to the last message
     metadata: tuple[str, ...]  # their names
     attachments: tuple[str, ...]
@@ -117,27 +116,26 @@ class Inventory:
     reading: Reading  # how much of the messages was read to know it
     topics: tuple[TopicFacts, ...]
     roles: tuple[RoleFacts, ...]
-    conventions: dict[str, dict[str, Any]] = field(
-        default_factory=dict
-    )  # by topic: keys that its type settles
+    # by topic: keys that its type settles
+    conventions: dict[str, dict[str, Any]] = field(default_factory=dict)
     clocks: tuple[Clock, ...] = ()
-    pings: PingFacts | None = None  # this and the reference only where the messages were read whole
+    pings: PingFacts | None = (
+        None  # this and the reference only where the messages were read whole
+    )
     reference: ReferenceFacts | None = None
     blockers: tuple[Blocker, ...] = ()  # empty where nothing was found that would stop a replay
     notes: tuple[Note, ...] = field(default=())
     configuration: str = ""  # TOML to start from where something stops a replay
     decisions: tuple[str, ...] = ()  # its keys about which a person must decide
-    remaining: tuple[
-        Blocker, ...
-    ] = ()  # what stops a replay with it too, besides decisions without a value
+    # what stops a replay with it too, besides decisions without a value
+    remaining: tuple[Blocker, ...] = ()
 
 
 # --- For people, and for scripts.
 
 _PREFIXES: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
-_FOLDED: Final = (
-    16  # letters of a type's name that a narrow terminal folds before it leaves out a column
-)
+# letters of a type's name that a narrow terminal folds before it leaves out a column
+_FOLDED: Final = 16
 _MOST_TOPICS: Final = 100  # more are folded: recorders that write each field of each message as a topic make thousands
 _LEAST_FOLDED: Final = 4
 _MOST_EMPTY: Final = 40
@@ -406,7 +404,9 @@ def _parent(topic: TopicFacts) -> str:
 
 def _row_of_topic(topic: TopicFacts) -> tuple[CellText, ...]:
     kind = topic.encoding or "no encoding"
-    if topic.type_name != topic.topic:  # some recorders name a topic after its type; once is enough
+    if (
+        topic.type_name != topic.topic
+    ):  # some recorders name a topic after its type; once is enough
         kind = f"{topic.type_name or 'no type'}, {kind}"
     return (
         (topic.topic, f"  {kind}"),

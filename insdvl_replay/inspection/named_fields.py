@@ -355,7 +355,9 @@ def _reference_fields(topic: ProbedTopic) -> dict[str, str]:
     found = _named_fields(topic)
     for together in (_PLACE, _ATTITUDE):
         if not found.keys() >= set(together):
-            found = {quantity: path for quantity, path in found.items() if quantity not in together}
+            found = {
+                quantity: path for quantity, path in found.items() if quantity not in together
+            }
     if not found.keys() & {*_PLACE, *_ATTITUDE}:
         return {}
     if "latitude" in found and "depth" not in found:

@@ -59,8 +59,6 @@ def _sense_of(flag: Floats, by_name: str, by_data: str) -> FlagSense:
     if by_name:
         return FlagSense(by_name, f"is named so and marks {marked} of {len(flag)} pings")
     if by_data:
-        text = (
-            f"marks the {marked} of {len(flag)} pings without a velocity, or with one that scatters"
-        )
+        text = f"marks the {marked} of {len(flag)} pings without a velocity, or with one that scatters"
         return FlagSense(by_data, text)
     return FlagSense()

@@ -62,10 +62,11 @@ _WORDS: Final = {
     "beam_velocity": re.compile(r"(\[\*\]|beam|trans).*(vel|[._]v$)|vel.*(beam|trans)"),
     "beam_valid": re.compile(r"(\[\*\]|beam|trans).*(valid|lock|good)"),
 }
+# a specific force is known by its size
 AS_GRAVITY_MPS2: Final = (
     0.9 * GRAVITY_MPS2,
     1.1 * GRAVITY_MPS2,
-)  # a specific force is known by its size
+)
 
 
 def fitting_units(
@@ -282,7 +283,9 @@ def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
         if len(finite) and width in _WIDTHS:
             sizes = np.linalg.norm(finite, axis=1)
             middle = np.median(finite, axis=0)
-            candidates.append(FieldMatch(path, middle, float(np.median(sizes)), float(sizes.max())))
+            candidates.append(
+                FieldMatch(path, middle, float(np.median(sizes)), float(sizes.max()))
+            )
         elif len(finite) and width == 1:
             scalars[path] = float(np.median(finite))
     return ProbedTopic(channel, reader.known, tuple(candidates), scalars), len(paths)

@@ -53,9 +53,8 @@ class Proposal:
     settings: tuple[Setting, ...]
     blockers: tuple[Blocker, ...] = ()  # what stops a replay with them too
     notes: tuple[Note, ...] = ()
-    table_clocks: tuple[
-        Setting, ...
-    ] = ()  # those of the settings that correct the clocks of tables
+    # those of the settings that correct the clocks of tables
+    table_clocks: tuple[Setting, ...] = ()
     clocks: tuple[Clock, ...] = ()  # by the stamps that the roles have without the settings
 
 
@@ -132,7 +131,9 @@ def _choice(finding: Finding, seen: DryRun) -> Setting:
     """Choose a topic without warnings, if there is one; one alone with which a replay would not stop is chosen."""
     topics = [source.topic for source in finding.candidates]
     # Those that cannot be it last, before them those with warnings.
-    first, *others = sorted(topics, key=lambda topic: (topic in seen.refused, topic in seen.warned))
+    first, *others = sorted(
+        topics, key=lambda topic: (topic in seen.refused, topic in seen.warned)
+    )
     key = f"{finding.role}.topic"
     if first not in seen.refused and all(topic in seen.refused for topic in others):
         why = "; ".join(f"not {topic}: {seen.refused[topic]}" for topic in others)
@@ -341,7 +342,9 @@ def _velocity_frame(log: Recording, source: Source, config: Config) -> Iterator[
     """Compare the velocity of a topic with its positions, in the axes of the body and of the world."""
     path = source.fields["velocity_b"]
     # The place on Earth does not matter for displacements.
-    place = msgspec.structs.replace(config.initial, latitude_deg=config.initial.latitude_deg or 0.0)
+    place = msgspec.structs.replace(
+        config.initial, latitude_deg=config.initial.latitude_deg or 0.0
+    )
     try:
         (table,) = read_tables(log, [source])
         in_body = _misfit(table, config.reference, place)

@@ -130,7 +130,9 @@ class _LeftOut:
         )
 
 
-def read_roles(paths: Path | Sequence[Path], given: Config, *, allow_damaged: bool) -> RoleReadings:
+def read_roles(
+    paths: Path | Sequence[Path], given: Config, *, allow_damaged: bool
+) -> RoleReadings:
     """Read all topics that could be the IMU or the DVL, and the reference; LogError where there is none.
 
     A topic that cannot be used is left out with a note, as long as another one can.
@@ -348,7 +350,9 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
     if not given.has("dvl.mounting_rpy_deg"):
         _require_heading(read.place, best, trials.close)
     notes += read.notes
-    others = [_turned_with(best, in_vehicle, rpy_deg) for rpy_deg in _rivals_of(best, trials.close)]
+    others = [
+        _turned_with(best, in_vehicle, rpy_deg) for rpy_deg in _rivals_of(best, trials.close)
+    ]
     if free is not None and pair is first:
         others += free.alternatives(in_vehicle)
     notes.append(_imu_note(pairs, in_vehicle, read.imus))
@@ -401,9 +405,7 @@ def _require_heading(place: str, best: Hypothesis, close: Sequence[Hypothesis]) 
         if (one.axes, one.force_axes) == (best.axes, best.force_axes):
             headings_deg.add(one.rpy_deg[2])
     if headings_deg >= QUARTERS_DEG:
-        what = (
-            "the vehicle moves too little to find the mounting of the DVL: all headings fit as well"
-        )
+        what = "the vehicle moves too little to find the mounting of the DVL: all headings fit as well"
         hint = "use a dive with turns and changes of speed, or give the settings with -c"
         raise LogError(what, hint, place)
 

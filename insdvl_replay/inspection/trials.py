@@ -43,16 +43,13 @@ COHERENT: Final = 0.95
 RATE_CLEARLY: Final = 0.02  # correlation with a reference by which rates fit clearly better
 MOST_COMPARED: Final = 16  # hypotheses that are compared with a reference
 STRANGE: Final = 0.6  # the same for single signs and other scales, which are rare
-SETTLED: Final = (
-    0.25  # cost of a trial that leaves nothing to find: innovations of half the coarse noise
-)
-CONSISTENT: Final = (
-    1.0  # cost of a trial whose innovations are as large as the coarse noise expects
-)
+# cost of a trial that leaves nothing to find: innovations of half the coarse noise
+SETTLED: Final = 0.25
+# cost of a trial whose innovations are as large as the coarse noise expects
+CONSISTENT: Final = 1.0
 FAST_RADPS: Final = 0.6  # vehicles turn faster rarely, so that faster rates may be in deg/s
-NOT_FAR_OFF: Final = (
-    2.0  # ratio to the least cost of all IMUs above which one is not looked at further
-)
+# ratio to the least cost of all IMUs above which one is not looked at further
+NOT_FAR_OFF: Final = 2.0
 LEAST_MPS: Final = 0.03  # slower velocities are noise of the DVL
 BEST: Final = 4  # hypotheses of axes that get single signs and scales tried
 # Ratios of measured to true rate that are tried; deg/s are tried by themselves.
@@ -78,7 +75,9 @@ class Hypothesis:
             specific_force_b=in_frd(
                 imu.specific_force_b, self.force_axes, "imu.specific_force_axes"
             ),
-            angular_rate_b=in_frd(imu.angular_rate_b, self.axes, "imu.axes", 1.0 / self.rate_scale),
+            angular_rate_b=in_frd(
+                imu.angular_rate_b, self.axes, "imu.axes", 1.0 / self.rate_scale
+            ),
         )
         return turned_to_body(in_axes, self.imu_rpy_deg)
 

@@ -212,7 +212,9 @@ def loss_notes(tables: Iterable[Table]) -> list[Note]:
         if announced != found:
             text = f"{topic}: the log announces {announced} messages, but {found} were found"
             difference = abs(announced - found)
-            missing.append(Note("messages_missing", text, difference, Severity.WARNING, COPY_AGAIN))
+            missing.append(
+                Note("messages_missing", text, difference, Severity.WARNING, COPY_AGAIN)
+            )
         if unreadable and table.fault is not None:
             clause = counted_clause(unreadable, "messages are unreadable")
             behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9

@@ -126,7 +126,9 @@ class _Messages:
         self._texts = {
             path: value.encode() for path, value in batch.columns.items() if isinstance(value, str)
         }
-        self._layout = layout_for_texts(_definitions(batch.type_name), batch.type_name, self._texts)
+        self._layout = layout_for_texts(
+            _definitions(batch.type_name), batch.type_name, self._texts
+        )
         self._dtype = np.dtype([*_RECORD_HEAD, ("message", f"V{self._layout.size}")])
         self.size = self._dtype.itemsize
 

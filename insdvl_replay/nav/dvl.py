@@ -31,9 +31,8 @@ class DvlVelocities:
     full_unit_cov_b: Floats  # (3, 3), the same for a ping with all beams
     beams_used: NDArray[np.int64]  # (m,), 3 or 4 for beams; 0 where the DVL reports velocities
     residual_mps: Floats  # (m,), rms of the beams' residuals over their degrees of freedom; NaN without redundancy
-    pings_without_velocity: (
-        int  # left out: fewer than three beams, beams in a plane, or an invalid velocity
-    )
+    # left out: fewer than three beams, beams in a plane, or an invalid velocity
+    pings_without_velocity: int
     pings_with_bad_residual: int  # left out: their beams disagree
 
     def within(self, start_ns: int, end_ns: int) -> "DvlVelocities":
@@ -128,9 +127,8 @@ def derivative_weights(offset_s: Floats, order: int) -> Floats:
         raise ValueError(f"order {order} needs a window above it, found {offset_s.shape[-1]}")
     powers = np.arange(order + 1)
     factorials = np.cumprod(np.maximum(powers, 1))
-    scale = np.max(np.abs(offset_s), axis=-1)[
-        ..., None, None
-    ]  # keeps powers of long windows near 1
+    # keeps powers of long windows near 1
+    scale = np.max(np.abs(offset_s), axis=-1)[..., None, None]
     L = (offset_s[..., None] / scale) ** powers / factorials
     weights: Floats = np.linalg.pinv(L) / scale ** powers[:, None]
     return weights
@@ -195,7 +193,9 @@ def windowed_sum(weights: Floats, values: Floats) -> Floats:
     return total
 
 
-def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, for_one_beam: bool = False) -> Floats:
+def velocity_cov(
+    velocities: DvlVelocities, sd_mps: float, *, for_one_beam: bool = False
+) -> Floats:
     """Return the covariance of each DVL velocity.
 
     Noise of one beam goes through the least squares: with four beams, tilted by ``a`` from z, the variances in d are

@@ -202,7 +202,9 @@ def add_noise(P: Floats, n: int, noise_density: Floats, dt: float) -> None:
 class NoiseSteps(NamedTuple):
     """White noise of the readings beside that of the settings, constant from each of f times to the next."""
 
-    time_s: Floats  # (f,), increasing, from the start of the filter; before the first there is none
+    time_s: (
+        Floats  # (f,), increasing, from the start of the filter; before the first there is none
+    )
     density_b: Floats  # (f, 6), of accelerometers and gyros along the axes of b
 
 
@@ -252,7 +254,9 @@ def position_growth(
     earth_by_north = (rate_ie_n[2] * to_north, 0.0, -rate_ie_n[0] * to_north)
     transport_by_north = (0.0, 0.0, -east * to_east * (1.0 + tangent * tangent) * to_north)
     transport_by_down = (rate_en_n[0] * to_east, rate_en_n[1] * to_north, rate_en_n[2] * to_east)
-    coriolis_by_north = cross(state.velocity_n, add(scale(2.0, earth_by_north), transport_by_north))
+    coriolis_by_north = cross(
+        state.velocity_n, add(scale(2.0, earth_by_north), transport_by_north)
+    )
     coriolis_by_down = cross(state.velocity_n, transport_by_down)
     zero = (0.0, 0.0, 0.0)
     gravity_by_down = (0.0, 0.0, -earth.gravity_gradient)

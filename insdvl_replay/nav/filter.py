@@ -88,9 +88,8 @@ class Records(NamedTuple):
     cov_row: Integers  # row in ``cov``, -1 for none
     cov: Floats
     position: Floats
-    corrected: (
-        Floats  # sum of all corrections of the position; without rows where a filter makes none
-    )
+    # sum of all corrections of the position; without rows where a filter makes none
+    corrected: Floats
     velocity_n: Floats
     mat_nb: Floats
     accel_bias_b: Floats
@@ -631,7 +630,9 @@ def _square(z: Floats) -> float:
 
 
 @inlined
-def _follow_noise(m: int, share: float, z: Floats, S: Floats, R: Floats, updates: Updates) -> float:
+def _follow_noise(
+    m: int, share: float, z: Floats, S: Floats, R: Floats, updates: Updates
+) -> float:
     """Update the factor of R by an innovation, and return its ratio to the factor before."""
     before: float = updates.noise_factor[m]
     updates.noise_found[m] = found_factor(updates.noise_found[m], before, z, S, R, share)

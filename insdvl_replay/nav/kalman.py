@@ -192,7 +192,9 @@ def outlier_factor(nis: float, size: int) -> float:
 
 
 @inlined
-def found_factor(found: float, used: float, z: Floats, S: Floats, R: Floats, share: float) -> float:
+def found_factor(
+    found: float, used: float, z: Floats, S: Floats, R: Floats, share: float
+) -> float:
     """Return the factor of R after one more innovation; S was made with R, which holds the factor used until now.
 
     ``share`` is the part of the innovation's square that counts. For one that a gate has rejected, it is the part that
@@ -216,7 +218,9 @@ def chance_var(var: float, used: float, S: Floats, R: Floats) -> float:
     for i in range(size):
         fresh += 2.0 * ((S[i, i] - R[i, i]) / (R[i, i] / used) + 1.0) ** 2
     kept = 1.0 - 1.0 / WINDOW
-    return min(((CEILING - 1.0) / CHANCE_SD) ** 2, kept * kept * var + fresh / (size * WINDOW) ** 2)
+    return min(
+        ((CEILING - 1.0) / CHANCE_SD) ** 2, kept * kept * var + fresh / (size * WINDOW) ** 2
+    )
 
 
 @inlined

@@ -217,7 +217,9 @@ def find_level(
 
 def _readings_at(samples: ImuColumns, sample_s: Floats, time_s: Floats) -> Any:
     """Return `increments.Readings` at times, each component an array of shape (k,), on the cubic of the filter."""
-    row = np.clip(np.searchsorted(sample_s, time_s, side="right") - 1, 0, max(len(sample_s) - 2, 0))
+    row = np.clip(
+        np.searchsorted(sample_s, time_s, side="right") - 1, 0, max(len(sample_s) - 2, 0)
+    )
     after = np.minimum(row + 1, len(sample_s) - 1)
     into_s: Any = np.clip(time_s, sample_s[0], sample_s[-1]) - sample_s[row]
     step_s: Any = np.maximum(sample_s[after] - sample_s[row], np.finfo(float).tiny)
@@ -266,9 +268,8 @@ class Start:
     cov: Floats  # (n, n), of the error states, SI units
     accel_bias_b: Floats = field(default_factory=lambda: np.zeros(3))  # known beforehand, m/s^2
     gyro_bias_b: Floats = field(default_factory=lambda: np.zeros(3))  # rad/s
-    constants: Floats = field(
-        default_factory=lambda: np.zeros(0)
-    )  # (c,), of the sensors, that have states
+    # (c,), of the sensors, that have states
+    constants: Floats = field(default_factory=lambda: np.zeros(0))
     is_heading_sensed: bool = False  # the heading is the sensor's, with its bias
 
     @property
@@ -339,7 +340,9 @@ def start_cov(
         tilt = slice(PHI.start, PHI.start + 2)
         # C_hat' e_d is gravity's direction in b, so that phi x e_d = -C times its error.
         per_gravity = (
-            np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]) @ mat_nb / np.linalg.norm(level.gravity_b)
+            np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+            @ mat_nb
+            / np.linalg.norm(level.gravity_b)
         )
         effect[tilt, BA] = per_gravity @ level.per_accel_bias
         effect[tilt, BG] = per_gravity @ level.per_gyro_bias

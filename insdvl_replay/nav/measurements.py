@@ -76,29 +76,22 @@ class Measurement:
     axes: tuple[str, ...] = ()  # names of the components; empty for one component
     sensor: int = PINGS  # a row of `timeline.Timeline.rows`
     gate: float = np.inf  # largest NIS that is used
-    reopen_after: int = (
-        NEVER_REOPENED  # rejections in a row that open the velocity's uncertainty; 0: never
-    )
-    velocity_weights: Floats = field(
-        default_factory=lambda: NO_WINDOW
-    )  # (k, w), c of the window's velocities
-    interval_weights: Floats = field(
-        default_factory=lambda: NO_WINDOW
-    )  # (k, w - 1), W of the window's intervals
-    sensor_arm_b: Floats = field(
-        default_factory=lambda: np.zeros(3)
-    )  # IMU to a sensor that is not the DVL, m
+    # rejections in a row that open the velocity's uncertainty; 0: never
+    reopen_after: int = NEVER_REOPENED
+    # (k, w), c of the window's velocities
+    velocity_weights: Floats = field(default_factory=lambda: NO_WINDOW)
+    # (k, w - 1), W of the window's intervals
+    interval_weights: Floats = field(default_factory=lambda: NO_WINDOW)
+    # IMU to a sensor that is not the DVL, m
+    sensor_arm_b: Floats = field(default_factory=lambda: np.zeros(3))
     direction_b: Floats = field(default_factory=lambda: np.zeros(3))  # of a beam
     noise: int = FIXED  # how R is taken, see `kalman`
-    goes_on: bool = (
-        False  # the next measurement is of the same reading; both together correct the state
-    )
-    predict: Predicts | None = (
-        None  # of user-defined measurements, this one is number ``kind - USER``
-    )
-    holds_height: bool = (
-        False  # measures the velocity down: gravity follows the INS's height, see `earth_model`
-    )
+    # the next measurement is of the same reading; both together correct the state
+    goes_on: bool = False
+    # of user-defined measurements, this one is number ``kind - USER``
+    predict: Predicts | None = None
+    # measures the velocity down: gravity follows the INS's height, see `earth_model`
+    holds_height: bool = False
 
     @property
     def size(self) -> int:
@@ -107,7 +100,14 @@ class Measurement:
 
     def rows(self, rows: slice) -> "Measurement":
         """Keep some of the readings."""
-        columns = ("available", "valid_ns", "values", "cov", "velocity_weights", "interval_weights")
+        columns = (
+            "available",
+            "valid_ns",
+            "values",
+            "cov",
+            "velocity_weights",
+            "interval_weights",
+        )
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def held_out(self) -> "Measurement":
@@ -180,7 +180,12 @@ def stacked(measurements: Sequence[Measurement]) -> Stack:
         np.array([getattr(made, name) for made in measurements]) for name in Stack._fields[5:]
     )
     return Stack(
-        available.astype(np.bool_), values, cov, velocity_weights, interval_weights, *by_measurement
+        available.astype(np.bool_),
+        values,
+        cov,
+        velocity_weights,
+        interval_weights,
+        *by_measurement,
     )
 
 
@@ -312,7 +317,11 @@ def _as_the_dvl_reads(predicted_b: Vector, ins: InsNow, layout: StateLayout, H: 
     along, across = factor * math.cos(yaw), factor * math.sin(yaw)
     for j in range(H.shape[1]):
         x, y = H[0, j], H[1, j]
-        H[0, j], H[1, j], H[2, j] = along * x + across * y, along * y - across * x, factor * H[2, j]
+        H[0, j], H[1, j], H[2, j] = (
+            along * x + across * y,
+            along * y - across * x,
+            factor * H[2, j],
+        )
     x, y, z = predicted_b
     read_b = (along * x + across * y, along * y - across * x, factor * z)
     if layout.dvl_scale >= 0:

@@ -61,7 +61,9 @@ class NominalPings(NamedTuple):
     mat_nb: Floats  # (m, 3, 3)
     rate_nb_b: Floats  # (m, 3), angular rate of the body against n, rad/s
     gravity: Floats  # (m,), m/s^2
-    transition: Floats  # (m, 12, 12), Phi(t, t0), from the errors at the start to those at the ping
+    transition: (
+        Floats  # (m, 12, 12), Phi(t, t0), from the errors at the start to those at the ping
+    )
     step: Floats  # (m, 12, 12), Phi from the ping before, for the first from the start
     noise: Floats  # (m, 12, 12), covariance that process noise has added meanwhile
 
@@ -208,7 +210,11 @@ def jacobians(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats
 
 @compiled
 def _write_jacobians(
-    measurement: Stack, rows: NDArray[np.int64], pings: NominalPings, lever_arm_b: Vector, H: Floats
+    measurement: Stack,
+    rows: NDArray[np.int64],
+    pings: NominalPings,
+    lever_arm_b: Vector,
+    H: Floats,
 ) -> None:
     """Write the Jacobian of each ping. What only the innovation needs is left at zero."""
     unused, unused_b, z = (0.0, 0.0, 0.0), np.zeros(pings.velocity_n.shape), np.empty(3)

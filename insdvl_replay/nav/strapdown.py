@@ -48,7 +48,12 @@ class Motion(NamedTuple):
 
 @inlined
 def propagate(
-    state: NavState, before: Readings, after: Readings, dt: float, earth: LocalEarth, gravity: float
+    state: NavState,
+    before: Readings,
+    after: Readings,
+    dt: float,
+    earth: LocalEarth,
+    gravity: float,
 ) -> tuple[NavState, Motion]:
     """Advance position, velocity and attitude over an interval of ``dt`` seconds by raw readings at its ends.
 

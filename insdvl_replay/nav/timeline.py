@@ -71,9 +71,8 @@ class Gaps:
         steps = np.ceil(self.length_s / BRIDGE_STEP_S).astype(np.int64)
         nodes = [
             start
-            + np.linspace(
-                0, end - start, int(count) + 1, dtype=np.int64
-            )  # times since 1970 are no floats
+            # times since 1970 are no floats
+            + np.linspace(0, end - start, int(count) + 1, dtype=np.int64)
             for start, end, count in zip(self.start_ns, self.end_ns, steps, strict=True)
         ]
         return np.concatenate([np.empty(0, np.int64), *nodes])
@@ -93,18 +92,15 @@ NO_GAPS: Final = Gaps(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0,
 class Timeline(NamedTuple):
     """Samples and events, whose times are the nodes between which the filter propagates."""
 
-    sample_ns: (
-        TimeNs  # (s,); those that cover the span, and one more on either side where the IMU has one
-    )
+    # (s,); those that cover the span, and one more on either side where the IMU has one
+    sample_ns: TimeNs
     specific_force_b: Floats  # (s, 3), m/s^2
     angular_rate_b: Floats  # (s, 3), rad/s
     event_ns: TimeNs  # (e,), strictly increasing, from start to end; one node with a sample of the same time
-    rows: NDArray[
-        np.int64
-    ]  # (sensors, e), row of each sensor's reading at each event, -1 for none; pings first
-    record: NDArray[
-        np.int64
-    ]  # (e,), row of the history for each event, -1 for none; the first has one
+    # (sensors, e), row of each sensor's reading at each event, -1 for none; pings first
+    rows: NDArray[np.int64]
+    # (e,), row of the history for each event, -1 for none; the first has one
+    record: NDArray[np.int64]
     gap: NDArray[np.int64]  # (e,), row of the long gap after each event, -1 for none
     gap_noise_density: Floats  # (g, 12), see `Gaps`
 
@@ -216,7 +212,10 @@ def first_node(timeline: Timeline) -> Node:
 @inlined
 def next_node(timeline: Timeline, before: Node) -> Node:
     """Return the next sample or event, whichever is earlier."""
-    sample_ns, event_ns = timeline.sample_ns[before.sample + 1], timeline.event_ns[before.event + 1]
+    sample_ns, event_ns = (
+        timeline.sample_ns[before.sample + 1],
+        timeline.event_ns[before.event + 1],
+    )
     sample, event = before.sample + (sample_ns <= event_ns), before.event + (event_ns <= sample_ns)
     return _node(timeline, min(sample_ns, event_ns), sample, event)
 

@@ -30,7 +30,9 @@ class Solution:
     # those that are not known
     cov: Floats | None = None
     cov_ns: TimeNs | None = None  # (c,), its times, if they are not those of the rows
-    innovation_b: Floats | None = None  # (k, 3), predicted minus measured velocity; NaN without one
+    innovation_b: Floats | None = (
+        None  # (k, 3), predicted minus measured velocity; NaN without one
+    )
     innovation_cov: Floats | None = None  # (k, 3, 3), their covariance S
 
 

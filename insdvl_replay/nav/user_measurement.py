@@ -56,9 +56,8 @@ class NoiseFactors:
     """Factors of the white noise of the readings. Each row holds until the next; before the first they are one."""
 
     time_ns: TimeNs  # (k,), strictly increasing
-    factors: (
-        Floats  # (k, 6), of the standard deviations of accelerometers and gyros, axis by axis in b
-    )
+    # (k, 6), of the standard deviations of accelerometers and gyros, axis by axis in b
+    factors: Floats
 
     def within(self, start_ns: int, end_ns: int) -> "NoiseFactors":
         """Keep the row that holds at the start, if one does, and those up to the end."""
@@ -223,9 +222,9 @@ def joined(predictions: Sequence[Predict], *, compiled: bool) -> Predicts:
         chosen = first_or(predict, numba.njit(error_model="numpy")(chosen) if compiled else chosen)
     if not compiled:
         return chosen
-    found: Predicts = numba.cfunc(types.void(types.int64, *_signature().args), error_model="numpy")(
-        chosen
-    )
+    found: Predicts = numba.cfunc(
+        types.void(types.int64, *_signature().args), error_model="numpy"
+    )(chosen)
     return found
 
 
@@ -280,7 +279,9 @@ def checked_factors(given: tuple[TimeNs, Floats]) -> NoiseFactors:
             f"returns times and factors of shapes {shapes}, not (k,) and (k, 2) or (k, 6)"
         )
     _require_increasing(time_ns)
-    _require_rows("factors that are not finite and above 0", np.isfinite(factors) & (factors > 0.0))
+    _require_rows(
+        "factors that are not finite and above 0", np.isfinite(factors) & (factors > 0.0)
+    )
     return NoiseFactors(time_ns, np.repeat(factors, 6 // factors.shape[1], axis=1))
 
 

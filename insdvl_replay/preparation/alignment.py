@@ -47,12 +47,10 @@ from insdvl_replay.preparation.start_sources import (
 )
 
 FAR_S: Final = 1.0  # readings further from the start are not used for it
-HEADING_LIMIT_DEG: Final = (
-    10.0  # no compass of a vehicle errs by more, even with the declination left in
-)
-GIVEN_HEADING_LIMIT_DEG: Final = (
-    5.0  # a heading that somebody read off a compass, or a plan, is as near as this
-)
+# no compass of a vehicle errs by more, even with the declination left in
+HEADING_LIMIT_DEG: Final = 10.0
+# a heading that somebody read off a compass, or a plan, is as near as this
+GIVEN_HEADING_LIMIT_DEG: Final = 5.0
 TILT_LIMIT: Final = 5.0 * DEG  # no AHRS errs by more, nor do accelerometers
 LEAST_DVL_SD_MPS: Final = 5e-4  # of a ping, whatever its neighbours show: readings are rounded
 LATITUDE_LIMIT_DEG: Final = 0.1  # a latitude that a user gives in round numbers is as near as this
@@ -66,12 +64,10 @@ class Alignment:
     start: Start
     notes: tuple[Note, ...]
     initial: Initial | None = None  # the settings, with what other sensors filled in
-    spread_cov: Floats | None = (
-        None  # (n, n) of random starts, by [initial]; None: as that of the start
-    )
-    used_ns: Mapping[str, int] = field(
-        default_factory=dict
-    )  # by sensor, the time of the reading that the start took
+    # (n, n) of random starts, by [initial]; None: as that of the start
+    spread_cov: Floats | None = None
+    # by sensor, the time of the reading that the start took
+    used_ns: Mapping[str, int] = field(default_factory=dict)
     heading_source: HeadingSource = HeadingSource.SETTINGS
 
     @property
@@ -610,7 +606,9 @@ def _reference_position(
     given_deg = initial.latitude_deg
     latitude_deg = float(latitude) / DEG
     if given_deg is not None and abs(given_deg - latitude_deg) > LATITUDE_LIMIT_DEG:
-        notes.append(note("start_latitude_contradiction", configured=given_deg, found=latitude_deg))
+        notes.append(
+            note("start_latitude_contradiction", configured=given_deg, found=latitude_deg)
+        )
     return np.array([latitude, float(wrap_angle(longitude + first_longitude)), height_m]), notes
 
 

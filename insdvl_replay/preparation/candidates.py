@@ -121,7 +121,9 @@ def _from_start(own: Floats | None, start: Floats, rows: int, *, is_later: bool)
     return own
 
 
-def _require_this_dive(history: History, baseline: History, imu: ImuColumns, first_ns: int) -> None:
+def _require_this_dive(
+    history: History, baseline: History, imu: ImuColumns, first_ns: int
+) -> None:
     """Require that a solution covers the replay, begins where the baseline is, and turns and moves as that does.
 
     Before its own first row it has the start. Where the baseline turns otherwise than the gyros, these decide.

@@ -41,9 +41,8 @@ from insdvl_replay.preparation.notes import note
 
 NO_SENSORS: Final[Mapping[str, Measurement]] = MappingProxyType({})
 NO_READINGS: Final[Mapping[str, int]] = MappingProxyType({})
-FAR_M: Final = (
-    1000.0  # neither a track reckoned until the start nor a position from a map is off by more
-)
+# neither a track reckoned until the start nor a position from a map is off by more
+FAR_M: Final = 1000.0
 # a pause between readings is noted above this, and so many usual ones
 SILENT_S = 30.0
 SILENT_READINGS = 20.0
@@ -56,13 +55,14 @@ KINDS: Final = {"depth": DEPTH, "heading": HEADING, "position": FIX}
 # sd of the depth sensor's zero: from the settings, or to be found by the first reading
 KNOWN_M = 1e-3
 UNKNOWN_M = 1e3
-MORE_SD: Final[
-    dict[str, Callable[[Config], tuple[float, ...]]]
-] = {  # of more states at the start, SI units
+# of more states at the start, SI units
+MORE_SD: Final[dict[str, Callable[[Config], tuple[float, ...]]]] = {
     "position": lambda config: config.initial.position_sd_m,
     "dvl_scale": lambda config: (0.01 * config.initial.dvl_scale_sd_pct,),
     "dvl_yaw": lambda config: (DEG * config.initial.dvl_yaw_sd_deg,),
-    "depth_zero": lambda config: (UNKNOWN_M if config.depth.surface_height_m is None else KNOWN_M,),
+    "depth_zero": lambda config: (
+        UNKNOWN_M if config.depth.surface_height_m is None else KNOWN_M,
+    ),
     "heading_bias": lambda config: (DEG * config.heading.bias_sd_deg,),
 }
 
@@ -79,20 +79,17 @@ class ResolvedFilter:
     """A filter with its own settings, or the common ones in their place."""
 
     name: str
-    aiding: tuple[
-        str, ...
-    ]  # ``velocity``, ``acceleration``, in the order in which they are applied
+    # ``velocity``, ``acceleration``, in the order in which they are applied
+    aiding: tuple[str, ...]
     dvl_noise: DvlNoise
     inertial_noise: InertialNoise
     gate_probability: float
-    gate_reopen_after: (
-        int  # rejected velocities in a row after which the INS is set to the DVL; 0: never
-    )
+    # rejected velocities in a row after which the INS is set to the DVL; 0: never
+    gate_reopen_after: int
     acceleration: Acceleration
     states: tuple[str, ...]  # names in `states.MORE_STATES`, beside the twelve
-    held_out: tuple[
-        str, ...
-    ]  # sensors that are held out: the filter is compared with them and not aided by them
+    # sensors that are held out: the filter is compared with them and not aided by them
+    held_out: tuple[str, ...]
     measurement_noise: int  # how R of velocity and beams is taken, see `nav.kalman`
     more_sd: Floats  # (n - 12,) sd of the states beside the twelve at the start, SI units
     more_density: Floats  # (n - 12,) density of their process noise
@@ -101,9 +98,8 @@ class ResolvedFilter:
 
     def gate(self, size: int) -> float:
         """Return the largest NIS of so many components that is used; infinite where every innovation is."""
-        from insdvl_replay.evaluation.consistency import (
-            chi_square_quantile,
-        )  # scipy: only before filters run
+        # scipy: only before filters run
+        from insdvl_replay.evaluation.consistency import chi_square_quantile
 
         return chi_square_quantile(self.gate_probability, size)
 
@@ -263,7 +259,9 @@ def _inertial_noise(filter_: Filter, config: Config) -> InertialNoise:
 
 def resolve_filters(config: Config) -> tuple[ResolvedFilter, ...]:
     """Resolve all filters of a configuration that are run, the baseline first."""
-    return tuple(resolve_filter(name, filter_, config) for name, filter_ in config.computed.items())
+    return tuple(
+        resolve_filter(name, filter_, config) for name, filter_ in config.computed.items()
+    )
 
 
 def dvl_mounting(config: Config) -> DvlMounting:
@@ -279,9 +277,8 @@ def prepare_sensors(
     start: Start,
     start_ns: int,
     end_ns: int,
-    used_ns: Mapping[
-        str, int
-    ] = NO_READINGS,  # by sensor, the reading that the start took, which is not used again
+    # by sensor, the reading that the start took, which is not used again
+    used_ns: Mapping[str, int] = NO_READINGS,
 ) -> tuple[dict[str, Measurement], tuple[Note, ...]]:
     """Prepare the sensors of a dive, without a gate; their rows of a time line begin at `timeline.FIRST_OTHER`."""
     found = dict[str, Measurement]()
@@ -319,7 +316,9 @@ def prepare_sensors(
             if away_m > FAR_M + FASTEST_MPS * late_s:
                 away_km = away_m / 1000.0
                 fix_deg = values[0, :2] / DEG
-                notes.append(note("position_contradiction", late=late_s, away=away_km, fix=fix_deg))
+                notes.append(
+                    note("position_contradiction", late=late_s, away=away_km, fix=fix_deg)
+                )
             if height_sd_m is None:
                 values = values[:, :2]
             else:

@@ -30,15 +30,17 @@ class HeadingDraw:
     start: Start
     sd_deg: float
     error_deg: float
-    filters: Collection[
-        str
-    ]  # candidates that are run here, with the baseline's name; empty where there are none
+    # candidates that are run here, with the baseline's name; empty where there are none
+    filters: Collection[str]
     solutions: Collection[str]  # recorded, so that the baseline alone runs
 
 
 def heading_draw(dive: Dive, prepared: Prepared, config: Config, seed: int) -> HeadingDraw | None:
     """Draw the second start of a dive; None where the heading is not the reference's, or no candidate depends on it."""
-    of_reference = prepared.alignment.heading_source in (HeadingSource.REFERENCE, HeadingSource.FIT)
+    of_reference = prepared.alignment.heading_source in (
+        HeadingSource.REFERENCE,
+        HeadingSource.FIT,
+    )
     if not of_reference or dive.reference is None or not _has_positions(dive, config):
         return None
     baseline, *candidates = prepared.filters

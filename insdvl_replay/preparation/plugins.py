@@ -53,24 +53,27 @@ from insdvl_replay.preparation.notes import note
 Outage = tuple[int, int]  # times of the last ping before it, and of the last ping in it, ns
 SHOWN: Final = "example: docs/own_filter.md"
 NO_END: Final = int(np.iinfo(np.int64).max)
-APART_NS: Final = 60 * NS_PER_S  # between two outages of one call: user code mostly looks back less
-ONE_BY_ONE: Final = (
-    4  # outages that are asked for one by one; more take four calls, if the user's code allows
+APART_NS: Final = (
+    60 * NS_PER_S
+)  # between two outages of one call: user code mostly looks back less
+# outages that are asked for one by one; more take four calls, if the user's code allows
+ONE_BY_ONE: Final = 4
+ALIKE: Final = (
+    1e-3  # in the noise of a reading: a network rounds otherwise with more pings at once
 )
-ALIKE: Final = 1e-3  # in the noise of a reading: a network rounds otherwise with more pings at once
 # columns of H: the velocity down, and the first of the position
 DOWN = 2
 POSITION = 12
 # Steps of velocity m/s, misalignment rad, specific force m/s^2, angular rate rad/s and position m: far above rounding,
 # far below what bends.
 _STEPS: Final = (1e-5, 1e-6, 1e-5, 1e-7, 0.01)
-_TOLERANCE: Final = (
-    0.1  # share by which an entry of H may differ from differences: it may be simplified
-)
+# share by which an entry of H may differ from differences: it may be simplified
+_TOLERANCE: Final = 0.1
+# errors of `math` outside a domain, up to Python 3.13 and later
 _OUTSIDE: Final = (
     "math domain error",
     "expected ",
-)  # errors of `math` outside a domain, up to Python 3.13 and later
+)
 
 _T = TypeVar("_T")
 
@@ -215,7 +218,9 @@ def _asked(
             factors = _called(plugin, user, what, lambda: user.noise_factors(given), hint)
             noise = checked_factors(factors)
             return user, UserReadings(noise.time_ns, noise.factors, noise.factors)
-        readings = _called(plugin, user, "readings(self, dive)", lambda: user.readings(given), hint)
+        readings = _called(
+            plugin, user, "readings(self, dive)", lambda: user.readings(given), hint
+        )
         if not isinstance(readings, UserReadings):
             text = f"{plugin}: readings(self, dive) returns {type(readings).__name__}, not UserReadings"
             raise ConfigError(text, SHOWN)

@@ -55,12 +55,15 @@ RESIDUAL_HINT: Final = (
     "set dvl.max_beam_residual_mps to several times the noise of a beam, or leave it out"
 )
 FEWEST_PINGS: Final = 3  # with fewer, a replay is one of the IMU alone
-LEAST_COVERED: Final = 0.5  # of the time of the IMU by the DVL, from its first to its last velocity
-MOST_OUTSIDE: Final = 0.2  # of the pings: sensors that do not start and stop together explain fewer
+LEAST_COVERED: Final = (
+    0.5  # of the time of the IMU by the DVL, from its first to its last velocity
+)
+MOST_OUTSIDE: Final = (
+    0.2  # of the pings: sensors that do not start and stop together explain fewer
+)
 LONGEST_BRIDGE_S: Final = 3600.0  # longer gaps cannot be bridged
-WIDEST_ATTITUDE_RAD: Final = (
-    np.pi / 2.0
-)  # where an attitude may be off by more, errors no longer add up
+# where an attitude may be off by more, errors no longer add up
+WIDEST_ATTITUDE_RAD: Final = np.pi / 2.0
 IN_LINE: Final = np.eye(3)  # the axes of the reference are those of the IMU
 
 
@@ -77,9 +80,8 @@ class Prepared:
     beams: DvlBeams | None  # inside the span, if a filter is aided by them
     sensors: dict[str, Measurement]  # what else was read, by sensor or ``module:Class``
     notes: tuple[Note, ...]
-    noise: dict[str, NoiseFactors] = field(
-        default_factory=dict
-    )  # of the user's, by ``module:Class``
+    # of the user's, by ``module:Class``
+    noise: dict[str, NoiseFactors] = field(default_factory=dict)
 
     @property
     def sensor_sd(self) -> dict[str, Floats]:
@@ -193,7 +195,9 @@ def coverage_notes(sample_ns: TimeNs, ping_ns: TimeNs) -> list[Note]:
     return notes
 
 
-def prepare_dive(dive: Dive, config: Config, *, fitted_heading_sd: float | None = None) -> Prepared:
+def prepare_dive(
+    dive: Dive, config: Config, *, fitted_heading_sd: float | None = None
+) -> Prepared:
     """Do everything that comes before the filters of a dive from `with_reference_at_imu`, but for fitting the heading.
 
     LogError where the span holds nothing to replay, or no reference to start from; ConfigError where the settings do

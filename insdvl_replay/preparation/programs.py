@@ -37,16 +37,18 @@ LONGEST_PART: Final = 1 << 20  # bytes of an answer that are read at once
 # before each answer of a class: that it is one, and its length
 MARK = b"solution"
 HEADER = struct.Struct("<8sQ")
+# by input, of a dive's name
 DIVE_FILES: Final = {
     "class": "{}.pickle",
     "clean": "{}.mcap",
     "log": "{}_log.mcap",
-}  # by input, of a dive's name
+}
+# as `logs.write_dive` writes them
 _TOPICS: Final = {
     "/pressure": "depth",
     "/ahrs": "heading",
     "/gnss": "position",
-}  # as `logs.write_dive` writes them
+}
 Process = subprocess.Popen[bytes]
 
 
@@ -135,7 +137,9 @@ class UserProcesses:
                 f"from {__name__} import run_class; run_class()",
                 word,
             ]
-            process = self._started(command, "", subprocess.PIPE, os.environ | {"PYTHONPATH": path})
+            process = self._started(
+                command, "", subprocess.PIPE, os.environ | {"PYTHONPATH": path}
+            )
         try:
             answer, cpu_s = self._answer(process, (dive_file, start))
         except CandidateError:

@@ -50,18 +50,16 @@ class Replay:
     start_ns: int
     end_ns: int
     velocities: DvlVelocities  # of the DVL, inside the span
-    histories: tuple[
-        History, ...
-    ]  # the first is the baseline; recorded solutions follow the filters that were run
+    # the first is the baseline; recorded solutions follow the filters that were run
+    histories: tuple[History, ...]
     errors: dict[str, ReferenceErrors]  # by filter; empty without a reference
     tables: Tables
     verdicts: dict[str, CandidateVerdict]  # by candidate
     curves: Curves  # evidence that is drawn over time
     notes: tuple[Note, ...]  # what was dropped, assumed or found odd
     printed: Mapping[str, str] = field(default_factory=dict)  # by filters of the user's
-    cpu_s: Mapping[str, float] = field(
-        default_factory=dict
-    )  # processor seconds of one run over the dive, by filter
+    # processor seconds of one run over the dive, by filter
+    cpu_s: Mapping[str, float] = field(default_factory=dict)
 
 
 def replay_log(

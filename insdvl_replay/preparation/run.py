@@ -57,15 +57,12 @@ from insdvl_replay.preparation.solutions import recorded_history
 
 T = TypeVar("T")
 
-WORTH_A_THREAD = (
-    20_000  # IMU samples from which filters run in threads; with fewer, threads cost what they save
-)
-MOST_DRAWN_SAMPLES = (
-    20_000_000  # IMU samples, in all runs from random starts together: three seconds of work
-)
-MOST_DRAWN_TIMES = (
-    5_000  # times of the reference at which the errors of each of these runs are kept
-)
+# IMU samples from which filters run in threads; with fewer, threads cost what they save
+WORTH_A_THREAD = 20_000
+# IMU samples, in all runs from random starts together: three seconds of work
+MOST_DRAWN_SAMPLES = 20_000_000
+# times of the reference at which the errors of each of these runs are kept
+MOST_DRAWN_TIMES = 5_000
 
 
 @dataclass(frozen=True)
@@ -76,9 +73,8 @@ class RunPlan:
     windows: OutagePlan  # without the DVL
     starts: int  # from which each candidate runs, the dive's own among them; 0 without a reference
     seed: int
-    heading: HeadingDraw | None = (
-        None  # a second start of those that depend on the heading of the first
-    )
+    # a second start of those that depend on the heading of the first
+    heading: HeadingDraw | None = None
 
 
 @dataclass(frozen=True)
@@ -88,26 +84,20 @@ class Runs:
     histories: tuple[History, ...]
     drawn: tuple[DrawnErrors, ...]  # from random starts; empty without a reference
     outages: OutageRuns  # in windows without the DVL, of those that can be run there
-    spread: tuple[
-        History, ...
-    ]  # of the filters, from the dive's own start as uncertain as [initial]
-    motions: dict[
-        str, ReferenceColumns
-    ]  # of recorded solutions, by name: positions and velocities of each sample
+    # of the filters, from the dive's own start as uncertain as [initial]
+    spread: tuple[History, ...]
+    # of recorded solutions, by name: positions and velocities of each sample
+    motions: dict[str, ReferenceColumns]
     notes: tuple[Note, ...]
-    user_outages: Mapping[str, OutageRuns] = field(
-        default_factory=dict
-    )  # of filters of the user's, with the baseline
+    # of filters of the user's, with the baseline
+    user_outages: Mapping[str, OutageRuns] = field(default_factory=dict)
     printed: Mapping[str, str] = field(default_factory=dict)  # by filters of the user's
-    cpu_s: Mapping[str, float] = field(
-        default_factory=dict
-    )  # processor seconds of one run over the dive, by filter
-    not_repeatable: Mapping[str, str] = field(
-        default_factory=dict
-    )  # by filter of the user's whose answers differ: why
-    turned: tuple[
-        History, ...
-    ] = ()  # from the plan's second start: baseline, then candidates that depend on it
+    # processor seconds of one run over the dive, by filter
+    cpu_s: Mapping[str, float] = field(default_factory=dict)
+    # by filter of the user's whose answers differ: why
+    not_repeatable: Mapping[str, str] = field(default_factory=dict)
+    # from the plan's second start: baseline, then candidates that depend on it
+    turned: tuple[History, ...] = ()
 
 
 def plan_runs(
@@ -383,9 +373,8 @@ HEADING_STEP_DEG: Final = 1.0
 LONGEST_SILENCE_S: Final = 5.0  # of the DVL, in which the track goes on as well as before
 SHORTEST_TRACK_S: Final = 30.0  # before a gap of the IMU, that is compared by itself
 BIAS_STEP: Final = 0.2  # in the bias's standard deviation beforehand
-HELD_BIAS_DEGPH: Final = (
-    1.0  # a filter that may move its biases takes errors of beams and accelerometers for a turn
-)
+# a filter that may move its biases takes errors of beams and accelerometers for a turn
+HELD_BIAS_DEGPH: Final = 1.0
 LEAST_SURE_DEG: Final = 15.0  # a heading that a track gives no better says nothing
 # decimals; neither is known so well
 HEADING_DIGITS = 2
@@ -418,7 +407,9 @@ def prepare_with_heading(dive: Dive, config: Config) -> Prepared:
     # Random starts have the standard deviation of the track's fit, or that of the configuration if it is larger.
     north, east, down = initial.misalignment_sd_deg
     sds = (north, east, max(down, round(fitted.heading_sd_deg, HEADING_DIGITS)))
-    started = _started(initial, fitted.heading_deg, fitted.gyro_bias_degph, misalignment_sd_deg=sds)
+    started = _started(
+        initial, fitted.heading_deg, fitted.gyro_bias_degph, misalignment_sd_deg=sds
+    )
     settings = changed(config, initial=started)
     prepared = prepare_dive(dive, settings, fitted_heading_sd=fitted.heading_sd_deg * DEG)
     return replace(prepared, notes=(*prepared.notes, note("start_heading_fitted", fitted=fitted)))
@@ -460,7 +451,9 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
             break
     # A bias that walks is, over the dive, another than at the start.
     time_s = np.ptp(placed.time_ns) * 1e-9
-    bias_sd = np.hypot(found.bias_sd, config.noise.gyro_bias_walk_radps_rts * np.sqrt(time_s / 3.0))
+    bias_sd = np.hypot(
+        found.bias_sd, config.noise.gyro_bias_walk_radps_rts * np.sqrt(time_s / 3.0)
+    )
     return FittedStart(
         heading_deg=heading_deg,
         heading_sd_deg=found.heading_sd / DEG,
@@ -588,7 +581,9 @@ def require_fit_of(dive: Dive, config: Config) -> None:
     size, rejected = baseline_fit(dive, config)
     if size > MOST_NIS or rejected > MANY_REJECTED:
         text = f"NIS/dof of the baseline is {size:.2g}, and it rejects {rejected:.0%} of the velocities"
-        raise MisfitError(f"{dive.name}: {text}", "insdvl-replay calibrate fits geometry and noise")
+        raise MisfitError(
+            f"{dive.name}: {text}", "insdvl-replay calibrate fits geometry and noise"
+        )
 
 
 def baseline_fit(dive: Dive, config: Config) -> tuple[float, float]:

@@ -37,15 +37,12 @@ from insdvl_replay.geometry.rotation import (
 from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.prepared import reference_at_imu
 
-LONGEST_STEP: Final = (
-    2.5  # in usual steps: between samples that are further apart a solution gives nothing
-)
-STATES: Final = states_with(
-    ["position"]
-)  # a solution's covariance is of some of them; of the biases it never is
-_REPORTED: Final = np.r_[
-    : BA.start, POSITION.start : POSITION.stop
-]  # rows of that covariance among the states
+# in usual steps: between samples that are further apart a solution gives nothing
+LONGEST_STEP: Final = 2.5
+# a solution's covariance is of some of them; of the biases it never is
+STATES: Final = states_with(["position"])
+# rows of that covariance among the states
+_REPORTED: Final = np.r_[: BA.start, POSITION.start : POSITION.stop]
 QUANTITIES: Final = ("positions", "velocities", "attitudes")
 
 
@@ -103,7 +100,11 @@ def recorded_history(
             )
         )
     history = _history(
-        name, replace(solution, motion=motion), baseline, evaluated_ns, is_turned=align == "heading"
+        name,
+        replace(solution, motion=motion),
+        baseline,
+        evaluated_ns,
+        is_turned=align == "heading",
     )
     return history, motion.without_attitude(), (*notes, *_coverage_notes(key, motion, history))
 
@@ -228,14 +229,18 @@ def _turned(solution: SolutionColumns, mat: Floats) -> SolutionColumns:
     if moved_n is not None:
         moved_n = moved_n @ mat.T
     elif motion.has_position:
-        first = np.broadcast_to(position[int(np.argmax(motion.known["positions"]))], position.shape)
+        first = np.broadcast_to(
+            position[int(np.argmax(motion.known["positions"]))], position.shape
+        )
         position = moved_position(first, north_east_down_m(position, first) @ mat.T)
     turned = replace(
         motion, position=position, velocity_n=motion.velocity_n @ mat.T, mat_nb=mat @ motion.mat_nb
     )
     # Block by block: a block that is NaN leaves the others as they are.
     blocks = np.einsum("ik,cakbl,jl->caibj", mat, solution.cov.reshape(-1, 3, 3, 3, 3), mat)
-    return replace(solution, motion=turned, moved_n=moved_n, cov=blocks.reshape(solution.cov.shape))
+    return replace(
+        solution, motion=turned, moved_n=moved_n, cov=blocks.reshape(solution.cov.shape)
+    )
 
 
 def _between(time_ns: TimeNs, known: Mask, at_ns: TimeNs) -> tuple[Integers, Floats]:
@@ -294,7 +299,11 @@ def _coverage_notes(key: str, motion: ReferenceColumns, history: History) -> Ite
     if never:
         severity = Severity.WARNING if len(never) == len(QUANTITIES) else Severity.INFO
         yield note(
-            "solution_lacks", len(never), severity=severity, key=key, quantities=" and ".join(never)
+            "solution_lacks",
+            len(never),
+            severity=severity,
+            key=key,
+            quantities=" and ".join(never),
         )
     for quantity in QUANTITIES:
         share = covered_share(motion.time_ns, motion.known[quantity], start_ns, end_ns)
@@ -302,7 +311,9 @@ def _coverage_notes(key: str, motion: ReferenceColumns, history: History) -> Ite
             shares.setdefault(f"{100.0 * share:.0f}", []).append(quantity)
     for percent, quantities in shares.items():
         names = " and ".join(quantities)
-        yield note("solution_coverage", len(quantities), key=key, quantities=names, percent=percent)
+        yield note(
+            "solution_coverage", len(quantities), key=key, quantities=names, percent=percent
+        )
     blocks = {"velocity": slice(0, 3), "attitude": slice(3, 6), "position": POSITION}
     lacking = [block for block, states in blocks.items() if not history.predicted[states].any()]
     if lacking:

@@ -35,7 +35,9 @@ from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
 from insdvl_replay.nav.dvl import DvlVelocities
 
-STRETCH_S: Final = 300.0  # of the dive around the start, in which errors of a source are looked for
+STRETCH_S: Final = (
+    300.0  # of the dive around the start, in which errors of a source are looked for
+)
 FEWEST_ROWS: Final = 20  # with fewer, nothing is estimated
 LONGEST_STEP_S: Final = 5.0  # over longer steps the gyros say nothing about single attitudes
 UNEVEN: Final = 0.2  # share by which steps may differ where differences of neighbours are taken
@@ -44,9 +46,8 @@ FEWEST_BLOCKS: Final = 3
 SLOWEST_MPS: Final = 0.3  # slower velocities have no direction
 GYRO_AXES_SD: Final = 0.01  # scale factors and axes of gyros, of which most are better
 NORMAL: Final = 1.4826  # standard deviation over median absolute deviation, of normal numbers
-THIRD: Final = np.array(
-    [-1.0, 3.0, -3.0, 1.0]
-)  # of four values at even steps, the noise that no motion explains
+# of four values at even steps, the noise that no motion explains
+THIRD: Final = np.array([-1.0, 3.0, -3.0, 1.0])
 
 # What a source may err by without anything that shows it.
 LEVEL_FLOOR: Final = 0.02 * DEG

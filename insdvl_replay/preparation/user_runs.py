@@ -63,9 +63,8 @@ from insdvl_replay.preparation.programs import DIVE_FILES, UserProcesses
 from insdvl_replay.preparation.run import RunPlan, Runs, drawn_part, prepared_timeline, run_one
 from insdvl_replay.preparation.solutions import interpolated, interpolated_attitude
 
-OUTAGE_DIVES: Final = (
-    3  # each lacks every third window: the time between two of them is twice as long as a window
-)
+# each lacks every third window: the time between two of them is twice as long as a window
+OUTAGE_DIVES: Final = 3
 LATER_NS: Final = 1000  # by which stamps are moved, and samples repeated
 REPEATED_EVERY: Final = 10_000
 SHOWN_DIGITS: Final = 16  # of a digest
@@ -118,7 +117,9 @@ def with_user_candidates(
         whole, starts, part.reference, windows, _outage_dives(dive, prepared, config, windows)
     )
     # What a program has started may still write into it.
-    with tempfile.TemporaryDirectory(prefix="insdvl-replay-", ignore_cleanup_errors=True) as folder:
+    with tempfile.TemporaryDirectory(
+        prefix="insdvl-replay-", ignore_cleanup_errors=True
+    ) as folder:
         for name, settings in config.user_candidates.items():
             report_stage(f"running {name}")
             candidate = _Candidate(name, settings, Path(folder, name), plan, dive, config)

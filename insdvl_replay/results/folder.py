@@ -29,10 +29,11 @@ REPLAY_LOG: Final = "replay.mcap"  # The histories; checks do not write it.
 TRAJECTORY_FILE: Final = "trajectory.npz"  # Every filter once a second.
 REFERENCE_TRAJECTORY: Final = "reference.tum"
 VEHICLE_FILE: Final = "vehicle.toml"  # Settings that were found, if nobody made them.
+# Files of all tracks of a dive, by format.
 MAPS: Final = {
     "kml": "tracks.kml",
     "geojson": "tracks.geojson",
-}  # Files of all tracks of a dive, by format.
+}
 LAYOUT_FILES: Final = ("foxglove.json", "plotjuggler.xml")  # Viewer layouts for replay.mcap.
 # All files of the result of a dive.
 DIVE_FILES: Final = (
@@ -48,9 +49,8 @@ _TIME_OF_DAY: Final = ("started_at", "elapsed_s", "cpu_s")
 _MARK: Final = "insdvl-replay-"  # In names of hidden folders, after the dot.
 _OLD: Final = "old"  # Subfolder for the older result while the new one replaces it.
 _LEFT_FOR_S: Final = 86_400.0  # A hidden folder that is unchanged for a day is from a killed run.
-_LAKE_FILE: Final = re.compile(
-    r"[0-9a-f]{16}_[0-9a-f]{16}_.+\.parquet"
-)  # log, settings and version
+# log, settings and version
+_LAKE_FILE: Final = re.compile(r"[0-9a-f]{16}_[0-9a-f]{16}_.+\.parquet")
 _NAME_A_FILE: Final = "give the name of a file"
 _ANOTHER_PLACE: Final = "choose another place with -o"
 
@@ -264,7 +264,9 @@ def require_replaceable_file(target: Path, *, force: bool = False) -> None:
                 f"{target}: exists", "choose another name, or replace it with --force"
             )
     except OSError as error:
-        raise TargetError(f"{target}: cannot be written: {error.strerror}", _NAME_A_FILE) from error
+        raise TargetError(
+            f"{target}: cannot be written: {error.strerror}", _NAME_A_FILE
+        ) from error
 
 
 def is_result(folder: Path) -> bool:
@@ -323,7 +325,9 @@ def require_lake(lake: Path, outputs: Collection[Path]) -> None:
         if not lake.exists():
             lake.mkdir(parents=True, exist_ok=True)
         # Readers of a dataset ignore names with these beginnings.
-        names = sorted(path.name for path in lake.iterdir() if not path.name.startswith((".", "_")))
+        names = sorted(
+            path.name for path in lake.iterdir() if not path.name.startswith((".", "_"))
+        )
         with tempfile.TemporaryFile(dir=lake):
             pass
     except OSError as error:

@@ -159,7 +159,9 @@ def _read(folder: Path, prefixes: Sequence[str]) -> dict[str, Table]:
         if kind in _FIELDS_OF_TYPE and channel.topic.startswith(tuple(prefixes)):
             named = {field: field for field in _FIELDS_OF_TYPE[kind]}
             sources.append(
-                Source("replay", channel.topic, channel.type_name, (channel,), named, "header", 0.0)
+                Source(
+                    "replay", channel.topic, channel.type_name, (channel,), named, "header", 0.0
+                )
             )
     topics = [source.topic for source in sources]
     return dict(zip(topics, read_tables(log, sources), strict=True))

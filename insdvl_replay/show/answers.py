@@ -251,7 +251,9 @@ def _answer(reports: Sequence[Report], name: str, level: float = LEVEL) -> Candi
     having = [report for report in reports if name in report.filters]
     dives = [_candidate_on(report, name) for report in having]
     answer = answer_over_dives(name, dives, primary=_named_primary(having), level=level)
-    evaluated = [report for report in having if report.filters[name].verdict not in WITHOUT_VERDICT]
+    evaluated = [
+        report for report in having if report.filters[name].verdict not in WITHOUT_VERDICT
+    ]
     if evaluated and answer.decisive is None and not answer.reason:
         (lacking, _), *_ = Counter(map(lacking_evidence, evaluated)).most_common(1)
         answer = replace(answer, reason=lacking)

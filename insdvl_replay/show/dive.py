@@ -501,7 +501,9 @@ def _first_screen(
         caption = f"{HOW_TO_READ} {MEANING}"
     if len(panels) > 1:
         caption = f"Errors over time: median and range of the runs from all starts. {caption}"
-    yield first_screen(sections, caption, pictures(panels), headline, explains_figures=bool(panels))
+    yield first_screen(
+        sections, caption, pictures(panels), headline, explains_figures=bool(panels)
+    )
     if has_reference(report) and report.config.get("reference", {}).get("independent") is False:
         yield SHARED
 

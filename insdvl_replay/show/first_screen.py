@@ -319,7 +319,11 @@ def _dive_row(answer: Answer, report: Report, link: str) -> ForestRow:
     if word in WITHOUT_VERDICT:
         return ForestRow(name, None, tone=word, text=word, link=link)
     for row in report.tables.evidence:
-        if row.filter == answer.filter and row.quantity == answer.primary and row.ratio is not None:
+        if (
+            row.filter == answer.filter
+            and row.quantity == answer.primary
+            and row.ratio is not None
+        ):
             text = change_of_value(row.baseline, row.value, row.unit)
             return ForestRow(name, row.ratio, None, Verdict.UNDECIDED, text, link)
     return ForestRow(name, None, text="no value", link=link)

@@ -107,5 +107,9 @@ def plan_result(reports: Sequence[Report]) -> Result:
     else:
         parts.append(_nothing_to_plan(reports))
     return Result(
-        kind="plan", title=title, tables={"plan": Block.of(PlanRow, rows)}, block="", document=parts
+        kind="plan",
+        title=title,
+        tables={"plan": Block.of(PlanRow, rows)},
+        block="",
+        document=parts,
     )

@@ -80,11 +80,12 @@ def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
 
 MOST_ANSWERS: Final = 2  # More candidates have a row of a table each.
 MOST_COLUMNS: Final = 3  # More candidates have no common table of evidence.
+# Evidence rows of several dives, by the number of candidates.
 MOST_ROWS: Final = {
     1: 8,
     2: 4,
     3: 4,
-}  # Evidence rows of several dives, by the number of candidates.
+}
 MOST_ROWS_OF_DIVE: Final = 3
 
 
@@ -520,7 +521,9 @@ def _shown_dives(
     for (dive, _), row in found.items():
         largest[dive] = max(largest.get(dive, 0.0), finite(row.ratio))
     worst = sorted(largest, key=lambda dive: -largest[dive])[:WORST]
-    failed = [dive for dive, outcome in dives.items() if isinstance(outcome, Failure)][:MOST_FAILED]
+    failed = [dive for dive, outcome in dives.items() if isinstance(outcome, Failure)][
+        :MOST_FAILED
+    ]
     kept = {dive: outcome for dive, outcome in dives.items() if dive in (*failed, *worst)}
     left_out = len(outcomes) - len(kept)
     return kept, f"failed dives and the {WORST} largest ratios; {left_out} more are on the page"

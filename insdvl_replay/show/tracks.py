@@ -137,9 +137,7 @@ def _kml(dive: str, lines: Sequence[_Line]) -> bytes:
             f"<coordinates>{coordinates}</coordinates></LineString></Placemark>\n"
         )
     head = '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>\n'
-    return (
-        f"{head}<name>{escape(visible(dive))}</name>\n{''.join(places)}</Document></kml>\n".encode()
-    )
+    return f"{head}<name>{escape(visible(dive))}</name>\n{''.join(places)}</Document></kml>\n".encode()
 
 
 def _kml_place(place: Sequence[float]) -> str:

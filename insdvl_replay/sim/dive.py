@@ -166,7 +166,9 @@ def exact_dive(
     dvl_rate_hz: float = 1.0,  # starts at `FIRST_PING_S`
     reference_rate_hz: float = 5.0,
     reference_at_pings: bool = False,  # the reference has a row at the start and at each ping instead
-    outages: Sequence[tuple[float, float]] = (),  # start and end, s, of spans with NaN in all beams
+    outages: Sequence[
+        tuple[float, float]
+    ] = (),  # start and end, s, of spans with NaN in all beams
     lost_beams: Sequence[LostBeam] = (),
     lever_arm_m: Vector = (0.0, 0.0, 0.0),  # IMU to DVL, in b
     mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),  # the DVL's mounting rotation, d to b
@@ -249,7 +251,9 @@ def add_errors(
         raise ConfigError(f"seed must be at least 0, found {seed}", f"--seed {-seed}")
     if exact.truth is None:
         raise ValueError("errors are added to an exact dive, which holds truth")
-    accel_rng, gyro_rng, dvl_rng = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(3))
+    accel_rng, gyro_rng, dvl_rng = map(
+        np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
+    )
     imu, biases = add_imu_errors(exact.imu, imu_errors, accel_rng, gyro_rng)
     time_ns = exact.truth.time_ns
     latest = np.searchsorted(biases.time_ns, time_ns, side="right") - 1

@@ -75,7 +75,9 @@ class MonteCarloSetup:
     exact: Dive  # perfect sensors; reference and truth have a row at the start and at each ping
     imu_errors: ImuErrors  # size of the errors of each run
     dvl_errors: DvlErrors
-    config: Config  # filters and uncertainty of the start; biases, scale, span and log are not used
+    config: (
+        Config  # filters and uncertainty of the start; biases, scale, span and log are not used
+    )
 
 
 def make_setup(
@@ -395,7 +397,9 @@ def ensemble_figure(
             Curve(time_s, predicted, SIGMA),
         )
         y_limits = (1.1 * lowest - 0.1 * highest, 1.1 * highest)
-        panels.append(Panel(f"{state.label} [{state.unit}]", "time [s]", curves, y_limits=y_limits))
+        panels.append(
+            Panel(f"{state.label} [{state.unit}]", "time [s]", curves, y_limits=y_limits)
+        )
     return Figure(
         title,
         "For a consistent filter, sigma from P is equal to that of the ensemble.",

@@ -222,7 +222,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, help="how many; each attack has its own number")
     parser.add_argument(
-        "--only", default="", metavar="TEXT", help="logs, bombs and names whose name has this in it"
+        "--only",
+        default="",
+        metavar="TEXT",
+        help="logs, bombs and names whose name has this in it",
     )
     parser.add_argument("--jobs", type=int, default=2, help="of mutate")
     parser.add_argument("--short", action="store_true", help="damage only short logs")

@@ -45,7 +45,9 @@ def swap_pages(data: bytes, rng: Random) -> bytes:
 def lose_page(data: bytes, rng: Random) -> bytes:
     """Read zeros, ones or an older page where one was."""
     (place, size), (other, _) = _page(data, rng), _page(data, rng)
-    return _over(data, place, rng.choice((bytes(size), b"\xff" * size, data[other : other + size])))
+    return _over(
+        data, place, rng.choice((bytes(size), b"\xff" * size, data[other : other + size]))
+    )
 
 
 def change_page_head(data: bytes, rng: Random) -> bytes:

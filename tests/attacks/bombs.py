@@ -32,7 +32,9 @@ def _packed(compression: str, pieces: int, piece: bytes = PIECE) -> bytes:
         packer = zstandard.ZstdCompressor().compressobj()
         return b"".join([packer.compress(piece) for _ in range(pieces)] + [packer.flush()])
     frame = lz4.frame.LZ4FrameCompressor(block_size=lz4.frame.BLOCKSIZE_MAX4MB)
-    return b"".join([frame.begin(), *(frame.compress(piece) for _ in range(pieces)), frame.flush()])
+    return b"".join(
+        [frame.begin(), *(frame.compress(piece) for _ in range(pieces)), frame.flush()]
+    )
 
 
 def _chunk(compression: str, says: int, packed: bytes) -> bytes:

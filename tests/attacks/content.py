@@ -142,7 +142,11 @@ def _index(record: records.McapRecord, place: int, length: int) -> records.McapR
         return records.MetadataIndex(place, length, record.name)
     if isinstance(record, records.Attachment):
         times = {"log_time": record.log_time, "create_time": record.create_time}
-        size = {"data_size": len(record.data), "name": record.name, "media_type": record.media_type}
+        size = {
+            "data_size": len(record.data),
+            "name": record.name,
+            "media_type": record.media_type,
+        }
         return records.AttachmentIndex(offset=place, length=length, **times, **size)
     return None
 

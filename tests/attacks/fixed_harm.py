@@ -289,7 +289,10 @@ def harm_chunk(content: Content, rng: Random) -> None:
 
 def harm_summary(content: Content, rng: Random) -> None:
     """Change bytes of the summary before its checksum is taken."""
-    where, new = rng.random(), rng.choice((b"\0", b"\xff", bytes(8), b"\xff" * 8, rng.randbytes(2)))
+    where, new = (
+        rng.random(),
+        rng.choice((b"\0", b"\xff", bytes(8), b"\xff" * 8, rng.randbytes(2))),
+    )
 
     def change(data: bytes) -> bytes:
         place = int(where * len(data))

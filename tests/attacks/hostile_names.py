@@ -130,8 +130,12 @@ def attack(
             check,
         ):
             ended = run_forked(command, folder / "said", folder / "printed")
-            there = {entry.name for folder in (place, place / "logs") for entry in folder.iterdir()}
+            there = {
+                entry.name for folder in (place, place / "logs") for entry in folder.iterdir()
+            }
             strangers = there - {"logs", "results", "gates.toml", os.fsdecode(name)}
-            printed = "" if command is check else (folder / "printed").read_text("utf-8", "replace")
+            printed = (
+                "" if command is check else (folder / "printed").read_text("utf-8", "replace")
+            )
             yield what, command[0], _judged(ended, printed, clean_mb, strangers), ended
         shutil.rmtree(place)

@@ -68,7 +68,11 @@ def commands(log: Path, base: Base, output: Path) -> dict[str, list[str]]:
     """Give the commands that are tried, by name."""
     run = ["run", str(log), "-o", str(output), *base.settings]
     inspect = ["inspect", str(log), "--deep", *base.settings]
-    return {"run": run, "run --allow-damaged": [*run, "--allow-damaged"], "inspect --deep": inspect}
+    return {
+        "run": run,
+        "run --allow-damaged": [*run, "--allow-damaged"],
+        "inspect --deep": inspect,
+    }
 
 
 def prepared(bases: list[Base], folder: Path) -> list[Clean]:
@@ -176,7 +180,9 @@ def campaign(
                     _kept(outcome, keep)
             if number % 20 == 19:
                 spent_s = time.monotonic() - start_s
-                sys.stderr.write(f"{10 * number + 10} of {len(seeds)} mutants in {spent_s:.0f} s\n")
+                sys.stderr.write(
+                    f"{10 * number + 10} of {len(seeds)} mutants in {spent_s:.0f} s\n"
+                )
     return found
 
 

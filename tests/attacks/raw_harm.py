@@ -181,7 +181,15 @@ HARMS: tuple[Harm, ...] = (
         cut_out,
         insert_noise,
     ),
-    *(repeat_span, swap_spans, drop_record, repeat_record, move_record, change_kind, change_length),
+    *(
+        repeat_span,
+        swap_spans,
+        drop_record,
+        repeat_record,
+        move_record,
+        change_kind,
+        change_length,
+    ),
     *(change_inner_length, change_magic, append_noise),
 )
 

@@ -129,7 +129,9 @@ def _full() -> None:
 
 def _writing(folder: Path) -> Iterator[Outcome]:
     _ended(folder, "run", "dive.mcap", "--starts", "1")
-    code, _, said = _ended(folder, "figure", "replay/dive", "error", "-o", "error.pdf", limit=_full)
+    code, _, said = _ended(
+        folder, "figure", "replay/dive", "error", "-o", "error.pdf", limit=_full
+    )
     yield _judged("5 figure on a full disk", code, said, 2, "cannot be written")
     (folder / "gates.toml").write_text(GATE)
     (folder / "checked" / "dive").mkdir(parents=True)

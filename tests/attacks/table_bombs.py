@@ -88,12 +88,16 @@ def element(kind: int, data: bytes) -> bytes:
 def matrix_start(variable: str, kind: int, dimensions: Sequence[int]) -> bytes:
     """Write what is in front of the numbers of a variable."""
     flags = element(6, struct.pack("<II", kind, 0))
-    return flags + element(5, np.array(dimensions, "<i4").tobytes()) + element(1, variable.encode())
+    return (
+        flags + element(5, np.array(dimensions, "<i4").tobytes()) + element(1, variable.encode())
+    )
 
 
 def matlab(*elements: bytes) -> bytes:
     """Write a file."""
-    return b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x100) + b"IM" + b"".join(elements)
+    return (
+        b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x100) + b"IM" + b"".join(elements)
+    )
 
 
 def _packed_zeros(size: int, kind: int, type_: int, item: int) -> bytes:

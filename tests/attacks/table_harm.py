@@ -129,7 +129,9 @@ def other_times(tables: Tables, rng: Random) -> str:
     name, table = _table(tables, rng)
     title = next((title for title in table if title.startswith("Time")), sorted(table)[0])
     times = table[title].astype(np.float64)
-    how = rng.choice(("later", "jump", "back", "coarse", "from 0", "negative", "number of the row"))
+    how = rng.choice(
+        ("later", "jump", "back", "coarse", "from 0", "negative", "number of the row")
+    )
     step = rng.choice((1e6, 1e9, 18e9, 1e12, 1e17))
     middle = len(times) // 2
     if how == "later":

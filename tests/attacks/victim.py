@@ -79,7 +79,10 @@ def ready(commands: list[list[str]]) -> None:
     """Prepare this process as the program prepares itself, and load all that the commands need."""
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     for command in commands:
-        with contextlib.redirect_stdout(StringIO()), contextlib.redirect_stderr(StringIO()) as said:
+        with (
+            contextlib.redirect_stdout(StringIO()),
+            contextlib.redirect_stderr(StringIO()) as said,
+        ):
             code = run_command_line(command)
         if code:
             raise SystemExit(f"the clean log fails: {' '.join(command)}: {said.getvalue()}")

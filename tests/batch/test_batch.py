@@ -82,7 +82,9 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def results(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Their results, made one after the other in one process."""
     output = tmp_path_factory.mktemp("results")
-    assert run_command_line(["run", "--preset", "levy-klein", str(archive), "-o", str(output)]) == 0
+    assert (
+        run_command_line(["run", "--preset", "levy-klein", str(archive), "-o", str(output)]) == 0
+    )
     return output
 
 
@@ -298,7 +300,8 @@ def test_two_dives_of_one_name_are_replayed_next_to_each_other(
         shutil.copy(archive / f"dive_{seed}.mcap", tmp_path / day / "dive.mcap")
     logs = [str(tmp_path / day) for day in ("monday", "tuesday")]
     assert (
-        run_command_line(["run", "--preset", "levy-klein", *logs, "-o", str(tmp_path / "out")]) == 0
+        run_command_line(["run", "--preset", "levy-klein", *logs, "-o", str(tmp_path / "out")])
+        == 0
     )
     for name in ("monday_dive", "tuesday_dive"):
         assert (
@@ -311,7 +314,9 @@ def test_two_dives_of_one_name_are_replayed_next_to_each_other(
         force=False,
     )
     assert not known_reports(
-        plan_jobs(find_dives(logs[:1]), tmp_path / "out", ReplayOptions(load_config("levy-klein"))),
+        plan_jobs(
+            find_dives(logs[:1]), tmp_path / "out", ReplayOptions(load_config("levy-klein"))
+        ),
         force=False,
     )
 
@@ -321,7 +326,9 @@ def test_a_result_that_lost_a_file_is_made_again(
 ) -> None:
     shutil.copytree(results, tmp_path / "out")
     (tmp_path / "out" / "dive_2" / "report.html").unlink()
-    done = done_here("run", "--preset", "levy-klein", archive, "-o", "out", "--force", cwd=tmp_path)
+    done = done_here(
+        "run", "--preset", "levy-klein", archive, "-o", "out", "--force", cwd=tmp_path
+    )
     assert [line for line in done.stderr.splitlines() if line.startswith("wrote")] == [
         "wrote out/dive_2", "wrote out/summary.csv", "wrote out/answers.csv",
         "wrote out/evidence.csv", "wrote out/index.html",
@@ -507,7 +514,10 @@ def test_results_are_known_by_log_settings_and_versions(
     report = json.loads(versions.read_bytes())
     versions.write_text(json.dumps({**report, "versions": {**report["versions"], "numpy": "1.0"}}))
     (tmp_path / "out" / "dive_5" / "report.json").write_text("{}")
-    assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config)) == {"dive_2", "dive_6"}
+    assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config)) == {
+        "dive_2",
+        "dive_6",
+    }
     assert (
         known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config, sources="other code"))
         == set()
@@ -613,7 +623,9 @@ def test_a_changed_result_needs_force_before_any_work_is_done(
 def test_a_report_that_nobody_can_read_is_no_result(
     data: bytes, archive: Path, tmp_path: Path
 ) -> None:
-    jobs = plan_jobs(find_dives([str(archive)]), tmp_path, ReplayOptions(load_config("levy-klein")))
+    jobs = plan_jobs(
+        find_dives([str(archive)]), tmp_path, ReplayOptions(load_config("levy-klein"))
+    )
     jobs[0].target.mkdir()
     (jobs[0].target / "report.json").write_bytes(data)
     with pytest.raises(ConfigError, match=f"{jobs[0].target.name}: "):
@@ -690,7 +702,14 @@ def test_a_result_that_is_not_whole_is_replayed_and_reported(
 
 
 def test_rerun_replays_what_is_unchanged(archive: Path, tmp_path: Path) -> None:
-    arguments = ["run", "--preset", "levy-klein", str(archive / "dive_1.mcap"), "-o", str(tmp_path)]
+    arguments = [
+        "run",
+        "--preset",
+        "levy-klein",
+        str(archive / "dive_1.mcap"),
+        "-o",
+        str(tmp_path),
+    ]
     assert run_command_line(arguments) == 0
     saved = tmp_path / "dive_1" / "report.json"
     report = decode_report(saved.read_bytes())
@@ -879,7 +898,9 @@ def test_a_worker_uses_the_noise_that_it_fits(archive: Path, tmp_path: Path) -> 
     assert replay_into(job) == written
 
 
-def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_path: Path) -> None:
+def test_two_processes_write_the_bytes_of_one(
+    archive: Path, results: Path, tmp_path: Path
+) -> None:
     done = run(archive, "-o", "out", "--jobs", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert bytes_of(tmp_path / "out") == bytes_of(results)

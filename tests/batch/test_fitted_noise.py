@@ -161,7 +161,9 @@ def test_both_sides_of_a_change_have_the_noise_before_it(
     assert before["config"]["noise"]["accel_white_mps_rts"] < 0.1 * Noise().accel_white_mps_rts
 
 
-def test_compare_settings_and_check_of_python_fit_it_too(dives: list[Path], tmp_path: Path) -> None:
+def test_compare_settings_and_check_of_python_fit_it_too(
+    dives: list[Path], tmp_path: Path
+) -> None:
     before = load_config(settings={"evaluation.starts": 1})
     after = load_config(settings={"evaluation.starts": 1, "dvl.scale": 1.01})
     compare_settings(dives[:1], before, after, tmp_path / "sides")
@@ -172,7 +174,9 @@ def test_compare_settings_and_check_of_python_fit_it_too(dives: list[Path], tmp_
     assert reports[0]["config"]["noise"] == reports[1]["config"]["noise"]
     assert reports[0]["config"]["noise"]["accel_white_mps_rts"] < 0.1 * Noise().accel_white_mps_rts
     gates = tmp_path / "gates.toml"
-    gate = '[[gate]]\nname = "fits"\ntable = "consistency"\nfilter = "baseline"\nrow = "velocity"\n'
+    gate = (
+        '[[gate]]\nname = "fits"\ntable = "consistency"\nfilter = "baseline"\nrow = "velocity"\n'
+    )
     gates.write_text(f'{gate}column = "mean_nis"\nmin = 0.9\nmax = 9.0\n', "utf-8")
     found = check(gates, dives[0], results=tmp_path / "checked")
     assert list(found.tables["gates"]["status"]) == ["passed"]

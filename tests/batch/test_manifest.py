@@ -121,7 +121,9 @@ def test_each_dive_has_its_own_settings_below_those_of_c(tmp_path: Path) -> None
     assert run_command_line(["calibrate", listed]) == 2
 
 
-def test_the_vehicle_of_a_dive_is_that_of_its_manifest_else_of_its_settings(tmp_path: Path) -> None:
+def test_the_vehicle_of_a_dive_is_that_of_its_manifest_else_of_its_settings(
+    tmp_path: Path,
+) -> None:
     for name in ("a", "b", "c"):
         (tmp_path / f"{name}.mcap").write_bytes(LOG)
     (tmp_path / "own.toml").write_text('[vehicle]\nname = "of settings"\n')

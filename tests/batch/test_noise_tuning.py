@@ -109,7 +109,9 @@ def test_fit_reads_the_dive_from_its_first_ping_on(
     assert dive.dvl.beam_velocity_mps is not None
     late = slice(300, None)
     reached = replace(
-        dive.dvl, time_ns=dive.dvl.time_ns[late], beam_velocity_mps=dive.dvl.beam_velocity_mps[late]
+        dive.dvl,
+        time_ns=dive.dvl.time_ns[late],
+        beam_velocity_mps=dive.dvl.beam_velocity_mps[late],
     )
     config, _ = with_tuned_baseline(replace(dive, dvl=reached), WRONG)
     assert config.filters["tuned"].beam_sd_mps == pytest.approx(TRUE["beam_sd_mps"], rel=0.1)

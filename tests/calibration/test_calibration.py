@@ -136,7 +136,9 @@ def test_noise_of_healthy_sensors_is_found(grade: str) -> None:
         noise = found.noise.after
         assert {row.status for row in found.noise_rows} == {Estimated.ESTIMATED}
         assert noise["beam_sd_mps"] == pytest.approx(DvlErrors().beam_sd_mps, rel=0.1)
-        assert abs(np.log(noise["accel_white_mps_rts"] / sensors.accel_white_mps_rts)) < np.log(2.0)
+        assert abs(np.log(noise["accel_white_mps_rts"] / sensors.accel_white_mps_rts)) < np.log(
+            2.0
+        )
         assert abs(np.log(noise["gyro_white_rad_rts"] / sensors.gyro_white_rad_rts)) < np.log(4.0)
 
 
@@ -175,7 +177,10 @@ def test_noise_too_small_to_be_seen_is_that_of_the_class_of_the_imu() -> None:
 def test_a_straight_line_reports_no_noise_to_be_applied() -> None:
     """What is wrong in a geometry that nobody knows would be taken for noise, unless noise alone is asked for."""
     straight = built_in_otherwise("straight", 0, duration_s=200.0)
-    held, alone = calibrated(straight, only=("arm", "noise")), calibrated(straight, only=("noise",))
+    held, alone = (
+        calibrated(straight, only=("arm", "noise")),
+        calibrated(straight, only=("noise",)),
+    )
     assert {row.status for row in held.noise_rows} == {Estimated.HELD}
     assert not held.proposes_noise
     of_noise = {row.parameter: row for row in alone.noise_rows}
@@ -188,7 +193,8 @@ def test_noise_that_the_baseline_has_of_its_own_is_not_proposed() -> None:
     own = msgspec.structs.replace(CONFIG.filters["baseline"], gyro_white_rad_rts=1e-6)
     config = msgspec.structs.replace(CONFIG, filters={"baseline": own})
     found = calibrated(
-        built_in_otherwise("calibration", 1, duration_s=150.0, config=config), only=("arm", "noise")
+        built_in_otherwise("calibration", 1, duration_s=150.0, config=config),
+        only=("arm", "noise"),
     )
     told = {row.parameter: row.status for row in found.noise_rows}
     assert told["gyro_white_rad_rts"] == Estimated.HELD

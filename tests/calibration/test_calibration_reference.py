@@ -117,7 +117,9 @@ def found() -> Calibration:
     return calibrated(beside("figure-eight", 1))
 
 
-def errors_of_sd(seeds: Iterable[int], config: Config, *, velocity: bool) -> dict[str, list[float]]:
+def errors_of_sd(
+    seeds: Iterable[int], config: Config, *, velocity: bool
+) -> dict[str, list[float]]:
     """Return the errors of what was put in over their standard deviations, by parameter; all are estimated."""
     errors: dict[str, list[float]] = {name: [] for name in PUT_IN}
     for seed in seeds:

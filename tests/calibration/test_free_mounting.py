@@ -46,7 +46,8 @@ def test_any_rotation_is_found_with_unknown_arm_delay_and_scale(
     assert angle_between(found.mat, true) < ONE_DEG
     assert found.delay_s == pytest.approx(0.13, abs=0.03)
     assert (
-        found.held_out_misfit(true, true @ mat_from_rpy(np.array([0.0, 0.0, 22.5]) * DEG)) > CLEARLY
+        found.held_out_misfit(true, true @ mat_from_rpy(np.array([0.0, 0.0, 22.5]) * DEG))
+        > CLEARLY
     )
 
 

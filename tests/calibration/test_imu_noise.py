@@ -160,7 +160,9 @@ def test_dives_that_are_still_take_nothing_from_one_that_shows_how_the_dvl_is_bu
     dives = [read.innovations() for read in (moving, *still)]
     found = calibrate(dives, config)
     # What the IMU's own scale and axes may do to the yaw is not known beside one that is ten times as noisy.
-    assert {"arm_x", "arm_y", "arm_z", *(["mounting_z"] if times == 1.0 else [])} <= proposed(found)
+    assert {"arm_x", "arm_y", "arm_z", *(["mounting_z"] if times == 1.0 else [])} <= proposed(
+        found
+    )
     assert np.nanmax(np.abs(errors_over_sds(found, BUILT_IN))) < 3.5
     assert max(row.birge or 0.0 for row in found.rows) <= MANY_TIMES
     assert [found.fit.change(i)[DELAY] for i in (1, 2)] == [0.0, 0.0]

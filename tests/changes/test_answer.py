@@ -279,9 +279,9 @@ def test_fail_on_worse_fails_on_the_answer(
         answers(tmp_path / name, new)
         sides = str(tmp_path / name / "old"), str(tmp_path / name / "new")
         assert run_command_line(["compare", *sides, "-q", "--fail-on", "worse"]) == code
-        assert ("baseline against before: WORSE, position 1.60" in capsys.readouterr().err) is bool(
-            code
-        )
+        assert (
+            "baseline against before: WORSE, position 1.60" in capsys.readouterr().err
+        ) is bool(code)
 
 
 def test_a_page_has_a_forest_plot_of_each_filter(tmp_path: Path) -> None:

@@ -50,7 +50,9 @@ def test_numbers_move_as_computed_by_hand(
 ) -> None:
     moved = judge_number(old, new, column, better, dofs=(3.0, 3.0))
     assert moved.verdict == word
-    assert moved.change_pct == (None if change_pct is None else pytest.approx(change_pct, abs=1e-9))
+    assert moved.change_pct == (
+        None if change_pct is None else pytest.approx(change_pct, abs=1e-9)
+    )
     assert moved.change == (
         None if old is None or new is None else pytest.approx(new - old, abs=1e-12)
     )

@@ -117,7 +117,11 @@ def check(folder: Path, gates: str, *arguments: str, dives: str = '["dives/*.mca
     """Check in this process, which is faster."""
     write_gates(folder, gates, dives)
     out, err = io.StringIO(), io.StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
         code = run_command_line(["check", "gates.toml", *arguments])
     return Done(["check"], code, out.getvalue(), err.getvalue())
 
@@ -288,7 +292,9 @@ def test_a_result_with_a_row_without_a_name_does_not_stop_the_others(
     done = check(tmp_path, PASSING.replace("ba_z", "ba_x"), "broken", "dive")
     assert done.returncode == 3
     place = "broken/report.json: table improvement, row 2: "
-    assert re.search(rf"\nNO RESULT  broken: ba_x converges\n    {place}.* {column}\n", done.stdout)
+    assert re.search(
+        rf"\nNO RESULT  broken: ba_x converges\n    {place}.* {column}\n", done.stdout
+    )
     assert counts(done.stdout) == [1, 2, 1, 1]
     (tmp_path / "expected").mkdir()
     shutil.copy(tmp_path / "broken" / "report.json", tmp_path / "expected" / "dive.json")

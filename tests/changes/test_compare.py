@@ -267,7 +267,11 @@ def test_a_filter_on_one_side_is_noted_and_its_rows_are_new(tmp_path: Path) -> N
 def test_causes_are_named_key_by_key_with_both_values(tmp_path: Path) -> None:
     new = content(window=5, sha256="other")
     new["versions"]["numpy"] = "2.5.0"
-    new["tool"] |= {"version": "0.2.0", "started_at": "2026-02-02T00:00:00+00:00", "elapsed_s": 9.0}
+    new["tool"] |= {
+        "version": "0.2.0",
+        "started_at": "2026-02-02T00:00:00+00:00",
+        "elapsed_s": 9.0,
+    }
     new["log"] |= {"duration_s": 2.0}
     new["log"]["channels"][0]["messages"] = 90
     new["config"]["dvl"]["lever_arm_m"] = [0.0, 0.1, 0.0]
@@ -290,7 +294,10 @@ def test_causes_are_named_key_by_key_with_both_values(tmp_path: Path) -> None:
         ("config", "filters.aided.window"): ("3", "5"),
         ("log", "sha256"): ("hash of dive", "other"),
         ("log", "duration_s"): ("1.0", "2.0"),
-        ("log", "channels /imu"): ("100 sensor_msgs/msg/Imu (imu)", "90 sensor_msgs/msg/Imu (imu)"),
+        ("log", "channels /imu"): (
+            "100 sensor_msgs/msg/Imu (imu)",
+            "90 sensor_msgs/msg/Imu (imu)",
+        ),
         ("notes", "imu_gaps"): (None, "3 (warning)"),
     }
 
@@ -426,7 +433,9 @@ def place(tmp_path: Path) -> Path:
     write(tmp_path / "other" / "two", content("two"))
     write(tmp_path / "stranger" / "dive", content(filter="tuned"))
     write(tmp_path / "study", {"kind": "window", "tool": {"version": "0.1.0"}})
-    write(tmp_path / "future", {"tool": {"version": "9.0"}, "log": {"title": "dive"}, "tables": {}})
+    write(
+        tmp_path / "future", {"tool": {"version": "9.0"}, "log": {"title": "dive"}, "tables": {}}
+    )
     write(tmp_path / "list", [])  # type: ignore[arg-type]
     (tmp_path / "empty").mkdir()
     (tmp_path / "broken").mkdir()
@@ -593,7 +602,9 @@ def test_pages_for_documents_hold_the_rows(
     format_: str, expected: str, place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert (
-        run_command_line(["compare", str(place / "old"), str(place / "worse"), "--format", format_])
+        run_command_line(
+            ["compare", str(place / "old"), str(place / "worse"), "--format", format_]
+        )
         == 0
     )
     assert expected in capsys.readouterr().out

@@ -35,7 +35,9 @@ def passes(gate_: CellGate, report: StoredReport, expected: StoredReport | None 
 
 def why(gate_: CellGate, report: StoredReport, expected: StoredReport | None = None) -> str:
     return "; ".join(
-        finding.sentence for finding in gate_findings(gate_, report, expected) if not finding.passed
+        finding.sentence
+        for finding in gate_findings(gate_, report, expected)
+        if not finding.passed
     )
 
 
@@ -83,7 +85,9 @@ def test_a_name_that_no_result_has_is_reported_with_the_nearest(
 ) -> None:
     lines = {"name": "b", "table": "improvement", "column": "sd"} | keys
     text = (
-        "[[gate]]\n" + "".join(f'{key} = "{value}"\n' for key, value in lines.items()) + "max = 1\n"
+        "[[gate]]\n"
+        + "".join(f'{key} = "{value}"\n' for key, value in lines.items())
+        + "max = 1\n"
     )
     path = tmp_path / "gates.toml"
     path.write_text(GATE + "max = 1\n" + text)
@@ -284,7 +288,11 @@ def test_a_missing_row_is_reported_with_its_names() -> None:
             {"rejected": 1},
             False,
         ),
-        ({"table": "consistency", "column": "rejected", "max_worse_abs": 1}, {"rejected": 1}, True),
+        (
+            {"table": "consistency", "column": "rejected", "max_worse_abs": 1},
+            {"rejected": 1},
+            True,
+        ),
     ],
 )
 def test_a_value_may_be_worse_than_expected_by_so_much(
@@ -453,7 +461,9 @@ def test_an_allowance_may_be_used_up_but_for_digits_that_differ_between_processo
         ("", ["better", "equivalent", "undecided", ""], False),
     ],
 )
-def test_a_gate_on_a_verdict_wants_a_word(word: str, wanted: str | list[str], passed: bool) -> None:
+def test_a_gate_on_a_verdict_wants_a_word(
+    word: str, wanted: str | list[str], passed: bool
+) -> None:
     keys = {"table": "filters", "column": "verdict", "equals": wanted}
     assert passes(gate(**keys), stored(filter_verdict=word)) is passed
 
@@ -610,7 +620,10 @@ def test_dives_without_an_evaluation_are_not_pooled() -> None:
 def test_pooled_evidence_is_that_of_the_settings() -> None:
     """The quantity that decides, and the share of the error rate, are those of the screen of several dives."""
     usual, named = pooled(SURELY_SMALLER), pooled(SURELY_SMALLER, primary="drift_60s")
-    for row, roles in (("position", ("primary", "shown")), ("drift_60s", ("secondary", "primary"))):
+    for row, roles in (
+        ("position", ("primary", "shown")),
+        ("drift_60s", ("secondary", "primary")),
+    ):
         for found, role in zip((usual, named), roles, strict=True):
             assert passes(gate(table="pooled", row=row, column="role", equals=role), found), (
                 row,

@@ -147,7 +147,9 @@ def warnings_in(source: str) -> list[ast.Call]:
 
 
 def test_every_warning_about_a_log_has_a_hint() -> None:
-    rooms = sorted(path for room in (logs, checks) for path in Path(room.__path__[0]).rglob("*.py"))
+    rooms = sorted(
+        path for room in (logs, checks) for path in Path(room.__path__[0]).rglob("*.py")
+    )
     calls = {
         f"{path.name}:{call.lineno}": call
         for path in rooms

@@ -169,7 +169,9 @@ def test_positions_that_freeze_under_way_count_as_missing(turning: Dive) -> None
     is_frozen = (time_s > 60.0) & (time_s < 100.0)
     position = reference.position.copy()
     position[is_frozen] = position[np.flatnonzero(is_frozen)[0] - 1]
-    found, (note,) = without_frozen(turning.imu, turning.dvl, replace(reference, position=position))
+    found, (note,) = without_frozen(
+        turning.imu, turning.dvl, replace(reference, position=position)
+    )
     np.testing.assert_array_equal(np.isnan(found.position[:, 0]), is_frozen)
     np.testing.assert_array_equal(found.mat_nb, reference.mat_nb)
     assert (note.code, note.count) == ("reference_frozen", np.count_nonzero(is_frozen))
@@ -390,7 +392,9 @@ def swaying(dive: Dive) -> Dive:
     reference = reference_of(dive)
     velocity_b = np.einsum("kji,kj->ki", reference.mat_nb, reference.velocity_n)
     at_s = seconds(reference.time_ns, dive.imu.time_ns[0])
-    velocity_b += np.stack([0.0 * at_s, 0.2 * np.sin(at_s / 9.0), 0.1 * np.cos(at_s / 7.0)], axis=1)
+    velocity_b += np.stack(
+        [0.0 * at_s, 0.2 * np.sin(at_s / 9.0), 0.1 * np.cos(at_s / 7.0)], axis=1
+    )
     ping_s = seconds(dive.dvl.time_ns, dive.imu.time_ns[0])
     velocity_d = np.stack([np.interp(ping_s, at_s, column) for column in velocity_b.T], axis=1)
     velocity_n = np.einsum("kij,kj->ki", reference.mat_nb, velocity_b)

@@ -130,7 +130,9 @@ def test_jumps_turned_axes_and_pauses_of_the_imu_do_not_matter(turning: dict[flo
     jumped = reference.mat_nb.copy()
     jumped[500::300] = jumped[500::300] @ mat_from_vector(np.array([0.0, 0.0, 0.2]))
     time_ns = dive.imu.time_ns
-    away = (time_ns > time_ns[0] + nanoseconds(200.0)) & (time_ns < time_ns[0] + nanoseconds(205.0))
+    away = (time_ns > time_ns[0] + nanoseconds(200.0)) & (
+        time_ns < time_ns[0] + nanoseconds(205.0)
+    )
     changed = {
         "turned": (dive.imu, replace(reference, mat_nb=reference.mat_nb @ turn)),
         "jumped": (dive.imu, replace(reference, mat_nb=jumped)),

@@ -150,7 +150,9 @@ def test_velocities_of_another_topic_are_compared_between_their_rows(turning: Di
     position, velocity_n = reference.position.copy(), 1.01 * reference.velocity_n
     position[np.arange(len(position)) % 5 != 2] = np.nan
     velocity_n[np.arange(len(position)) % 5 == 2] = np.nan
-    (note,) = found(turning, lambda _: replace(reference, position=position, velocity_n=velocity_n))
+    (note,) = found(
+        turning, lambda _: replace(reference, position=position, velocity_n=velocity_n)
+    )
     assert float(re.findall(r"([-\d.]+) \+-", note.text)[0]) == pytest.approx(0.99, abs=0.02)
 
 

@@ -99,7 +99,9 @@ def test_a_heading_astray_is_reported_by_what_was_computed() -> None:
     still = ReferenceColumns(
         time_ns, *(np.zeros((201, 3)) for _ in range(2)), np.tile(np.eye(3), (201, 1, 1))
     )
-    (note,) = contradiction_notes({"heading": SensorColumns(time_ns, off[:, None])}, still, Depth())
+    (note,) = contradiction_notes(
+        {"heading": SensorColumns(time_ns, off[:, None])}, still, Depth()
+    )
     assert note.code == "heading_contradiction"
     assert re.findall(r"\d+", note.text) == ["30", "201", "60"]
 

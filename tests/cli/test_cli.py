@@ -98,7 +98,9 @@ def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def result(dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[Path, str, str]:
+def result(
+    dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> tuple[Path, str, str]:
     """Its result folder, and what was said on stdout and stderr."""
     assert run_command_line(["run", str(dive), "-o", str(tmp_path)]) == 0
     captured = capsys.readouterr()
@@ -111,9 +113,13 @@ def test_help_shows_the_documented_options_and_an_example(
 ) -> None:
     assert run_command_line([*command.split(), "-h"]) == 0
     text = capsys.readouterr().out
-    shown = re.findall(r"^  ((?:-\w, )?--[\w-]+(?:, --from)?(?: \S+)?)(?:  |$)", text, re.MULTILINE)
+    shown = re.findall(
+        r"^  ((?:-\w, )?--[\w-]+(?:, --from)?(?: \S+)?)(?:  |$)", text, re.MULTILINE
+    )
     assert shown == [option for option in DOCUMENTED[command] if option.startswith("-")]
-    assert all(argument in text for argument in DOCUMENTED[command] if not argument.startswith("-"))
+    assert all(
+        argument in text for argument in DOCUMENTED[command] if not argument.startswith("-")
+    )
     assert f"  Example:\n    insdvl-replay {command} " in text
 
 
@@ -265,7 +271,9 @@ def test_a_bad_log_does_not_stop_the_others(
     assert re.match(r"error: 1 of 2 .*: bad; .*bad\.mcap: ", last)
 
 
-def test_strict_turns_warnings_into_exit_3_and_keeps_the_result(dive: Path, tmp_path: Path) -> None:
+def test_strict_turns_warnings_into_exit_3_and_keeps_the_result(
+    dive: Path, tmp_path: Path
+) -> None:
     arguments = ["run", str(dive), "-o", str(tmp_path), "--set", "imu.max_gap_s=0.001"]
     assert run_command_line(arguments) == 0
     assert run_command_line([*arguments, "--strict", "--force"]) == 3
@@ -436,8 +444,16 @@ def test_our_error_is_exit_4_and_shows_its_place_only_when_asked(
     assert re.search(r"error: internal error: ZeroDivisionError: a slip; hint: ", err)
 
 
-def test_a_reader_that_goes_away_ends_the_printing_not_the_work(dive: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-c", "from insdvl_replay.cli import main; main()", "run", str(dive)]
+def test_a_reader_that_goes_away_ends_the_printing_not_the_work(
+    dive: Path, tmp_path: Path
+) -> None:
+    command = [
+        sys.executable,
+        "-c",
+        "from insdvl_replay.cli import main; main()",
+        "run",
+        str(dive),
+    ]
     with subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
@@ -481,7 +497,10 @@ def test_schema_prints_message_definitions(capsys: pytest.CaptureFixture[str]) -
     "command",
     [
         "--help",
-        *(pytest.param(one, marks=pytest.mark.nightly) for one in ("config", "run {log} -o {out}")),
+        *(
+            pytest.param(one, marks=pytest.mark.nightly)
+            for one in ("config", "run {log} -o {out}")
+        ),
     ],
 )
 def test_streams_that_are_full_or_closed_end_the_printing_but_not_the_work(

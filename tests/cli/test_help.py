@@ -95,7 +95,9 @@ def test_example_runs_as_it_is(
     shutil.copytree(workshop, folder)
     monkeypatch.chdir(folder)
     words = [EARLIER.get(word, word) for word in shlex.split(example.partition(">")[0])]
-    arguments = [found for word in words for found in sorted(map(str, Path().glob(word))) or [word]]
+    arguments = [
+        found for word in words for found in sorted(map(str, Path().glob(word))) or [word]
+    ]
     if "simulate" in arguments:
         (folder / "dive.mcap").unlink()
     if "calibrate" in arguments:
@@ -114,8 +116,12 @@ def test_example_runs_as_it_is(
         ("insdvl-replay si", ["simulate"]),
         pytest.param("insdvl-replay run --pre", ["--preset"], marks=pytest.mark.nightly),
         ("insdvl-replay run --preset t", ["tactical"]),
-        pytest.param("insdvl-replay simulate s", ["straight", "static"], marks=pytest.mark.nightly),
-        pytest.param("insdvl-replay simulate straight --imu f", ["fog"], marks=pytest.mark.nightly),
+        pytest.param(
+            "insdvl-replay simulate s", ["straight", "static"], marks=pytest.mark.nightly
+        ),
+        pytest.param(
+            "insdvl-replay simulate straight --imu f", ["fog"], marks=pytest.mark.nightly
+        ),
         pytest.param("insdvl-replay run --format m", ["md"], marks=pytest.mark.nightly),
     ],
 )

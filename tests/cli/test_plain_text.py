@@ -222,7 +222,10 @@ def test_compare(hostile: Path) -> None:
     "format_",
     [
         "junit",
-        *(pytest.param(one, marks=pytest.mark.nightly) for one in ("text", "md", "json", "github")),
+        *(
+            pytest.param(one, marks=pytest.mark.nightly)
+            for one in ("text", "md", "json", "github")
+        ),
     ],
 )
 def test_check_of_a_dive_that_fails_and_one_that_cannot_be_used(

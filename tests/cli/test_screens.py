@@ -351,14 +351,18 @@ def test_colours_are_those_of_the_word() -> None:
         [tone] = {
             line.tone for part in together for line in part.lines if isinstance(line, Callout)
         }
-        bad = verdict in ("mixed", "not evaluated", "not repeatable") or verdict.startswith("worse")
+        bad = verdict in ("mixed", "not evaluated", "not repeatable") or verdict.startswith(
+            "worse"
+        )
         assert tone == ("good" if verdict.startswith("better") else "bad" if bad else "")
     alone = [
         part
         for part in dive_screen(judged("dive", 0.1), "report.html")
         if isinstance(part, Sentences)
     ]
-    assert {line.tone for part in alone for line in part.lines if isinstance(line, Callout)} == {""}
+    assert {line.tone for part in alone for line in part.lines if isinstance(line, Callout)} == {
+        ""
+    }
 
 
 def test_no_victory_is_printed_of_one_dive() -> None:
@@ -413,7 +417,8 @@ def test_beams_are_counted_where_no_filter_takes_velocities() -> None:
     velocity = made.tables.consistency[0]
     met = [(name, beam) for name in ("baseline", "aided") for beam in ("beam_1", "beam_2")]
     rows = [
-        replace(velocity, filter=name, measurement=beam, used=420, rejected=4) for name, beam in met
+        replace(velocity, filter=name, measurement=beam, used=420, rejected=4)
+        for name, beam in met
     ]
     for used, said in (
         (rows, "848 beams, 8 rejected"),
@@ -432,7 +437,9 @@ def test_one_filter_alone_has_a_row_and_a_link_for_each_dive() -> None:
         for dive in made
     ]
     lines = screen_lines(
-        rendered(list(dives_screen([*dives, Failure("gone", "gone.mcap: is empty")], "index.html")))
+        rendered(
+            list(dives_screen([*dives, Failure("gone", "gone.mcap: is empty")], "index.html"))
+        )
     )
     assert [line.split() for line in lines if line.startswith(("dive 1", "gone"))] == [
         ["dive", "1", "1.5", "-", "-", "-", "consistent"],
@@ -454,7 +461,9 @@ def test_two_candidates_fit_a_screen_though_their_sentences_fold() -> None:
         for row in made.tables.credibility[:1]
     ]
     tables = replace(made.tables, evidence=rows, credibility=[*made.tables.credibility, *wide])
-    text = rendered(list(dive_screen(replace(made, filters=filters, tables=tables), "report.html")))
+    text = rendered(
+        list(dive_screen(replace(made, filters=filters, tables=tables), "report.html"))
+    )
     assert (
         sum(
             line.startswith(tuple(f"{name} against" for name in filters))
@@ -548,7 +557,9 @@ def test_tables_of_several_dives_are_one_in_every_format(
     )
     assert (
         len(
-            re.findall(r"label{tab:(?:a|b|2-dives|322064697665|2.*dives):", capsys.readouterr().out)
+            re.findall(
+                r"label{tab:(?:a|b|2-dives|322064697665|2.*dives):", capsys.readouterr().out
+            )
         )
         >= 3
     )

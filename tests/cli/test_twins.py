@@ -397,7 +397,10 @@ def test_resolved_settings(team: Path) -> None:
         ("check gates.toml", lambda: insdvl_replay.check("gates.toml")),
         ("plan nowhere", lambda: insdvl_replay.plan("nowhere")),
         ("simulate circle -o x.mcap", lambda: insdvl_replay.simulate("circle", "x.mcap")),
-        ("simulate straight -o dive.mcap", lambda: insdvl_replay.simulate("straight", "dive.mcap")),
+        (
+            "simulate straight -o dive.mcap",
+            lambda: insdvl_replay.simulate("straight", "dive.mcap"),
+        ),
         ("config --preset foggy", lambda: load_config(preset="foggy")),
         ("config --set dvl.scle=1", lambda: load_config(settings=["dvl.scle=1"])),
     ],

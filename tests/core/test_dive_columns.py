@@ -16,7 +16,8 @@ def test_distinct_times_are_those_of_numpy(times: list[int]) -> None:
 
 
 @given(
-    st.lists(st.integers(0, 40), max_size=20), st.lists(st.integers(0, 40), max_size=8, unique=True)
+    st.lists(st.integers(0, 40), max_size=20),
+    st.lists(st.integers(0, 40), max_size=8, unique=True),
 )
 def test_times_in_spans_are_those_that_lie_in_one_of_them(
     times: list[int], edges: list[int]

@@ -24,7 +24,9 @@ sys.exit(int(_get_madvise_hugepage()))
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has huge pages that numpy asks for")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="only Linux has huge pages that numpy asks for"
+)
 @pytest.mark.parametrize("wish", ["0", "1", None])
 def test_numpy_asks_for_huge_pages_only_if_the_user_wants_it(wish: str | None) -> None:
     environment = {

@@ -205,7 +205,9 @@ def test_a_drag_zooms_all_panels_over_time_alike_and_a_double_click_restores_the
     zoomed = browser.value(views)
     assert len(set(zoomed)) == 1
     scale, _, ticks = re.fullmatch(r"matrix\((\S+) (\S+); (.*)", zoomed[0]).groups()  # type: ignore[union-attr]
-    assert float(scale) == pytest.approx(4.0 * float(re.findall(r"[\d.]+", before[0])[0]), rel=0.03)
+    assert float(scale) == pytest.approx(
+        4.0 * float(re.findall(r"[\d.]+", before[0])[0]), rel=0.03
+    )
     assert ticks == "100 120 140 160 180"
     assert browser.value(others) == elsewhere
     assert browser.value("location.hash") == "", "a drag is no click"
@@ -245,7 +247,9 @@ def test_a_drag_zooms_the_panels_over_logarithmic_time_alike_and_no_others(
         for view, is_log in zip(after, over_time, strict=True)
         if is_log
     }
-    (home,) = {view[1].split()[0] for view, is_log in zip(before, over_time, strict=True) if is_log}
+    (home,) = {
+        view[1].split()[0] for view, is_log in zip(before, over_time, strict=True) if is_log
+    }
     across, ticks = zoomed
     assert float(across[7:]) == pytest.approx(2.0 * float(home[7:]), rel=0.03)
     assert ticks == "5 10 20 50"

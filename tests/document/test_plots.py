@@ -45,7 +45,9 @@ def lines(panel: Panel) -> list[np.ndarray]:
     (group,) = (
         element for element in drawn(panel).iter(f"{SVG}g") if element.get("class") == "data"
     )
-    across, _, _, down, left, top = map(float, re.findall(r"[-+.e\d]+", group.get("transform", "")))
+    across, _, _, down, left, top = map(
+        float, re.findall(r"[-+.e\d]+", group.get("transform", ""))
+    )
     return [
         places(path.get("d", "")) * (across, down) + (left, top)
         for path in group
@@ -192,7 +194,9 @@ def test_a_track_keeps_its_shape_and_loses_its_standstill() -> None:
         ([NAN, np.inf], (0.0, 1.0)),
     ],
 )
-def test_limits_give_air_and_never_meet(values: list[float], expected: tuple[float, float]) -> None:
+def test_limits_give_air_and_never_meet(
+    values: list[float], expected: tuple[float, float]
+) -> None:
     assert limits(np.array(values)) == pytest.approx(expected)
 
 
@@ -308,7 +312,9 @@ def test_six_filters_have_styles_of_their_own() -> None:
     assert filter_style(6) == filter_style(0)
 
 
-def test_a_logarithmic_time_axis_ends_with_its_values_and_gives_each_decade_the_same_room() -> None:
+def test_a_logarithmic_time_axis_ends_with_its_values_and_gives_each_decade_the_same_room() -> (
+    None
+):
     x = np.array([2.0, 20.0, 200.0])
     [line] = lines(Panel("title", "x", (Curve(x, x, "filter0"),), x_scale="log"))
     assert line[:, 0] == pytest.approx([48.0, 199.0, 350.0], abs=0.1)

@@ -85,7 +85,14 @@ def known(series: dict[str, ErrorSeries]) -> list[str]:
 
 def test_each_quantity_is_what_was_put_in(dive: Dive) -> None:
     found = found_in(dive)
-    assert list(found) == ["drift_30s", "drift_60s", "drift_100m", "depth_60s", *ALL[3:5], *ALL[6:]]
+    assert list(found) == [
+        "drift_30s",
+        "drift_60s",
+        "drift_100m",
+        "depth_60s",
+        *ALL[3:5],
+        *ALL[6:],
+    ]
     assert sorted(found) == sorted(ALL)
     speed_mps = float(np.linalg.norm(reference_of(dive).velocity_n[0]))
     expected = {
@@ -103,7 +110,9 @@ def test_each_quantity_is_what_was_put_in(dive: Dive) -> None:
         "deg": {"level", "heading"},
     }
     for quantity, series in found.items():
-        assert rms(series.errors) == pytest.approx(expected[quantity], rel=0.02, abs=1e-9), quantity
+        assert rms(series.errors) == pytest.approx(expected[quantity], rel=0.02, abs=1e-9), (
+            quantity
+        )
         assert series.unit == next(
             (unit for unit, names in units.items() if quantity in names), "m/s"
         )

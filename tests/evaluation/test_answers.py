@@ -74,7 +74,10 @@ POSITION, BOTH, SHORT = (
         ([having(*BOTH)] * 4 + [having(SHORT)], "outage_30s"),
         ([having(*BOTH)] * 4 + [having("level")], ""),
         ([having("position", *BOTH, position="shown")] * 3, "outage_60s"),
-        ([having("outage_60s", SHORT, outage_60s="secondary")] + [having(*BOTH)] * 3, "outage_30s"),
+        (
+            [having("outage_60s", SHORT, outage_60s="secondary")] + [having(*BOTH)] * 3,
+            "outage_30s",
+        ),
         ([having("level", "drift_60s", "depth")] * 3, ""),
         ([], ""),
     ],
@@ -269,7 +272,9 @@ def test_noise_of_the_reference_makes_no_filters_equivalent() -> None:
     noisy = answer(dives_of({"position": EQUAL}, noise=0.6))
     assert (noisy.verdict, noisy.undecided) == ("undecided", Undecided.NOISE)
     assert verdict({"position": EQUAL}, noise=0.4) == "equivalent"
-    assert verdict({"position": BETTER}, noise=0.6) == "better", "a difference that is seen is seen"
+    assert verdict({"position": BETTER}, noise=0.6) == "better", (
+        "a difference that is seen is seen"
+    )
     assert verdict({"position": EQUAL}, noise=0.6, acts=0.02) == "equivalent", (
         "that is proved without the reference"
     )
@@ -372,7 +377,8 @@ def test_three_vehicles_are_three_samples() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ratios", "word"), [(BETTER, "sooner"), (EQUAL, "same"), (WORSE, "later"), (WIDE, "undecided")]
+    ("ratios", "word"),
+    [(BETTER, "sooner"), (EQUAL, "same"), (WORSE, "later"), (WIDE, "undecided")],
 )
 def test_convergence_has_a_word_of_its_own(ratios: tuple[float, ...], word: str) -> None:
     found = answer(

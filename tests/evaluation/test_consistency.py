@@ -208,7 +208,9 @@ def test_too_few_updates_are_not_evaluated() -> None:
         FEWEST_UPDATES - 1,
         "insufficient data",
     )
-    assert row[["mean_nis", "low", "high", "autocorrelation", "autocorrelation_limit"]].isna().all()
+    assert (
+        row[["mean_nis", "low", "high", "autocorrelation", "autocorrelation_limit"]].isna().all()
+    )
     assert row["whiteness"] == "insufficient data"
     assert judged(np.full(FEWEST_UPDATES, 3.0))["verdict"] == "consistent"
 
@@ -351,7 +353,9 @@ def replayed(
             acceleration=Acceleration(),
         ),
     }
-    return replay_dive(dive, Config(noise=NOISE, dvl=Dvl(beam_sd_mps=beam_sd_mps), filters=filters))
+    return replay_dive(
+        dive, Config(noise=NOISE, dvl=Dvl(beam_sd_mps=beam_sd_mps), filters=filters)
+    )
 
 
 def rows(replay: Replay) -> Any:

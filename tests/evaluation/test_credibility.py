@@ -192,7 +192,9 @@ def test_rare_large_errors_are_found_though_their_mean_square_is_as_predicted(
 
 
 @pytest.mark.parametrize("independent", [5.0, 20.0, 200.0])
-def test_share_of_large_errors_is_as_improbable_as_scipys_binomial_says(independent: float) -> None:
+def test_share_of_large_errors_is_as_improbable_as_scipys_binomial_says(
+    independent: float,
+) -> None:
     expected = 2.0 * float(stats.norm.sf(3.0))
     for count in (1, 2, 4):
         found = probability_beyond_3_sd(count / independent, independent)
@@ -261,7 +263,13 @@ def test_joint_row_takes_the_times_when_everything_is_known() -> None:
     errors = drawn()
     errors.error[::2, BA] = np.nan
     table = judged(errors)
-    assert table["samples"].tolist() == [K] * 6 + [K // 2] * 3 + [K] * 3 + [K, K, K // 2, K, K // 2]
+    assert table["samples"].tolist() == [K] * 6 + [K // 2] * 3 + [K] * 3 + [
+        K,
+        K,
+        K // 2,
+        K,
+        K // 2,
+    ]
 
 
 def test_dive_without_a_reference_says_so() -> None:

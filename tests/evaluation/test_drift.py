@@ -197,7 +197,9 @@ def test_scale_errs_along_and_heading_across_the_course(course_deg: float) -> No
     course = np.deg2rad(course_deg)
     velocity_n = 1.5 * np.array([np.cos(course), np.sin(course), 0.0])
     to_starboard = 1.5 * np.array([-np.sin(course), np.cos(course), 0.0])
-    errors = errors_of(np.zeros((50, 3)), np.tile(0.01 * velocity_n + 0.02 * to_starboard, (50, 1)))
+    errors = errors_of(
+        np.zeros((50, 3)), np.tile(0.01 * velocity_n + 0.02 * to_starboard, (50, 1))
+    )
     found = course_errors(errors, going(50, velocity_n))
     np.testing.assert_allclose(found.along_mps, 0.015, atol=1e-12)
     np.testing.assert_allclose(found.across_mps, 0.030, atol=1e-12)

@@ -214,7 +214,8 @@ def test_consistency_compares_distances_from_one_and_decides_nothing(
     before: float, after: float, ratio: float
 ) -> None:
     row = rows_of(
-        Measured(), (nis("baseline", before, "overconfident"), nis("aided", after, "overconfident"))
+        Measured(),
+        (nis("baseline", before, "overconfident"), nis("aided", after, "overconfident")),
     )["nis"]
     assert (row.evidence, row.role) == ("consistency", "shown")
     assert (row.baseline, row.value) == pytest.approx((before, after))

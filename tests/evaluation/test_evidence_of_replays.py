@@ -54,7 +54,9 @@ def test_the_baseline_is_fit_to_judge_by() -> None:
 def test_drawn_starts_belong_to_convergence_alone() -> None:
     for name in ("copy", "far", "aided"):
         one, several = (rows_of(replayed(starts), name) for starts in (1, 4))
-        kept = {quantity: row for quantity, row in several.items() if row.evidence != "convergence"}
+        kept = {
+            quantity: row for quantity, row in several.items() if row.evidence != "convergence"
+        }
         assert kept == one
         assert len(several) > len(one)
 
@@ -105,7 +107,8 @@ def test_a_copy_of_the_baseline_has_no_effect() -> None:
 def test_a_change_of_a_hundredth_is_proved_small_and_one_of_twenty_is_not() -> None:
     replay = replayed()
     near, far = (
-        max(finite(row.acts) for row in measured(replay, name).values()) for name in ("near", "far")
+        max(finite(row.acts) for row in measured(replay, name).values())
+        for name in ("near", "far")
     )
     assert 0.0 < near < 1.0 - 1.0 / 1.05 < far
     assert replay.verdicts["near"].verdict in (Verdict.NO_EFFECT, Verdict.EQUIVALENT)

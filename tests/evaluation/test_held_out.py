@@ -91,7 +91,10 @@ def test_rms_is_that_of_the_change_over_a_minute() -> None:
         np.stack([0.0 * saw, time_s / 30.0], axis=1),
     )
     row = row_of("position", north + saw[:, None], east + saw[:, None], 0.1)
-    assert (row.baseline, row.value) == (pytest.approx(1.0, abs=0.06), pytest.approx(2.0, abs=0.06))
+    assert (row.baseline, row.value) == (
+        pytest.approx(1.0, abs=0.06),
+        pytest.approx(2.0, abs=0.06),
+    )
     assert (row.evidence, row.quantity, row.unit, row.starts) == (
         "held_out",
         "held_out_position",

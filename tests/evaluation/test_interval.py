@@ -393,7 +393,8 @@ def test_of_equal_rows_one_is_decided_as_seldom_as_of_one_row() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scatter", "dives", "level"), [(0.1, 5, 0.95), (0.2, 8, 0.95), (0.05, 3, 0.95), (0.1, 6, 0.99)]
+    ("scatter", "dives", "level"),
+    [(0.1, 5, 0.95), (0.2, 8, 0.95), (0.05, 3, 0.95), (0.1, 6, 0.99)],
 )
 def test_change_that_is_found_is_found_in_four_of_five_cases(
     scatter: float, dives: int, level: float

@@ -18,7 +18,9 @@ VELOCITY_N = np.stack(
     [np.cos(TURN_RADPS * TIME_S), np.sin(TURN_RADPS * TIME_S), 0.0 * TIME_S], axis=1
 )
 WAY_N = (
-    np.stack([np.sin(TURN_RADPS * TIME_S), 1.0 - np.cos(TURN_RADPS * TIME_S), 0.0 * TIME_S], axis=1)
+    np.stack(
+        [np.sin(TURN_RADPS * TIME_S), 1.0 - np.cos(TURN_RADPS * TIME_S), 0.0 * TIME_S], axis=1
+    )
     / TURN_RADPS
 )
 
@@ -30,7 +32,9 @@ def found(moved_n: Floats, velocity_n: Floats = VELOCITY_N, time_s: Floats = TIM
     motion = ReferenceColumns(
         time_ns, moved_position(origin, moved_n), velocity_n, np.full((len(moved_n), 3, 3), np.nan)
     )
-    beside = replace(history("onboard", np.full(2, 3.0)), time_ns=time_ns[[0, -1]], is_partial=True)
+    beside = replace(
+        history("onboard", np.full(2, 3.0)), time_ns=time_ns[[0, -1]], is_partial=True
+    )
     (row,) = jump_table("dive", [beside], {"onboard": motion})
     return row
 

@@ -127,7 +127,9 @@ def test_reference_that_turns_nan_as_a_whole(tmp_path: Path, dive: Dive) -> None
     assert percent == pytest.approx(100.0 / (2.0 * ENDS_S), rel=0.02)
     # The same as if its rows had ended.
     replay = replay_dive(without_end(dive, *OF_QUANTITY), Config())
-    short = reference_of(dive).rows(reference_of(dive).time_ns <= START_NS + round(ENDS_S * SECOND))
+    short = reference_of(dive).rows(
+        reference_of(dive).time_ns <= START_NS + round(ENDS_S * SECOND)
+    )
     cut = replay_dive(replace(dive, reference=short), Config())
     for name in ("reference_error", "credibility"):
         numbers = frames(replay.tables)[name].select_dtypes("number")

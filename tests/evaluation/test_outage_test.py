@@ -262,14 +262,18 @@ def test_alarm_names_both_filters_and_the_length_that_is_furthest_off() -> None:
             nis_per_dof={"30": 1.1, "60": 8.94, "120": 6.0}[window_s]
             / (1.0 if name == "aided" else 8.0),
         )
-        for (name, window_s), row in rows_of(coasts_that_drift(baseline=0.001, aided=0.001)).items()
+        for (name, window_s), row in rows_of(
+            coasts_that_drift(baseline=0.001, aided=0.001)
+        ).items()
     ]
     said = (
         " NIS / dof after 60 s without DVL: baseline 1.12, aided 8.94, expected 1. Raise [noise]."
     )
     assert outage_alarm(rows, ("baseline", "aided")) == said
     assert not outage_alarm(rows, ("baseline",))
-    assert not outage_alarm([replace(row, nis_per_dof=None) for row in rows], ("baseline", "aided"))
+    assert not outage_alarm(
+        [replace(row, nis_per_dof=None) for row in rows], ("baseline", "aided")
+    )
     unknown = [replace(row, nis_per_dof=None) if row.filter == "baseline" else row for row in rows]
     assert outage_alarm(unknown, ("baseline", "aided")) == said.replace("baseline 1.12, ", "")
 
@@ -309,7 +313,8 @@ def test_drift_in_a_window_has_its_direction() -> None:
 
 def test_filters_that_drift_alike_draw() -> None:
     assert (
-        rows_of(coasts_that_drift(baseline=0.001, same=0.001))["same", "30"].windows_won_pct == 50.0
+        rows_of(coasts_that_drift(baseline=0.001, same=0.001))["same", "30"].windows_won_pct
+        == 50.0
     )
 
 
@@ -348,7 +353,9 @@ def test_drift_over_time_is_the_middle_and_the_edge_of_all_windows() -> None:
     shown = outage_curves(coasts)["baseline"]
     accel = 1e-3 * np.searchsorted(coasts.plan.runs[0], coasts.plan.shown.first)
     np.testing.assert_allclose(shown.time_s, np.arange(61.0))
-    np.testing.assert_allclose(shown.median_m, 0.5 * np.median(accel) * shown.time_s**2, atol=1e-12)
+    np.testing.assert_allclose(
+        shown.median_m, 0.5 * np.median(accel) * shown.time_s**2, atol=1e-12
+    )
     np.testing.assert_allclose(
         shown.p95_m, 0.5 * np.quantile(accel, 0.95) * shown.time_s**2, atol=1e-12
     )

@@ -211,7 +211,9 @@ def test_a_candidate_that_changes_nothing_is_as_much_sooner_as_the_baseline_itse
     )
     assert [row.unchanged_s for row in rows] == pytest.approx([2.0] * len(rows))
     assert mean_over_nine(rows, "same") == unchanged_over_nine(rows, "same") == pytest.approx(50.0)
-    assert mean_over_nine(rows, "aided") > unchanged_over_nine(rows, "aided") == pytest.approx(50.0)
+    assert (
+        mean_over_nine(rows, "aided") > unchanged_over_nine(rows, "aided") == pytest.approx(50.0)
+    )
 
 
 # --- The nearest approach.

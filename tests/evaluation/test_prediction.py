@@ -84,7 +84,9 @@ def test_honest_sigma_scores_best(factor: float) -> None:
     z = np.random.default_rng(5).multivariate_normal(np.zeros(3), S, 4000)
     score = score_of(predicted("baseline", z, S), predicted("aided", z, factor**2 * S))
     # The expected difference for each component is ln f + (1 / f^2 - 1) / 2.
-    assert np.log(score.ratio) == pytest.approx(np.log(factor) + 0.5 * (factor**-2 - 1.0), abs=0.15)
+    assert np.log(score.ratio) == pytest.approx(
+        np.log(factor) + 0.5 * (factor**-2 - 1.0), abs=0.15
+    )
     assert score.ratio > 1.0
 
 

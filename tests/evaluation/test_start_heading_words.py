@@ -90,7 +90,9 @@ def test_an_undecided_row_denies_a_word_from_beyond_the_band_on_the_other_side(
     assert answer(ratio, drawn, drawn_scatter=WIDE).verdict == word
 
 
-def test_an_undecided_position_is_mixed_where_the_drawn_heading_decides_on_the_other_side() -> None:
+def test_an_undecided_position_is_mixed_where_the_drawn_heading_decides_on_the_other_side() -> (
+    None
+):
     assert answer(1.1, 0.6, scatter=WIDE).verdict == Verdict.MIXED
     assert answer(0.95, 0.6, scatter=WIDE).verdict == Verdict.UNDECIDED
 

@@ -17,7 +17,11 @@ TIME_NS = SECOND * np.arange(400, dtype=np.int64)
 
 def figure_eight() -> Floats:
     turn = (
-        np.where(TIME_NS // (60 * SECOND) % 2 == 0, 1.0, -1.0) * 2.0 * np.pi * np.arange(400) / 60.0
+        np.where(TIME_NS // (60 * SECOND) % 2 == 0, 1.0, -1.0)
+        * 2.0
+        * np.pi
+        * np.arange(400)
+        / 60.0
     )
     return np.cumsum(np.stack([np.cos(turn), np.sin(turn)], axis=1), axis=0)
 

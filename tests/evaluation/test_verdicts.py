@@ -67,7 +67,9 @@ def test_without_an_independent_position_the_outage_decides_and_says_so() -> Non
 
 @pytest.mark.parametrize("unsound", ["aided", "baseline"])
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
-def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(unsound: str, ratio: float) -> None:
+def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(
+    unsound: str, ratio: float
+) -> None:
     verdict = judged(
         dive(position=ratio),
         of_baseline="overconfident",
@@ -151,7 +153,9 @@ def test_evidence_on_a_candidate_that_is_not_evaluated_decides_nothing() -> None
         ((), ["primary", "secondary"], "undecided"),
         ((contradiction,), ["shown", "shown"], "not evaluated"),
     ):
-        tables, found = evaluated_candidates(histories, {}, Tables([], [], [], [], [], rows), notes)
+        tables, found = evaluated_candidates(
+            histories, {}, Tables([], [], [], [], [], rows), notes
+        )
         assert [row.role for row in tables.evidence] == roles
         assert [row.ratio for row in tables.evidence] == [0.5, 0.5]
         assert found["aided"].verdict == word

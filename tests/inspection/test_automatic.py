@@ -146,7 +146,10 @@ def test_a_value_that_is_given_stays_also_where_it_is_the_default(
     config = json.loads((tmp_path / "out" / "dive" / "report.json").read_text())["config"]
     default = json.loads(msgspec.json.encode(load_config("levy-klein")))
     assert (config["noise"], config["filters"]) == (default["noise"], default["filters"])
-    assert (config["dvl"]["lever_arm_m"], config["reference"]["ignore"]) == ([0.0, 0.0, 0.0], False)
+    assert (config["dvl"]["lever_arm_m"], config["reference"]["ignore"]) == (
+        [0.0, 0.0, 0.0],
+        False,
+    )
     assert run_command_line(command) == 0
     assert "unchanged" in capsys.readouterr().err
 

@@ -294,13 +294,18 @@ def test_the_hints_lead_step_by_step_to_a_replay(name: str, tmp_path: Path) -> N
     overrides: dict[str, str] = {}
     file = tmp_path / "vehicle.toml"
     for _ in range(6):
-        config = load_config(file=file if file.is_file() else None, overrides=[*overrides.values()])
-        inventory = inspect_log(DATA / name, config) if (DATA / name).is_file() else inspected(name)
+        config = load_config(
+            file=file if file.is_file() else None, overrides=[*overrides.values()]
+        )
+        inventory = (
+            inspect_log(DATA / name, config) if (DATA / name).is_file() else inspected(name)
+        )
         if not inventory.blockers:
             break
         if inventory.configuration:
             file.write_text(
-                (file.read_text() if file.is_file() else "") + merged(file, inventory.configuration)
+                (file.read_text() if file.is_file() else "")
+                + merged(file, inventory.configuration)
             )
         for blocker in inventory.blockers:
             overrides |= settings_in(blocker.hint)
@@ -406,7 +411,9 @@ def test_unknown_topics_are_replayed_from_what_inspect_proposes(
     np.testing.assert_allclose(
         read.imu.specific_force_b, dive.imu.specific_force_b, rtol=0, atol=1e-9
     )
-    np.testing.assert_allclose(read.imu.angular_rate_b, dive.imu.angular_rate_b, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        read.imu.angular_rate_b, dive.imu.angular_rate_b, rtol=0, atol=1e-12
+    )
     assert read.dvl.velocity_d is not None
     np.testing.assert_allclose(read.dvl.velocity_d, velocities(dive), rtol=0, atol=1e-12)
     assert not inspect_log(unknown, config, deep=True).blockers
@@ -522,7 +529,10 @@ def test_several_logs_and_bags_are_one_array_in_json(
     ]
     assert "nowhere.mcap: " in captured.err
     assert run_command_line(["inspect", *logs[::2]]) == 0
-    assert re.findall(r"(?m)^(\S+): .* written by", capsys.readouterr().out) == ["dive.mcap", "bag"]
+    assert re.findall(r"(?m)^(\S+): .* written by", capsys.readouterr().out) == [
+        "dive.mcap",
+        "bag",
+    ]
 
 
 def test_a_bag_is_one_log(dive: Dive, tmp_path: Path) -> None:
@@ -553,7 +563,8 @@ def test_files_are_the_same_dives_as_for_a_run(
     inventories = json.loads(capsys.readouterr().out)
     assert {one["log"]["name"]: one["roles"][2]["topic"] or "" for one in inventories} == named
     assert (
-        run_command_line(["inspect", str(folder / "*.mcap"), "--one-dive", "--format", "json"]) == 0
+        run_command_line(["inspect", str(folder / "*.mcap"), "--one-dive", "--format", "json"])
+        == 0
     )
     inventory = json.loads(capsys.readouterr().out)
     assert (inventory["log"]["name"], inventory["log"]["parts"]) == ("sensors.mcap", 2)
@@ -667,7 +678,9 @@ def test_two_topics_of_true_biases_are_an_blocker(deep: bool, tmp_path: Path) ->
                         topic = channel.topic + ("/again" if name == "b" else "")
                         channels[channel.topic] = writer.register_channel(topic, "cdr", known)
                     number = channels[channel.topic]
-                    writer.add_message(number, message.log_time, message.data, message.publish_time)
+                    writer.add_message(
+                        number, message.log_time, message.data, message.publish_time
+                    )
         writer.finish()
     inventory = inspect_log(tmp_path / "dive.mcap", load_config(), deep=deep)
     assert re.search(r"/truth/biases .*/truth/biases/again .*truth \| ", blockers(inventory))

@@ -76,7 +76,9 @@ def test_dive_with_another_scale_gets_settings_of_its_own(tmp_path: Path) -> Non
         scaled = replace(dive.imu, specific_force_b=scale * dive.imu.specific_force_b)
         write_dive(log, with_fixes_alone(replace(dive, imu=scaled)))
     output = tmp_path / "replay"
-    assert run_command_line(["run", *map(str, logs), "-o", str(output), "--starts", "1", "-q"]) == 0
+    assert (
+        run_command_line(["run", *map(str, logs), "-o", str(output), "--starts", "1", "-q"]) == 0
+    )
     scales = [
         load_config(file=output / log.stem / "vehicle.toml").imu.specific_force_scale
         for log in logs

@@ -62,7 +62,9 @@ def proposed(path: Path, found: list[Message], **initial: Any) -> dict[str, Sett
 
 
 @pytest.mark.parametrize("in_world", [False, True])
-def test_velocity_in_the_world_is_reported_by_the_positions(in_world: bool, tmp_path: Path) -> None:
+def test_velocity_in_the_world_is_reported_by_the_positions(
+    in_world: bool, tmp_path: Path
+) -> None:
     settings = proposed(tmp_path / "dive.mcap", messages(in_world=in_world))
     assert ("reference.velocity_n" in settings) == in_world
     if in_world:

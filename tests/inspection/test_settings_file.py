@@ -267,7 +267,10 @@ def test_what_was_given_stays(turning: Dive, tmp_path: Path) -> None:
     file.write_text(settings_file([[log]], Given(given)).text)
     found = load_config(file=file)
     assert (found.noise, found.filters, found.topics) == (given.noise, given.filters, given.topics)
-    assert (found.dvl.lever_arm_m, found.dvl.mounting_rpy_deg) == ((1.0, 0.0, 0.5), (0.0, 0.0, 2.0))
+    assert (found.dvl.lever_arm_m, found.dvl.mounting_rpy_deg) == (
+        (1.0, 0.0, 0.5),
+        (0.0, 0.0, 2.0),
+    )
 
 
 def test_what_was_given_stays_where_no_settings_are_found(tmp_path: Path) -> None:
@@ -314,7 +317,9 @@ def test_file_that_could_not_be_read_back_is_not_put_in_place(
     log, file = tmp_path / "log.mcap", tmp_path / "vehicle.toml"
     write_dive(log, turning)
     broken = SettingsFile("[dvl]\nscale = -1.0\n", ())
-    monkeypatch.setattr("insdvl_replay.inspection.automatic.settings_file", lambda *_, **__: broken)
+    monkeypatch.setattr(
+        "insdvl_replay.inspection.automatic.settings_file", lambda *_, **__: broken
+    )
     with pytest.raises(ConfigError):
         load_config(overrides=["dvl.scale=-1.0"])
     assert run_command_line(["inspect", str(log), "--propose", str(file)]) == 2

@@ -61,7 +61,11 @@ def assert_same_tables(found: Tables, expected: Tables) -> None:
 def test_dive_in_unknown_types_gives_the_tables_of_known_ones(
     write: Callable[[Path, Dive], None], answers: dict[str, str], straight: Dive, tmp_path: Path
 ) -> None:
-    log, known, file = tmp_path / "unknown.mcap", tmp_path / "known.mcap", tmp_path / "vehicle.toml"
+    log, known, file = (
+        tmp_path / "unknown.mcap",
+        tmp_path / "known.mcap",
+        tmp_path / "vehicle.toml",
+    )
     write(log, straight)
     inventory = inspect_log(log, load_config())
     assert [blocker.message for blocker in inventory.remaining] == []
@@ -92,7 +96,11 @@ def on_its_side(vector: np.ndarray) -> np.ndarray:
     ],
 )
 def test_trials_find_units_axes_and_scale(
-    turn: Callable[[np.ndarray], np.ndarray], axes: str, scale: float, turning: Dive, tmp_path: Path
+    turn: Callable[[np.ndarray], np.ndarray],
+    axes: str,
+    scale: float,
+    turning: Dive,
+    tmp_path: Path,
 ) -> None:
     log = tmp_path / "unknown.mcap"
     scaled = replace(turning.imu, angular_rate_b=scale * turning.imu.angular_rate_b)
@@ -110,7 +118,9 @@ def test_trials_find_units_axes_and_scale(
     truth = replay_log(known, load_config()).velocities
     count = min(len(read.velocity_b), len(truth.velocity_b))
     # This vehicle never slips sideways: a DVL on its back measures the same.
-    np.testing.assert_allclose(read.velocity_b[-count:, 0], truth.velocity_b[-count:, 0], atol=0.02)
+    np.testing.assert_allclose(
+        read.velocity_b[-count:, 0], truth.velocity_b[-count:, 0], atol=0.02
+    )
 
 
 def test_fields_without_telling_names_are_listed_with_what_they_hold(

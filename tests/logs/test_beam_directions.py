@@ -40,7 +40,8 @@ def message(i: int, true: Floats, told: Floats) -> dict[str, Any]:
 
 def water_linked(i: int, true: Floats) -> dict[str, Any]:
     beams = [
-        {"id": n, "velocity": true[n] @ TRUE_D[i], "distance": 4.3, "valid": True} for n in range(4)
+        {"id": n, "velocity": true[n] @ TRUE_D[i], "distance": 4.3, "valid": True}
+        for n in range(4)
     ]
     return {
         "velocity": xyz(TRUE_D[i]),
@@ -166,7 +167,11 @@ def without(i: int, n: int, **values: float) -> dict[str, Any]:
     beams[n] = values.get("velocity", 0.0)
     ranges = np.array(ping["range"])
     ranges[n] = values.get("range", ranges[n])
-    return ping | {"beam_velocity": beams, "range": ranges, "num_good_beams": values.get("good", 4)}
+    return ping | {
+        "beam_velocity": beams,
+        "range": ranges,
+        "num_good_beams": values.get("good", 4),
+    }
 
 
 @pytest.mark.parametrize(
@@ -182,7 +187,8 @@ def without(i: int, n: int, **values: float) -> dict[str, Any]:
 )
 def test_lost_beam_of_velocity_zero_is_missing(lost: dict[str, float], tmp_path: Path) -> None:
     pings = [
-        without(i, i % 4, **lost) if i % 5 == 0 else message(i, A50, A50) for i in range(len(TIMES))
+        without(i, i % 4, **lost) if i % 5 == 0 else message(i, A50, A50)
+        for i in range(len(TIMES))
     ]
     dive = written(tmp_path, APL, pings)
     assert dive.dvl.beam_velocity_mps is not None

@@ -202,7 +202,9 @@ def test_a_message_holds_a_limited_number_of_fields() -> None:
         pytest.param(1000, lambda i: [i + 1] if i < 999 else [], id="a thousand levels"),
     ],
 )
-def test_protobuf_types_are_refused_likewise(count: int, links: Callable[[int], list[int]]) -> None:
+def test_protobuf_types_are_refused_likewise(
+    count: int, links: Callable[[int], list[int]]
+) -> None:
     files = FileDescriptorSet()
     file = files.file.add(name="a.proto", syntax="proto3", package="p")
     for i in range(count):
@@ -252,7 +254,8 @@ def test_topics_beyond_what_is_looked_at_are_named(
     channels = b"".join(channel(number, 1, f"/topic{number}", "json") for number in (1, 2))
     messages = b"".join(message(number, json.dumps({"depth": 1.5}).encode()) for number in (1, 2))
     inventory = inspect_log(
-        write(tmp_path / "two.mcap", log(schema(1, "any", b"", "") + channels + messages)), Config()
+        write(tmp_path / "two.mcap", log(schema(1, "any", b"", "") + channels + messages)),
+        Config(),
     )
     [note] = [note for note in inventory.notes if note.code == "topics_not_looked_at"]
     assert note.count == 1
@@ -279,7 +282,9 @@ def _with_later_log_times(kind: str, later_ns: int) -> bytes:
         if channel_.topic not in channels:
             number = writer.register_schema(given.name, given.encoding, given.data)
             channels[channel_.topic] = writer.register_channel(channel_.topic, "cdr", number)
-        writer.add_message(channels[channel_.topic], message_.log_time + later_ns, message_.data, 0)
+        writer.add_message(
+            channels[channel_.topic], message_.log_time + later_ns, message_.data, 0
+        )
     writer.finish()
     return stream.getvalue()
 

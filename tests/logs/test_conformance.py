@@ -82,7 +82,8 @@ def assert_messages(log: Recording, expected: dict[str, list[dict[str, Any]]]) -
             for offset, size, *values in zip(*columns, strict=True)
         ]
     assert found == [
-        (*(int(message[name]) for name in fields), numbers(message["data"])) for message in messages
+        (*(int(message[name]) for name in fields), numbers(message["data"]))
+        for message in messages
     ]
     assert sum(channel.messages for channel in log.channels) == len(messages)
 

@@ -86,7 +86,9 @@ def test_who_leaves_does_not_wait_for_a_chunk_that_is_opened(
     is_left.set()
 
 
-def test_records_of_other_kinds_between_messages_are_counted_and_make_no_chunks(path: Path) -> None:
+def test_records_of_other_kinds_between_messages_are_counted_and_make_no_chunks(
+    path: Path,
+) -> None:
     data = small_log("no chunks, no checksums")
     foreign, header_end = (
         b"\xf0" + (4).to_bytes(8, "little") + b"mine",
@@ -100,7 +102,9 @@ def test_records_of_other_kinds_between_messages_are_counted_and_make_no_chunks(
     path.write_bytes(_without_summary(b"".join(parts) + data[place:]))
     log = open_recording(path)
     assert set(messages(log)) == true_messages()
-    assert [(note.code, note.count) for note in log.notes] == [("unknown_records", len(parts) // 2)]
+    assert [(note.code, note.count) for note in log.notes] == [
+        ("unknown_records", len(parts) // 2)
+    ]
     (part,) = log.parts
     assert len(part._chunks) < 6
 
@@ -136,7 +140,9 @@ def test_what_is_no_log_is_refused_by_name(path: Path, tmp_path: Path) -> None:
         st.one_of(
             st.binary(max_size=40),
             st.tuples(st.integers(0, 255), st.binary(max_size=70)).map(
-                lambda record: bytes([record[0]]) + len(record[1]).to_bytes(8, "little") + record[1]
+                lambda record: (
+                    bytes([record[0]]) + len(record[1]).to_bytes(8, "little") + record[1]
+                )
             ),
         ),
         max_size=12,

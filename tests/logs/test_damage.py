@@ -157,7 +157,9 @@ MATRIX = {
     ),
     "zero tail": Case("zstd", zero_tail, "closing bytes are missing", 330, 200),
     "zeros inside": Case("zstd", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
-    "zeros inside, without chunks": Case("no chunks", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
+    "zeros inside, without chunks": Case(
+        "no chunks", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20
+    ),
     "zeros appended": Case("zstd", zeros_appended, "closing bytes are missing", 0),
     "flip in a zstd chunk": Case("zstd", flip_payload, "chunk", CHUNKFUL, 20),
     "flip in an lz4 chunk": Case("lz4", flip_payload, "chunk", CHUNKFUL, 20),

@@ -131,7 +131,8 @@ def test_early_water_linked_without_beams_and_figure_of_merit(tmp_path: Path) ->
         for i, time_s in enumerate(TIMES.tolist())
     ]
     dive = read_dive(
-        write_log(tmp_path / "early.mcap", [*imu_messages(), *pings], texts={name: early}), Config()
+        write_log(tmp_path / "early.mcap", [*imu_messages(), *pings], texts={name: early}),
+        Config(),
     )
     np.testing.assert_allclose(by_velocity(dive), np.delete(TRUE_D, 4, axis=0), atol=1e-12)
     assert codes(dive)["dvl_invalid"] == 1
@@ -227,8 +228,12 @@ def test_link_that_looks_down_with_its_x_axis_is_noticed_and_can_be_reported(rea
         return values | {"velocity": xyz(to_link @ TRUE_D[i])}
 
     assert "dvl_beams_not_down" in codes(read("mvp_msgs/msg/DVL", ping))
-    at_zero = lambda i: ping(i) | {"beams": [beam | {"velocity": 0.0} for beam in ping(i)["beams"]]}  # noqa: E731
-    assert {"dvl_beams_not_down", "dvl_no_beams"} <= codes(read("mvp_msgs/msg/DVL", at_zero)).keys()
+    at_zero = lambda i: (
+        ping(i) | {"beams": [beam | {"velocity": 0.0} for beam in ping(i)["beams"]]}
+    )  # noqa: E731
+    assert {"dvl_beams_not_down", "dvl_no_beams"} <= codes(
+        read("mvp_msgs/msg/DVL", at_zero)
+    ).keys()
     assert "dvl_beams_not_down" not in codes(read("mvp_msgs/msg/DVL", at_zero, axes="+z-y+x"))
     dive = read("mvp_msgs/msg/DVL", ping, axes="+z-y+x")
     assert "dvl_beams_not_down" not in codes(dive)
@@ -476,7 +481,9 @@ def gazebo_file() -> FileDescriptorProto:
                 name=field,
                 number=number,
                 label=repeated,
-                type=getattr(FieldDescriptorProto, "TYPE_MESSAGE" if is_message else f"TYPE_{one}"),
+                type=getattr(
+                    FieldDescriptorProto, "TYPE_MESSAGE" if is_message else f"TYPE_{one}"
+                ),
                 type_name=f".gz.msgs.{one}" if is_message else None,
             )
     return described

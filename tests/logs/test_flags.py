@@ -119,7 +119,9 @@ def test_a_flag_that_no_setting_names_is_a_warning(tmp_path: Path, title: str) -
 
 
 def test_a_status_that_nothing_explains_is_open(tmp_path: Path) -> None:
-    settings = propose_settings(dive(tmp_path / "dive", "status", CODES, "none"), Config()).settings
+    settings = propose_settings(
+        dive(tmp_path / "dive", "status", CODES, "none"), Config()
+    ).settings
     (open_one,) = (setting for setting in settings if setting.key == "dvl.valid")
     assert open_one.value is None
     assert '"status"' in open_one.open

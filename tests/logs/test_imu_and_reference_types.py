@@ -52,7 +52,9 @@ def read(tmp_path: Path) -> Callable[..., Dive]:
             )
             for time_s, v in zip(TIMES.tolist(), VELOCITY_N, strict=True)
         ]
-        others = [("/it", type_name, time_s, message(i)) for i, time_s in enumerate(TIMES.tolist())]
+        others = [
+            ("/it", type_name, time_s, message(i)) for i, time_s in enumerate(TIMES.tolist())
+        ]
         path = write_log(
             tmp_path / "dive.mcap", [*(imu_messages() if imu is None else imu), *pings, *others]
         )
@@ -177,7 +179,9 @@ def odometry(i: int, pose_frame: int = 1, velocity_frame: int = 1) -> dict[str, 
 @pytest.mark.parametrize("velocity_frame", [1, 3])
 def test_odometry_of_px4_by_its_frames(velocity_frame: int, read: Any) -> None:
     dive = read(
-        "px4_msgs/msg/VehicleOdometry", lambda i: odometry(i, 1, velocity_frame), config=any_clock()
+        "px4_msgs/msg/VehicleOdometry",
+        lambda i: odometry(i, 1, velocity_frame),
+        config=any_clock(),
     )
     np.testing.assert_allclose(dive.reference.mat_nb, TURNS.as_matrix(), atol=1e-6)
     np.testing.assert_allclose(dive.reference.velocity_n, VELOCITY_N, atol=1e-6)
@@ -197,7 +201,9 @@ def test_position_of_an_odometry_of_px4_is_from_the_initial_place_where_its_fram
     read: Any,
 ) -> None:
     def message(i: int) -> dict[str, Any]:
-        return odometry(i, 2 if i == 5 else 1) | {"position": TIMES[i] * np.array([3.0, -2.0, 1.0])}
+        return odometry(i, 2 if i == 5 else 1) | {
+            "position": TIMES[i] * np.array([3.0, -2.0, 1.0])
+        }
 
     config = Config(clocks=Clocks(max_disagreement_s=2e9), initial=PLACE)
     dive = read("px4_msgs/msg/VehicleOdometry", message, config=config)
@@ -362,7 +368,10 @@ def test_fixes(read: Any) -> None:
         return {"timestamp": microseconds(TIMES[i]), "fix_type": 1 if i == 2 else 3, **place}
 
     expected = np.delete(np.deg2rad(32.0 + 1e-5 * np.arange(20)), 2)
-    for name, message in (("gps_msgs/msg/GPSFix", gps_fix), ("px4_msgs/msg/SensorGps", sensor_gps)):
+    for name, message in (
+        ("gps_msgs/msg/GPSFix", gps_fix),
+        ("px4_msgs/msg/SensorGps", sensor_gps),
+    ):
         dive = read(name, message, config=any_clock())
         np.testing.assert_allclose(dive.reference.position[:, 0], expected, rtol=1e-14)
         assert codes(dive)["reference_no_fix"] == 1

@@ -74,7 +74,9 @@ def test_increments_in_degrees_are_rates_in_radians(tmp_path: Path) -> None:
 
 def test_a_unit_of_increments_names_the_key_of_their_interval(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="is in 'm/s'") as raised:
-        read_dive(dive(tmp_path / "dive", STEP_S, (" [m/s]", " [rad]")), Config(imu=imu(), dvl=DVL))
+        read_dive(
+            dive(tmp_path / "dive", STEP_S, (" [m/s]", " [rad]")), Config(imu=imu(), dvl=DVL)
+        )
     assert "imu.increment_s" in raised.value.hint
 
 
@@ -92,4 +94,6 @@ def test_increments_that_are_read_as_rates_are_named(tmp_path: Path) -> None:
 def test_increments_are_found_by_the_size_of_gravity(tmp_path: Path) -> None:
     read = read_roles(dive(tmp_path / "dive", STEP_S), Config(), allow_damaged=False)
     assert [found.settings.increment_s for found in read.imus] == [STEP_S]
-    np.testing.assert_allclose(read.imus[0].columns.specific_force_b, readings()[:, :3], rtol=1e-12)
+    np.testing.assert_allclose(
+        read.imus[0].columns.specific_force_b, readings()[:, :3], rtol=1e-12
+    )

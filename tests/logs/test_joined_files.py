@@ -36,7 +36,9 @@ def test_the_digest_is_that_of_the_digests_in_the_order_of_time(files: list[Path
     digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in reversed(files)]
     expected = hashlib.sha256("".join(digests).encode()).hexdigest()
     assert (
-        Recording(files[0], files).sha256() == Recording(files[1], files[::-1]).sha256() == expected
+        Recording(files[0], files).sha256()
+        == Recording(files[1], files[::-1]).sha256()
+        == expected
     )
 
 

@@ -169,7 +169,9 @@ def test_a_dive_of_json_messages_is_read_by_field_paths(tmp_path: Path) -> None:
         writer.finish()
     config = Config(
         imu=Imu(topic="imu", specific_force="f", angular_rate="w", specific_force_unit="g"),
-        dvl=Dvl(topic="dvl", beam_velocity="beams[*].v", beam_valid="beams[*].ok", stamp="time_ms"),
+        dvl=Dvl(
+            topic="dvl", beam_velocity="beams[*].v", beam_valid="beams[*].ok", stamp="time_ms"
+        ),
     )
     dive = read_dive(path, config)
     np.testing.assert_allclose(

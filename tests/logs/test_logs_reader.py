@@ -46,7 +46,10 @@ JANUS = np.stack(
 
 def header(time_s: float) -> dict[str, Any]:
     time_ns = START_NS + round(time_s * 1e9)
-    return {"stamp": {"sec": time_ns // 10**9, "nanosec": time_ns % 10**9}, "frame_id": "somewhere"}
+    return {
+        "stamp": {"sec": time_ns // 10**9, "nanosec": time_ns % 10**9},
+        "frame_id": "somewhere",
+    }
 
 
 def xyz(vector: Any) -> dict[str, float]:
@@ -64,7 +67,9 @@ def imu(
     return "/imu", IMU, time_s, message
 
 
-def twist(time_s: float, velocity: Any = None, topic: str = "/dvl") -> tuple[str, str, float, dict]:
+def twist(
+    time_s: float, velocity: Any = None, topic: str = "/dvl"
+) -> tuple[str, str, float, dict]:
     linear = xyz((1.0, 0.1, time_s) if velocity is None else velocity)
     return topic, TWIST, time_s, {"header": header(time_s), "twist": {"linear": linear}}
 
@@ -169,7 +174,9 @@ def test_units_and_axes_of_the_imu(log: Any) -> None:
     path = log([imu(0.1 * i, (0.0, 0.1, 1.0), (0.0, 90.0, 0.0)) for i in range(15)] + good()[100:])
     settings = Imu(specific_force_unit="g", angular_rate_unit="deg/s", axes="flu")
     dive = read_dive(path, Config(imu=settings))
-    np.testing.assert_allclose(dive.imu.specific_force_b[0], [0.0, -0.980665, -9.80665], rtol=1e-15)
+    np.testing.assert_allclose(
+        dive.imu.specific_force_b[0], [0.0, -0.980665, -9.80665], rtol=1e-15
+    )
     np.testing.assert_allclose(dive.imu.angular_rate_b[0], [0.0, -np.pi / 2, 0.0], rtol=1e-15)
     assert {"imu_gravity"} <= counts(read_checked_dive(path, Config())).keys()
 
@@ -434,7 +441,9 @@ def test_real_dive_agrees_with_the_official_decoder(name: str) -> None:
     _assert_columns(
         dive.imu.specific_force_b, decoded["/imu"], lambda m: _vector(m.linear_acceleration)
     )
-    _assert_columns(dive.imu.angular_rate_b, decoded["/imu"], lambda m: _vector(m.angular_velocity))
+    _assert_columns(
+        dive.imu.angular_rate_b, decoded["/imu"], lambda m: _vector(m.angular_velocity)
+    )
     _assert_columns(dive.dvl.time_ns, decoded["/dvl/velocity"], _stamp_ns)
     _assert_columns(
         dive.dvl.velocity_d, decoded["/dvl/velocity"], lambda m: _vector(m.twist.twist.linear)
@@ -443,7 +452,10 @@ def test_real_dive_agrees_with_the_official_decoder(name: str) -> None:
     assert reference is not None
     _assert_columns(reference.time_ns, decoded["/ins/odometry"], _stamp_ns)
     position = np.array(
-        [[np.deg2rad(m.latitude), np.deg2rad(m.longitude), m.altitude] for m in decoded["/ins/fix"]]
+        [
+            [np.deg2rad(m.latitude), np.deg2rad(m.longitude), m.altitude]
+            for m in decoded["/ins/fix"]
+        ]
     )
     np.testing.assert_allclose(reference.position, position, rtol=1e-15)
     quats = [m.pose.pose.orientation for m in decoded["/ins/odometry"]]

@@ -260,7 +260,10 @@ def test_file_has_the_bytes_of_the_official_writer(tmp_path: Path) -> None:
         Batch("/never", "sensor_msgs/msg/Imu", np.empty(0, dtype=np.int64), {}),
     ]
     write_log(
-        tmp_path / "ours.mcap", batches, {"key": "value"}, {"note.txt": ("text/plain", b"attached")}
+        tmp_path / "ours.mcap",
+        batches,
+        {"key": "value"},
+        {"note.txt": ("text/plain", b"attached")},
     )
     ours = (tmp_path / "ours.mcap").read_bytes()
     assert make_reader(io.BytesIO(ours)).get_summary().statistics.chunk_count > 3
@@ -434,7 +437,9 @@ def test_dvl_velocity_is_the_least_squares_solution(dive_messages: Decoded) -> N
             assert np.isnan(solved).all()
         else:
             exact = np.linalg.lstsq(BEAMS_D[good], row[good])[0]
-            np.testing.assert_allclose(solved, exact, rtol=0.0, atol=0.501 * 10.0**-VELOCITY_DIGITS)
+            np.testing.assert_allclose(
+                solved, exact, rtol=0.0, atol=0.501 * 10.0**-VELOCITY_DIGITS
+            )
 
 
 def test_reference_messages_hold_the_solution(dive_messages: Decoded) -> None:
@@ -514,11 +519,15 @@ def test_reference_is_next_to_the_filters(replay_messages: Decoded) -> None:
     states = replay_messages["/insdvl/reference/state"]
     position = column(states, "latitude_deg", "longitude_deg", "height_m") * [DEG, DEG, 1.0]
     np.testing.assert_allclose(position, reference.position[inside], rtol=1e-14)
-    np.testing.assert_array_equal(vectors(states, "velocity_ned_mps"), reference.velocity_n[inside])
+    np.testing.assert_array_equal(
+        vectors(states, "velocity_ned_mps"), reference.velocity_n[inside]
+    )
     poses = replay_messages["/insdvl/reference/odometry"]
     whole = inside & np.all(list(reference.known.values()), axis=0)
     up_m = np.array([message.pose.pose.position.z for message in poses])
-    np.testing.assert_allclose(up_m, reference.position[whole, 2] - first.position[0, 2], atol=1e-6)
+    np.testing.assert_allclose(
+        up_m, reference.position[whole, 2] - first.position[0, 2], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("history", HISTORIES, ids=lambda history: str(history.filter))
@@ -628,7 +637,9 @@ def test_a_dvl_measurement_without_a_message_type_is_written_as_innovations_alon
 
 
 def test_fix_holds_the_position(replay_messages: Decoded) -> None:
-    position = column(replay_messages["/insdvl/aided/fix"], "latitude", "longitude", "altitude") * [
+    position = column(
+        replay_messages["/insdvl/aided/fix"], "latitude", "longitude", "altitude"
+    ) * [
         DEG,
         DEG,
         1.0,

@@ -56,7 +56,9 @@ def dive() -> Dive:
 
 def some(columns: Any, share: float) -> Any:
     keep = kept(columns.time_ns.size, share)
-    arrays = {name: value for name, value in vars(columns).items() if isinstance(value, np.ndarray)}
+    arrays = {
+        name: value for name, value in vars(columns).items() if isinstance(value, np.ndarray)
+    }
     return replace(
         columns, **{name: value[keep] for name, value in arrays.items() if len(value) == keep.size}
     )

@@ -62,7 +62,10 @@ def test_what_another_channel_holds_too_is_left_out_once() -> None:
 def test_a_repetition_is_the_same_message_of_another_origin(
     log_times: list[int], values: list[float], origin: list[int], repeated: bool
 ) -> None:
-    assert repeated_rows(columns(log_times, values), np.array(origin)).tolist() == [False, repeated]
+    assert repeated_rows(columns(log_times, values), np.array(origin)).tolist() == [
+        False,
+        repeated,
+    ]
 
 
 FILES = {

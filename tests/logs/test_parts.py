@@ -243,7 +243,8 @@ def test_run_replays_files_as_one_dive(bag: Path, tmp_path: Path) -> None:
     settings = [word for setting in level for word in ("--set", setting)]
     files = [str(bag / name) for name in ("c.mcap", "a.mcap", "b.mcap")]
     assert (
-        run_command_line(["run", *files, "--one-dive", "-o", str(tmp_path / "out"), *settings]) == 0
+        run_command_line(["run", *files, "--one-dive", "-o", str(tmp_path / "out"), *settings])
+        == 0
     )
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["a"]
     report = json.loads((tmp_path / "out" / "a" / "report.json").read_text())
@@ -285,7 +286,9 @@ def test_damage_in_a_chunk_that_no_role_needs_is_found(tmp_path: Path) -> None:
         if channel.topic not in ids:
             schema_id = writer.register_schema(schema.name, "ros2msg", schema.data)
             ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schema_id)
-        writer.add_message(ids[channel.topic], message.log_time, message.data, message.publish_time)
+        writer.add_message(
+            ids[channel.topic], message.log_time, message.data, message.publish_time
+        )
     writer.finish()
     data = stream.getvalue()
     path.write_bytes(data)

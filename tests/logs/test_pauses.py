@@ -49,7 +49,9 @@ def test_a_step_of_more_than_a_day_is_a_clock_that_was_set(step_s: float, count:
         if note.code == "imu_clock_set"
     ]
     assert [note.code for note in notes] == ["imu_clock_set"] * count
-    assert all("from 1970-01-01T00:00:01 to 1970-01-02T00:00:02 UTC" in note.text for note in notes)
+    assert all(
+        "from 1970-01-01T00:00:01 to 1970-01-02T00:00:02 UTC" in note.text for note in notes
+    )
 
 
 def test_samples_that_come_in_threes_are_bursts() -> None:

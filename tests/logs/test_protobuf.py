@@ -85,7 +85,13 @@ def random_pings(count: int, beams: list[int]) -> list[Any]:
 def test_columns_equal_what_was_serialised() -> None:
     pings = random_pings(40, [4])
     found = columns(
-        pings, "stamp_us", "velocity", "beams[*].velocity", "beams[2].velocity", "powers[1]", "good"
+        pings,
+        "stamp_us",
+        "velocity",
+        "beams[*].velocity",
+        "beams[2].velocity",
+        "powers[1]",
+        "good",
     )
     np.testing.assert_array_equal(found["stamp_us"][:, 0], [ping.stamp_us for ping in pings])
     np.testing.assert_array_equal(

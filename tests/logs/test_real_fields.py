@@ -53,7 +53,9 @@ def numbers_of(value: Any, path: str) -> list[float]:
     if not name.endswith("[*]"):
         inner = value[name] if isinstance(value, dict) else getattr(value, name)
         absent = (
-            hasattr(value, "HasField") and hasattr(inner, "DESCRIPTOR") and not value.HasField(name)
+            hasattr(value, "HasField")
+            and hasattr(inner, "DESCRIPTOR")
+            and not value.HasField(name)
         )
         return [np.nan] if absent else numbers_of(inner, rest)
     items = value[name[:-3]] if isinstance(value, dict) else getattr(value, name[:-3])

@@ -179,5 +179,7 @@ def test_inspect_proposes_no_altitude_as_height_and_no_half_attitude(
 def test_fields_without_a_topic_are_not_ignored(dive: Dive, tmp_path: Path) -> None:
     log = foreign_log(dive, by_angles, tmp_path / "dive.mcap")
     with pytest.raises(LogError, match="has no topic for the reference") as refused:
-        read_dive(log, load_config(overrides=["reference.latitude=lat", "reference.longitude=lon"]))
+        read_dive(
+            log, load_config(overrides=["reference.latitude=lat", "reference.longitude=lon"])
+        )
     assert 'reference.topic = "/topic"' in refused.value.hint

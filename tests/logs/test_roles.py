@@ -17,7 +17,11 @@ from insdvl_replay.logs.formats.definitions import definition_text
 
 Message = tuple[str, str, float, dict[str, Any]]
 START_NS = 1_700_000_000_000_000_000
-IMU, WATER_LINKED, NUCLEUS = "sensor_msgs/msg/Imu", "dvl_msgs/msg/DVL", "interfaces/msg/BottomTrack"
+IMU, WATER_LINKED, NUCLEUS = (
+    "sensor_msgs/msg/Imu",
+    "dvl_msgs/msg/DVL",
+    "interfaces/msg/BottomTrack",
+)
 TILT, AZIMUTHS = np.deg2rad(22.5), np.deg2rad([135.0, 225.0, 315.0, 45.0])
 A50 = np.stack(
     [np.cos(AZIMUTHS) * np.sin(TILT), np.sin(AZIMUTHS) * np.sin(TILT), np.full(4, np.cos(TILT))],
@@ -130,7 +134,9 @@ def test_water_linked_beams_geometry_and_time_of_validity(read: Callable[..., Di
 def test_fields_that_a_schema_lacks_are_done_without(read: Callable[..., Dive]) -> None:
     older = definition_text(WATER_LINKED).replace("int64 time_of_validity\n", "")
     dive = read([water_linked(0.0), water_linked(0.2)], **{WATER_LINKED: older})
-    np.testing.assert_array_equal(dive.dvl.time_ns, START_NS + np.array([100_000_000, 300_000_000]))
+    np.testing.assert_array_equal(
+        dive.dvl.time_ns, START_NS + np.array([100_000_000, 300_000_000])
+    )
     without = definition_text(WATER_LINKED).replace("velocity\n", "speed\n")
     with pytest.raises(
         LogError, match=r"is of type dvl_msgs/msg/DVL, but its schema lacks some of velocity"
@@ -188,7 +194,12 @@ def test_coordinates_decide_what_the_raw_velocities_of_deep_submergence_mean(
             "/ds",
             name,
             0.1 * i,
-            {"velocity": xyz((i, 2, 3)), "raw_velocity": [i, 5, 6, 7], "velocity_mode": 1, **extra},
+            {
+                "velocity": xyz((i, 2, 3)),
+                "raw_velocity": [i, 5, 6, 7],
+                "velocity_mode": 1,
+                **extra,
+            },
         )
         for i, extra in enumerate(
             ({"coordinate_mode": 1}, {"coordinate_mode": 0}, {"coordinate_mode": 3})

@@ -177,11 +177,19 @@ def test_recorded_messages_are_those_that_rosbags_reads(ros1: Path) -> None:
     """All numbers of some messages of five types, by the type that stands in the log."""
     rexrov = ros1 / "rexrov2_simulated.mcap"
     log = open_recording(rexrov)
-    wanted = {"/rexrov2/imu", "/rexrov2/pose_gt", "/rexrov2/dvl", "/rexrov2/pressure", "/est/state"}
+    wanted = {
+        "/rexrov2/imu",
+        "/rexrov2/pose_gt",
+        "/rexrov2/dvl",
+        "/rexrov2/pressure",
+        "/est/state",
+    }
     for channel in (one for one in log.channels if one.topic in wanted):
         known = channel_paths(channel)
         leaves = [
-            path for path, kind in known.items() if kind in PRIMITIVES and f"{path}[*]" not in known
+            path
+            for path, kind in known.items()
+            if kind in PRIMITIVES and f"{path}[*]" not in known
         ]
         fields = open_reader(channel, leaves)
         (found,) = _joined([fields.columns(block) for block in log.blocks({channel.id})])

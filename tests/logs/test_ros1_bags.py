@@ -31,7 +31,9 @@ def record(fields: Fields, data: bytes) -> bytes:
     return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
 
 
-def message(connection: int, sec: int, nanosec: int, data: bytes, *, turned: bool = False) -> bytes:
+def message(
+    connection: int, sec: int, nanosec: int, data: bytes, *, turned: bool = False
+) -> bytes:
     fields = {
         "op": b"\2",
         "conn": struct.pack("<I", connection),
@@ -48,7 +50,9 @@ def connection(number: int, topic: str = "/depth", definition: bytes = b"float64
         "message_definition": definition,
     }
     header = record(told, b"")[4:-4]
-    return record({"op": b"\7", "conn": struct.pack("<I", number), "topic": topic.encode()}, header)
+    return record(
+        {"op": b"\7", "conn": struct.pack("<I", number), "topic": topic.encode()}, header
+    )
 
 
 def chunk(content: bytes, compression: str = "none", size: int | None = None) -> bytes:
@@ -122,7 +126,9 @@ def test_a_recorded_bag_holds_what_its_mcap_holds(ros1: Path) -> None:
     bag, mcap = map(open_recording, paths)
     one, other = payloads(bag), payloads(mcap)
     assert one == other
-    assert sum(map(len, one.values())) == sum(channel.messages for channel in bag.channels) == 10367
+    assert (
+        sum(map(len, one.values())) == sum(channel.messages for channel in bag.channels) == 10367
+    )
     types = {channel.topic: channel.type_name for channel in mcap.channels}
     assert {channel.topic: channel.type_name for channel in bag.channels} == types
     assert not bag.notes
@@ -271,7 +277,9 @@ DEPTHS = connection(0) + message(0, 1, 0, bytes(8))
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_what_is_no_bag_is_reported_by_its_place(content: bytes, said: str, tmp_path: Path) -> None:
+def test_what_is_no_bag_is_reported_by_its_place(
+    content: bytes, said: str, tmp_path: Path
+) -> None:
     path = tmp_path / "dive.bag"
     path.write_bytes(unclosed(content))
     with pytest.raises(LogError) as raised:

@@ -102,9 +102,12 @@ def test_known_types_are_complete_and_agree_with_rosbags() -> None:
         assert next(iter(definitions)) == type_name
         if type_name in store.types:
             theirs = [
-                _flat(name, description) for name, description in store.get_msgdef(type_name).fields
+                _flat(name, description)
+                for name, description in store.get_msgdef(type_name).fields
             ]
-            ours = [(field.name, field.type_name, field.length) for field in definitions[type_name]]
+            ours = [
+                (field.name, field.type_name, field.length) for field in definitions[type_name]
+            ]
             assert ours == theirs, type_name
             compared += 1
     assert compared > 20

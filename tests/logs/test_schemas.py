@@ -81,7 +81,9 @@ def test_every_message_has_a_header_names_that_ros_accepts_and_explained_fields(
         names = field_names(type_name)
         assert names[0] == "header"
         assert all(re.fullmatch(r"[a-z](_?[a-z0-9]+)*", name) for name in names), type_name
-        paragraphs = (PACKAGE / "msg" / f"{type_name}.msg").read_text("utf-8").strip().split("\n\n")
+        paragraphs = (
+            (PACKAGE / "msg" / f"{type_name}.msg").read_text("utf-8").strip().split("\n\n")
+        )
         assert all(paragraph.startswith("# ") for paragraph in paragraphs), type_name
 
 
@@ -90,4 +92,6 @@ def test_rows_have_the_columns_of_the_csv_files() -> None:
 
 
 def test_sigma_has_the_states_with_their_shown_units() -> None:
-    assert field_names("FilterSigma")[1:] == [f"{state.id}_{UNITS[state.unit]}" for state in STATES]
+    assert field_names("FilterSigma")[1:] == [
+        f"{state.id}_{UNITS[state.unit]}" for state in STATES
+    ]

@@ -238,7 +238,9 @@ def test_a_tum_file_keeps_every_nanosecond_and_is_sorted(tmp_path: Path) -> None
         "1700000001.5 7 8 9 nan nan nan nan",
         "1700000001.5 0 0 0 0 0 0 1",
     )
-    solution, notes = read_tum(file, Solution(file=str(file), latency_s=0.25), "filters.b.solution")
+    solution, notes = read_tum(
+        file, Solution(file=str(file), latency_s=0.25), "filters.b.solution"
+    )
     assert (solution.motion.time_ns + 250_000_000 - START_NS).tolist() == [
         123_456_789,
         1_500_000_000,

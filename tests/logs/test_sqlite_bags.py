@@ -192,7 +192,10 @@ ENDLESS = f"{RECURSION} SELECT i AS id, 1 AS topic_id, i AS timestamp, zeroblob(
     ("change", "said"),
     [
         ("DROP TABLE messages", "without the table 'messages'"),
-        (f"DROP TABLE messages; CREATE VIEW messages AS {ENDLESS}", "without the table 'messages'"),
+        (
+            f"DROP TABLE messages; CREATE VIEW messages AS {ENDLESS}",
+            "without the table 'messages'",
+        ),
         ("ALTER TABLE messages ADD COLUMN more BLOB AS (zeroblob(900000000))", ""),
         (
             "ALTER TABLE messages DROP COLUMN data; ALTER TABLE messages ADD data AS (zeroblob(9))",
@@ -207,7 +210,10 @@ ENDLESS = f"{RECURSION} SELECT i AS id, 1 AS topic_id, i AS timestamp, zeroblob(
             "UPDATE messages SET timestamp = 'noon' WHERE id = 9",
             "1 row of the table 'messages' is damaged",
         ),
-        ("UPDATE messages SET data = 5 WHERE id < 9", "8 rows of the table 'messages' are damaged"),
+        (
+            "UPDATE messages SET data = 5 WHERE id < 9",
+            "8 rows of the table 'messages' are damaged",
+        ),
         ("UPDATE topics SET type = x'ff00fe', name = 3.5", "has no IMU"),
         (
             "UPDATE topics SET serialization_format = 'ros2_telepathy'",
@@ -281,5 +287,7 @@ def test_the_definition_of_ds_sensor_msgs_is_that_of_its_publisher() -> None:
     }
     for type_name, text in texts.items():
         types = get_types_from_msg(text, full_name(type_name))
-        store.register({one: fields for one, fields in types.items() if one not in store.fielddefs})
+        store.register(
+            {one: fields for one, fields in types.items() if one not in store.fielddefs}
+        )
     assert store.generate_msgdef(name)[1] == "2a3b47c6dbf3a5cd6beadbe10a71f170"

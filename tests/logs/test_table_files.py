@@ -226,7 +226,12 @@ def test_arrays_are_grouped_by_length_and_by_time(tmp_path: Path) -> None:
         "dvl_t": np.arange(90) * 0.2,
     }
     np.savez(
-        path, **arrays, dvl_v=np.ones((3, 90)), fix=np.ones((20, 7)), name="dive", empty=np.empty(0)
+        path,
+        **arrays,
+        dvl_v=np.ones((3, 90)),
+        fix=np.ones((20, 7)),
+        name="dive",
+        empty=np.empty(0),
     )
     channels = {channel.topic: channel for channel in open_recording(path).channels}
     assert sorted(channels) == ["dive.npz/dvl", "dive.npz/fix", "dive.npz/imu"]
@@ -301,7 +306,9 @@ def test_a_spreadsheet_is_named_whatever_its_ending(tmp_path: Path, member: str)
         ("objects.npz", "cannot be read as .npz"),
     ],
 )
-def test_small_files_that_ask_for_much_are_refused(tmp_path: Path, name: str, refused: str) -> None:
+def test_small_files_that_ask_for_much_are_refused(
+    tmp_path: Path, name: str, refused: str
+) -> None:
     if name.endswith("parquet"):
         pytest.importorskip("pyarrow")
     path = tmp_path / name

@@ -104,7 +104,9 @@ def test_units_in_titles_count_where_settings_name_the_columns(
 
 
 def test_a_unit_in_the_settings_counts_more_than_the_title(tmp_path: Path) -> None:
-    settings = Config(imu=IMU, dvl=Dvl(topic="dvl.csv", velocity="vx, vy, vz", velocity_unit="m/s"))
+    settings = Config(
+        imu=IMU, dvl=Dvl(topic="dvl.csv", velocity="vx, vy, vz", velocity_unit="m/s")
+    )
     found = read_dive(dive(tmp_path, velocity=" [yd/s]"), settings)
     assert found.dvl.velocity_d is not None
     assert found.dvl.velocity_d[0, 0] == 2.0

@@ -90,9 +90,9 @@ def test_pair_that_is_named_is_the_reference(encoding: str, tmp_path: Path) -> N
         np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]),
     )
     expected = to_ned @ TURNS[told].as_matrix() @ to_flu
-    assert (reference.time_ns - reference.time_ns[0]).tolist() == np.rint(1e9 * TIMES[told]).astype(
-        int
-    ).tolist()
+    assert (reference.time_ns - reference.time_ns[0]).tolist() == np.rint(
+        1e9 * TIMES[told]
+    ).astype(int).tolist()
     np.testing.assert_allclose(reference.mat_nb, expected, atol=1e-12)
     place = np.array([np.deg2rad(32.8), np.deg2rad(35.0), 0.0])
     np.testing.assert_allclose(east_north_up_m(reference.position, place), WAY_M[told], atol=1e-4)

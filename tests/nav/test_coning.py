@@ -20,7 +20,10 @@ from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.studies.montecarlo import make_setup, run_seed, simulated_run
 
 CONE, FREQUENCY = 3.0 * DEG, 2.0 * np.pi  # once a second
-STEADY_N, SWING_N = np.array([0.2, -0.1, -9.8]), np.array([0.4, -0.3, 0.2])  # specific force, m/s^2
+STEADY_N, SWING_N = (
+    np.array([0.2, -0.1, -9.8]),
+    np.array([0.4, -0.3, 0.2]),
+)  # specific force, m/s^2
 UNBIASED = (0.0, 0.0, 0.0)
 MICRO_G = 1e-3 * MG
 

@@ -12,7 +12,14 @@ from insdvl_replay.nav.algebra import matrix, vector
 from insdvl_replay.nav.earth_model import local_earth_at
 from insdvl_replay.nav.error_model import layout_of
 from insdvl_replay.nav.kalman import correct, keep_invariant_error
-from insdvl_replay.nav.measurements import VELOCITY, InsNow, Measurement, Memory, linearise, stacked
+from insdvl_replay.nav.measurements import (
+    VELOCITY,
+    InsNow,
+    Measurement,
+    Memory,
+    linearise,
+    stacked,
+)
 from insdvl_replay.nav.strapdown import NavState
 
 VELOCITY_N = np.array([1.2, -0.7, 0.3])
@@ -50,7 +57,11 @@ def random_cov(seed: int, n: int = 12) -> Floats:
 
 def test_transformation_leaves_the_invariant_error_alone() -> None:
     assert_jacobian(
-        transformation(), expressed_about_the_corrected_velocity, np.zeros(12), atol=1e-9, step=1e-5
+        transformation(),
+        expressed_about_the_corrected_velocity,
+        np.zeros(12),
+        atol=1e-9,
+        step=1e-5,
     )
 
 

@@ -40,7 +40,9 @@ def irregular_times_s(seed: int, n: int) -> Floats:
     ("tilt_deg", "azimuth_deg"), [(30.0, 45.0), (22.5, 0.0), (20.0, 270.0), (60.0, 181.0)]
 )
 def test_beam_is_the_z_axis_tilted_then_turned(tilt_deg: float, azimuth_deg: float) -> None:
-    turned = Rotation.from_euler("ZY", [azimuth_deg, tilt_deg], degrees=True).apply([0.0, 0.0, 1.0])
+    turned = Rotation.from_euler("ZY", [azimuth_deg, tilt_deg], degrees=True).apply(
+        [0.0, 0.0, 1.0]
+    )
     made = beam_vectors(tilt_deg, [azimuth_deg])
     np.testing.assert_allclose(made, [turned], atol=1e-15)
 

@@ -44,7 +44,9 @@ def reference_of(dive: Dive) -> ReferenceColumns:
 def assert_same(history: History, expected: History) -> None:
     """Hold two histories against each other to the last bit; their times and names may differ."""
     for name in ("position", "velocity_n", "mat_nb", "accel_bias_b", "gyro_bias_b", "sd"):
-        np.testing.assert_array_equal(getattr(history, name), getattr(expected, name), err_msg=name)
+        np.testing.assert_array_equal(
+            getattr(history, name), getattr(expected, name), err_msg=name
+        )
     for found, wanted in zip(history.innovations, expected.innovations, strict=True):
         np.testing.assert_array_equal(found.nis, wanted.nis)
 

@@ -140,7 +140,9 @@ def test_baselines_innovations_are_as_large_as_it_says(consistency: Consistency)
 
 
 @pytest.mark.nightly
-def test_published_acceleration_makes_the_filter_predict_too_much(consistency: Consistency) -> None:
+def test_published_acceleration_makes_the_filter_predict_too_much(
+    consistency: Consistency,
+) -> None:
     _, high = mean_interval(12, RUNS)
     assert (consistency.nees["published"] > 3.0 * high).all(), (
         "white noise of one sample taken for the window's"

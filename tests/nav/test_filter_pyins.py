@@ -18,7 +18,9 @@ from insdvl_replay.preparation.replay import replay_dive
         pytest.param(Case("straight"), id="straight", marks=pytest.mark.nightly),
         pytest.param(Case(), id="turns", marks=pytest.mark.nightly),
         pytest.param(Case(beams=(0, 1, 3)), id="three beams", marks=pytest.mark.nightly),
-        pytest.param(Case(lever_arm_m=(-1.8, 0.3, 0.5)), id="lever arm", marks=pytest.mark.nightly),
+        pytest.param(
+            Case(lever_arm_m=(-1.8, 0.3, 0.5)), id="lever arm", marks=pytest.mark.nightly
+        ),
         pytest.param(Case(mounting_rpy_deg=(3.0, -2.0, 45.0)), id="mounting rotation"),
     ],
 )

@@ -114,7 +114,10 @@ def test_density_gives_the_configured_deviation_over_the_whole_gap() -> None:
 
 def test_intervals_that_touch_a_gap_only_at_its_end_do_not_overlap_it() -> None:
     gaps = Gaps(times(10.0, 20.0), times(12.0, 25.0), np.zeros((2, 12)))
-    from_ns, to_ns = times(9, 9, 12, 11, 12, 25, 12, 0), times(10, 10.1, 20, 11.5, 20.1, 30, 25, 30)
+    from_ns, to_ns = (
+        times(9, 9, 12, 11, 12, 25, 12, 0),
+        times(10, 10.1, 20, 11.5, 20.1, 30, 25, 30),
+    )
     assert gaps.overlap(from_ns, to_ns).tolist() == [
         False,
         True,

@@ -32,7 +32,11 @@ def random_case(seed: int, size: int = 3, n: int = 12) -> tuple[Floats, Floats, 
 
 def updated(P: Floats, H: Floats, R: Floats, z: Floats) -> tuple[Floats, Floats, float, Floats]:
     size = len(z)
-    after, (HP, KT, rest), (S, L) = P.copy(), np.empty((3, size, len(P))), np.empty((2, size, size))
+    after, (HP, KT, rest), (S, L) = (
+        P.copy(),
+        np.empty((3, size, len(P))),
+        np.empty((2, size, size)),
+    )
     innovation_cov(P, H, R, HP, S)
     cholesky(S, L)
     transposed_gain(HP, L, KT)

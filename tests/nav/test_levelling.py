@@ -56,7 +56,9 @@ def scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def exact(motion: str, **options: float) -> Dive:
-    return exact_dive(motion, imu_rate_hz=100.0, reference_rate_hz=10.0, lever_arm_m=ARM, **options)
+    return exact_dive(
+        motion, imu_rate_hz=100.0, reference_rate_hz=10.0, lever_arm_m=ARM, **options
+    )
 
 
 def levelled(dive: Dive, config: Config) -> Alignment:
@@ -314,7 +316,9 @@ def test_level_start_keeps_the_positions_of_the_reference_comparable(snapir: Pat
 
 
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3))
-def test_matrix_of_a_rotation_vector_is_its_exponential(vector: tuple[float, float, float]) -> None:
+def test_matrix_of_a_rotation_vector_is_its_exponential(
+    vector: tuple[float, float, float],
+) -> None:
     np.testing.assert_allclose(
         mat_from_vector(np.array(vector)),
         Rotation.from_rotvec(vector).as_matrix(),
@@ -328,7 +332,10 @@ def test_filter_is_nearly_as_sure_as_it_says_after_a_levelled_start() -> None:
     """The window's pings make the level and aid the filter again: it is somewhat too sure at first, not by much."""
     config = load_config("fog", overrides=["initial.source='level'", "initial.heading_deg=30"])
     config = msgspec.structs.replace(config, filters={"baseline": config.filters["baseline"]})
-    exact, errors = exact_dive("turning", duration_s=60.0, imu_rate_hz=50.0), matched_errors(config)
+    exact, errors = (
+        exact_dive("turning", duration_s=60.0, imu_rate_hz=50.0),
+        matched_errors(config),
+    )
     nees_by_run = []
     for seed in range(20):
         dive = add_errors(exact, *errors, seed)

@@ -252,7 +252,9 @@ def assert_same_coast(dive: Dive, config: Config, at_s: float, length_s: float) 
     np.testing.assert_allclose(held_out.innovation, innovation_b, rtol=0.0, atol=2e-5)
 
 
-@pytest.mark.parametrize("filter_", [Filter(aiding=("velocity",)), AIDED], ids=["velocity", "both"])
+@pytest.mark.parametrize(
+    "filter_", [Filter(aiding=("velocity",)), AIDED], ids=["velocity", "both"]
+)
 @pytest.mark.parametrize("at_s", [20.4, 101.0])
 def test_outage_is_a_run_in_which_pings_say_nothing(filter_: Filter, at_s: float) -> None:
     dive = simulate_dive(

@@ -206,7 +206,9 @@ def test_pings_do_not_change_what_the_readings_add_up_to(offsets_ns: set[int]) -
 
 def test_readings_after_the_end_are_left_out() -> None:
     at = instants(
-        build_timeline(imu_100_hz(), ns(80 * MS, 80 * MS + 1), NONE, *ns(20 * MS, 80 * MS).tolist())
+        build_timeline(
+            imu_100_hz(), ns(80 * MS, 80 * MS + 1), NONE, *ns(20 * MS, 80 * MS).tolist()
+        )
     )
     assert (at.time_ns[at.ping >= 0] - EPOCH_NS).tolist() == [80 * MS]
 

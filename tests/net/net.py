@@ -215,7 +215,13 @@ def _compare(folder: Path) -> Lines:
     for name in ("straight", "outage"):
         _replayed(name, folder, "--end", "200", into="old")
         _replayed(
-            name, folder, "--end", "200", "--set", "filters.aided.acceleration.window=5", into="new"
+            name,
+            folder,
+            "--end",
+            "200",
+            "--set",
+            "filters.aided.acceleration.window=5",
+            into="new",
         )
     command = ("compare", folder / "old", folder / "new")
     return [
@@ -250,7 +256,9 @@ def _calibrate(folder: Path) -> Lines:
         folder / "found.toml",
     )
     said = _said(*command, "--format", "json")
-    settings = [f"toml\t{line}" for line in (folder / "found.toml").read_text("utf-8").splitlines()]
+    settings = [
+        f"toml\t{line}" for line in (folder / "found.toml").read_text("utf-8").splitlines()
+    ]
     return [*_json(said[0], folder), *settings]
 
 
@@ -258,7 +266,9 @@ def _propose(folder: Path) -> Lines:
     """Hold the settings that are proposed for a log of which nothing is known."""
     log, place = SHARED / "ros1" / "rexrov2_simulated.bag", ("--set", "initial.latitude_deg=38.0")
     said = _said("inspect", log, *place, "--propose", folder / "found.toml")
-    settings = [f"toml\t{line}" for line in (folder / "found.toml").read_text("utf-8").splitlines()]
+    settings = [
+        f"toml\t{line}" for line in (folder / "found.toml").read_text("utf-8").splitlines()
+    ]
     return [*settings, *_screen(said, folder)]
 
 
@@ -276,7 +286,9 @@ CASES: Final[dict[str, Callable[[Path], Lines]]] = {
     "check": _check,
     "calibrate": _calibrate,
     "propose": _propose,
-    "montecarlo": _study("montecarlo", "figure-eight", "--runs", 3, "--duration", 120, "--jobs", 1),
+    "montecarlo": _study(
+        "montecarlo", "figure-eight", "--runs", 3, "--duration", 120, "--jobs", 1
+    ),
     "window": _study("window", PROJECT / "sample_logs" / "figure_eight.mcap", "--jobs", 1),
     "observability": _study(
         "observability", PROJECT / "sample_logs" / "figure_eight.mcap", "--end", 60

@@ -204,7 +204,9 @@ def test_reference_without_position_starts_at_the_configured_one(dive: Dive) -> 
     "keep", [slice(0, 5), slice(300, None)], ids=["ends before", "begins after"]
 )
 def test_reference_outside_the_span_cannot_start_it(keep: slice) -> None:
-    reference = rows(reference_of(exact_dive("straight", duration_s=120.0, imu_rate_hz=10.0)), keep)
+    reference = rows(
+        reference_of(exact_dive("straight", duration_s=120.0, imu_rate_hz=10.0)), keep
+    )
     dive = exact_dive("straight", duration_s=40.0, imu_rate_hz=10.0)
     with pytest.raises(LogError, match="attitude") as caught:
         aligned(dive, reference, Initial(), start_s=1.0)
@@ -270,10 +272,15 @@ def test_levelling_looks_at_the_first_seconds_alone() -> None:
     earlier = static.imu.time_ns < START_NS + 5 * SECOND
     force_b[later | earlier] = [9.0, 0.0, 0.0]
     found = aligned(
-        replace(static, imu=replace(static.imu, specific_force_b=force_b)), None, LEVEL, start_s=5.0
+        replace(static, imu=replace(static.imu, specific_force_b=force_b)),
+        None,
+        LEVEL,
+        start_s=5.0,
     )
     # 0.05 m/s^2 at 20 Hz are 11 mm/s/sqrt(s), of which 10 s leave 4 mm/s^2, 0.02 deg; four of these.
-    np.testing.assert_allclose(rpy_from_mat(found.start.mat_nb) / DEG, [2.0, -1.0, 30.0], atol=0.08)
+    np.testing.assert_allclose(
+        rpy_from_mat(found.start.mat_nb) / DEG, [2.0, -1.0, 30.0], atol=0.08
+    )
 
 
 def test_level_start_takes_position_and_height_of_the_reference_and_nothing_else(
@@ -340,7 +347,8 @@ def test_rows_that_are_not_finite_start_nothing(dive: Dive, quantity: str) -> No
     found = aligned(dive, gappy, Initial())
     # The attitude waits for a position near it; a velocity more than a second away is the DVL's matter.
     assert (
-        found.start_ns == reference.time_ns[{"position": 3, "velocity_n": 0, "mat_nb": 8}[quantity]]
+        found.start_ns
+        == reference.time_ns[{"position": 3, "velocity_n": 0, "mat_nb": 8}[quantity]]
     )
     truth = Trajectory(SCENARIOS["figure-eight"], 110.0).at(
         np.array([(found.start_ns - START_NS) * 1e-9])
@@ -409,4 +417,6 @@ def test_a_bias_that_is_known_costs_nothing(dive: Dive) -> None:
     known = replay_dive(biased, told).histories[0]
     np.testing.assert_allclose(known.velocity_n, without.velocity_n, atol=1e-9)  # m/s
     np.testing.assert_allclose(known.gyro_bias_b[0], bias_b, rtol=1e-15)
-    np.testing.assert_allclose(known.gyro_bias_b - bias_b, without.gyro_bias_b, atol=1e-12)  # rad/s
+    np.testing.assert_allclose(
+        known.gyro_bias_b - bias_b, without.gyro_bias_b, atol=1e-12
+    )  # rad/s

@@ -220,7 +220,9 @@ def test_a_start_is_off_by_what_it_says() -> None:
         dive = simulated(seed, duration_s=12.0)
         prepared = prepare_dive(dive, config())
         start = prepared.alignment.start
-        misalignment = vector_from_mat(start.mat_nb @ truth_at(dive, prepared.alignment.start_ns).T)
+        misalignment = vector_from_mat(
+            start.mat_nb @ truth_at(dive, prepared.alignment.start_ns).T
+        )
         squares.append(misalignment**2 / np.diagonal(start.cov)[PHI])
     per_axis = np.mean(squares, axis=0)
     bound = 4.0 * np.sqrt(2.0 / 200)
@@ -235,14 +237,18 @@ def test_a_vehicle_that_no_dvl_sees_is_levelled_better_by_its_ahrs() -> None:
         blind_s = 1e-9 * (dive.dvl.time_ns - dive.dvl.time_ns[0])
         dvl = replace(
             dive.dvl,
-            beam_velocity_mps=np.where(blind_s[:, None] < 25.0, np.nan, dive.dvl.beam_velocity_mps),
+            beam_velocity_mps=np.where(
+                blind_s[:, None] < 25.0, np.nan, dive.dvl.beam_velocity_mps
+            ),
         )
         blind = replace(dive, dvl=dvl)
         settings = msgspec.structs.replace(
             config(), span=msgspec.structs.replace(config().span, start_s=10.0)
         )
         for source, found in (("sensor", sensed_deg), ("level", levelled_deg)):
-            initial = msgspec.structs.replace(settings.initial, source=source, heading_deg="sensor")
+            initial = msgspec.structs.replace(
+                settings.initial, source=source, heading_deg="sensor"
+            )
             start = prepare_dive(
                 blind, msgspec.structs.replace(settings, initial=initial)
             ).alignment
@@ -255,7 +261,9 @@ def test_a_vehicle_that_no_dvl_sees_is_levelled_better_by_its_ahrs() -> None:
 # --- What is odd about it.
 
 
-def test_an_ahrs_on_its_back_contradicts_gravity_until_its_mounting_is_said(tmp_path: Path) -> None:
+def test_an_ahrs_on_its_back_contradicts_gravity_until_its_mounting_is_said(
+    tmp_path: Path,
+) -> None:
     dive = simulated()
     columns, _ = ahrs_of(dive)
     on_its_back = replace(

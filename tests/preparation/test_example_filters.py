@@ -78,7 +78,9 @@ def test_the_filter_in_cpp_is_as_good_as_the_baseline_with_the_same_noise(
     assert rows["drift_30s"].ratio == pytest.approx(1.0, abs=0.1)
     assert rows["outage_30s"].ratio == pytest.approx(1.0, abs=0.1)
     sizes = {
-        row.filter: row.mean_nees for row in replay.tables.credibility if row.quantity == "attitude"
+        row.filter: row.mean_nees
+        for row in replay.tables.credibility
+        if row.quantity == "attitude"
     }
     assert sizes["mine"] == pytest.approx(sizes["baseline"], rel=0.2)
 

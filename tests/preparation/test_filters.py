@@ -84,7 +84,9 @@ def test_the_filter_is_given_what_was_resolved(
     key, sd_mps = expected
     for velocities in (from_beams, dvl_velocities(reports_velocities(dive).dvl)):
         (measurement,) = resolved(filter_, config).measurements(velocities, DvlMounting())
-        np.testing.assert_allclose(measurement.cov[0], sd_mps**2 * shape[key], rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(
+            measurement.cov[0], sd_mps**2 * shape[key], rtol=0.0, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("tilt_deg", [20.0, 30.0])

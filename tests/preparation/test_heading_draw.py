@@ -41,7 +41,12 @@ SENSORS = {
 
 def simulated(seed: int) -> Dive:
     dive = simulate_dive(
-        "lawnmower", seed=seed, duration_s=60.0, grade="tactical", imu_rate_hz=20.0, sensors=SENSORS
+        "lawnmower",
+        seed=seed,
+        duration_s=60.0,
+        grade="tactical",
+        imu_rate_hz=20.0,
+        sensors=SENSORS,
     )
     return replace(dive, imu_fingerprint=imu_fingerprint(dive.imu))
 

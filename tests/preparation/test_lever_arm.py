@@ -49,7 +49,9 @@ def test_velocity_of_the_moved_point_is_the_rate_of_its_way(turning: Dive) -> No
 
 def test_reference_of_another_point_is_as_good_once_its_lever_arm_is_known(turning: Dive) -> None:
     assert turning.reference is not None
-    elsewhere = replace(turning, reference=reference_at_imu(turning.reference, turning.imu, -ARM_B))
+    elsewhere = replace(
+        turning, reference=reference_at_imu(turning.reference, turning.imu, -ARM_B)
+    )
     noise = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=2e-6)
     known = Config(noise=noise, reference=Reference(lever_arm_m=(1.8, -0.4, 0.3)))
     rms_m = [

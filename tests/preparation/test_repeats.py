@@ -76,7 +76,9 @@ class Jittering(Baseline):
 
     def run(self, dive: Dive, start: CandidateStart) -> Solution:
         """Go astray by far less than any error."""
-        return moved_north(super().run(dive, start), np.random.default_rng().uniform(0.0, JITTER_M))
+        return moved_north(
+            super().run(dive, start), np.random.default_rng().uniform(0.0, JITTER_M)
+        )
 
 
 class Hashing(Baseline):
@@ -214,7 +216,8 @@ class Turning(Baseline):
         solution = super().run(dive, start)
         assert solution.velocity_n is not None
         return replace(
-            solution, velocity_n=solution.velocity_n + np.random.default_rng().uniform(-0.1, 0.1, 3)
+            solution,
+            velocity_n=solution.velocity_n + np.random.default_rng().uniform(-0.1, 0.1, 3),
         )
 
 
@@ -285,12 +288,18 @@ def test_a_spread_is_off_from_the_margin_on() -> None:
     assert not Repeat(Change.AGAIN, acts=0.99 * PROVED).is_off
     assert Repeat(Change.AGAIN, acts=PROVED).is_off
     assert Repeat(Change.STAMPS, failure="ended with exit code 3").is_off
-    assert not Repeat(Change.AGAIN, moves_m=7.0).is_off, "nothing is judged where no error is known"
+    assert not Repeat(Change.AGAIN, moves_m=7.0).is_off, (
+        "nothing is judged where no error is known"
+    )
 
 
 @pytest.mark.parametrize(
     ("dives", "not_repeatable", "word"),
-    [(4, 4, Verdict.NOT_REPEATABLE), (4, 1, Verdict.NOT_EVALUATED), (4, 3, Verdict.NOT_REPEATABLE)],
+    [
+        (4, 4, Verdict.NOT_REPEATABLE),
+        (4, 1, Verdict.NOT_EVALUATED),
+        (4, 3, Verdict.NOT_REPEATABLE),
+    ],
 )
 def test_over_dives_the_word_is_that_of_most(
     dives: int, not_repeatable: int, word: Verdict
@@ -318,7 +327,11 @@ def later(columns: Any) -> Any:
 def with_later_stamps(dive: Dive) -> Dive:
     reference: ReferenceColumns | None = later(dive.reference)
     return replace(
-        dive, imu=later(dive.imu), dvl=later(dive.dvl), reference=reference, truth=later(dive.truth)
+        dive,
+        imu=later(dive.imu),
+        dvl=later(dive.dvl),
+        reference=reference,
+        truth=later(dive.truth),
     )
 
 
@@ -358,7 +371,9 @@ def test_built_in_filters_do_not_move_by_messages_that_were_written_twice(
             np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-6)
 
 
-def test_built_in_filters_move_by_hardly_anything_with_a_later_copy_of_a_sample(dive: Dive) -> None:
+def test_built_in_filters_move_by_hardly_anything_with_a_later_copy_of_a_sample(
+    dive: Dive,
+) -> None:
     repeated = replace(dive, imu=with_repeated_samples(dive.imu))
     assert len(repeated.imu.time_ns) == len(dive.imu.time_ns) + 1
     first, moved = replay_dive(dive, config()), replay_dive(repeated, config())

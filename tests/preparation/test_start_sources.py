@@ -237,7 +237,9 @@ def test_random_starts_keep_the_settings(exact: Dive) -> None:
     np.testing.assert_allclose(own.sd[PHI], ATTITUDE_FLOOR, rtol=0.2)
     for start in others:
         np.testing.assert_allclose(start.sd[PHI], 0.5 * DEG)
-        assert 0.05 * DEG < np.linalg.norm(vector_from_mat(start.mat_nb @ own.mat_nb.T)) < 3.0 * DEG
+        assert (
+            0.05 * DEG < np.linalg.norm(vector_from_mat(start.mat_nb @ own.mat_nb.T)) < 3.0 * DEG
+        )
     as_set = prepare_dive(dive, settings(Initial(uncertainty="settings", **BIASES))).alignment
     np.testing.assert_allclose(as_set.start.sd[PHI], 0.5 * DEG)
     assert as_set.spread_cov is None

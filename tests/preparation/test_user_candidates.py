@@ -46,7 +46,9 @@ from insdvl_replay.sim.sensor_errors import SensorErrors
 HERE = "baseline_as_candidate"
 FILTERS = {"baseline": Filter(aiding=("velocity",)), "beams": Filter(aiding=("beams",))}
 HEADER = ",".join(["time_ns", *POSITION, *VELOCITY, *ATTITUDE])
-FIRST_LINES = "import json, pathlib, sys\ndive, start, solution = map(pathlib.Path, sys.argv[1:])\n"
+FIRST_LINES = (
+    "import json, pathlib, sys\ndive, start, solution = map(pathlib.Path, sys.argv[1:])\n"
+)
 
 
 @pytest.fixture(scope="module")
@@ -220,7 +222,9 @@ class Depths(Candidate):
         raise ValueError(f"given {sorted(dive.sensors)}")
 
 
-@pytest.mark.parametrize(("held_out", "given"), [((), "given ['depth']"), (("depth",), "given []")])
+@pytest.mark.parametrize(
+    ("held_out", "given"), [((), "given ['depth']"), (("depth",), "given []")]
+)
 def test_a_class_is_not_given_a_sensor_that_is_held_out(
     held_out: tuple[str, ...], given: str
 ) -> None:
@@ -236,7 +240,9 @@ def test_a_program_that_ignores_its_start_is_reported(
 ) -> None:
     replay = replay_dive(dive, config(program(tmp_path, copying(written)), starts=3))
     assert "candidate_ignores_start" in {note.code for note in replay.notes}
-    assert evidence(replay)["drift_30s"].starts == 1, "accuracy is from the start that the dive had"
+    assert evidence(replay)["drift_30s"].starts == 1, (
+        "accuracy is from the start that the dive had"
+    )
 
 
 # --- Failures.
@@ -626,10 +632,14 @@ def test_the_files_of_a_program_hold_what_a_class_is_given(dive: Dive, tmp_path:
     """The same filter as a class, and by the files that a program reads and writes."""
     start = start_of(dive)
     velocities = dvl_velocities(dive.dvl)
-    given = Dive("dive", dive.imu, DvlColumns(velocities.time_ns, velocity_d=velocities.velocity_b))
+    given = Dive(
+        "dive", dive.imu, DvlColumns(velocities.time_ns, velocity_d=velocities.velocity_b)
+    )
     write_dive(tmp_path / "dive.mcap", given)
     (tmp_path / "start.json").write_bytes(start.to_json())
-    run_as_program(Baseline, tmp_path / "dive.mcap", tmp_path / "start.json", tmp_path / "solution")
+    run_as_program(
+        Baseline, tmp_path / "dive.mcap", tmp_path / "start.json", tmp_path / "solution"
+    )
     read, direct = read_solution(tmp_path / "solution", start), Baseline().run(given, start)
     np.testing.assert_array_equal(read.time_ns, direct.time_ns)
     np.testing.assert_allclose(read.velocity_n, direct.velocity_n, atol=1e-9)
@@ -789,7 +799,13 @@ def test_the_example_as_a_program_gives_the_same(
 ) -> None:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
-    words = (sys.executable, str(EXAMPLES / "dead_reckoning.py"), "{dive}", "{start}", "{solution}")
+    words = (
+        sys.executable,
+        str(EXAMPLES / "dead_reckoning.py"),
+        "{dive}",
+        "{start}",
+        "{solution}",
+    )
     found = [
         evidence(replay_dive(dive, config(settings)))
         for settings in (Filter(candidate="dead_reckoning:DeadReckoning"), Filter(program=words))

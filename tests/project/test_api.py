@@ -158,7 +158,12 @@ def test_an_argument_of_another_kind_is_named(
 
 @pytest.mark.parametrize("name", ["transit", "transit/report.json", "vehicle.toml"])
 def test_a_result_or_settings_are_no_log_and_a_log_is_no_result(name: str, folder: Path) -> None:
-    for call in (replay_log, insdvl_replay.inspect, insdvl_replay.propose, insdvl_replay.calibrate):
+    for call in (
+        replay_log,
+        insdvl_replay.inspect,
+        insdvl_replay.propose,
+        insdvl_replay.calibrate,
+    ):
         with pytest.raises(ConfigError, match="not a log"):
             call(folder / name)
     with pytest.raises(ConfigError, match="not a result"):

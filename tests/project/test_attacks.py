@@ -23,7 +23,9 @@ MUTANTS = 300
 
 def attacked(*arguments: str) -> subprocess.CompletedProcess[str]:
     """Attack in a process of its own, which forks."""
-    return subprocess.run([sys.executable, str(ATTACK), *arguments], capture_output=True, text=True)
+    return subprocess.run(
+        [sys.executable, str(ATTACK), *arguments], capture_output=True, text=True
+    )
 
 
 def row(name: str, printed: str) -> list[int]:

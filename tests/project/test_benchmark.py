@@ -95,7 +95,9 @@ def rows_of(page: str) -> list[list[str]]:
     return [[text.strip() for text in line] for line in lines]
 
 
-def test_rows_are_those_of_the_results(cells: list[benchmark.Cell], place: benchmark.Place) -> None:
+def test_rows_are_those_of_the_results(
+    cells: list[benchmark.Cell], place: benchmark.Place
+) -> None:
     evidence = read_result(place.build / "planted_worse" / "set_one" / "one").tables["evidence"]
     (cell,) = (
         cell for cell in cells if (cell.candidate, cell.data_set) == ("planted_worse", "set_one")

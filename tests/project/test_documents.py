@@ -197,7 +197,9 @@ def test_headings_of_a_chapter_have_anchors_of_their_own(chapter: str) -> None:
 
 
 def test_every_chapter_is_in_the_table_of_contents() -> None:
-    linked = re.findall(r"^\| \[.+\]\((.+)\) \|", text_of("docs/equations/README.md"), re.MULTILINE)
+    linked = re.findall(
+        r"^\| \[.+\]\((.+)\) \|", text_of("docs/equations/README.md"), re.MULTILINE
+    )
     assert sorted(["README.md", *linked]) == [Path(chapter).name for chapter in CHAPTERS]
 
 

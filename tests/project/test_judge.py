@@ -38,7 +38,10 @@ from insdvl_replay.core.words import Role, Verdict
 from insdvl_replay.evaluation.interval import log_ratio_interval
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 
-TOO_LARGE, UNFIT = "candidate's R of 60 mm/s, truly 20", "unfit: baseline's R of 200 mm/s, truly 20"
+TOO_LARGE, UNFIT = (
+    "candidate's R of 60 mm/s, truly 20",
+    "unfit: baseline's R of 200 mm/s, truly 20",
+)
 DEAD = "dead: a knock, and gates that stay shut"
 
 
@@ -259,7 +262,9 @@ def of_words(
 
 
 def test_words_are_wrong_where_the_truth_is_another() -> None:
-    gain = of_words("ensemble", 0.7, 0.8, Counter(better=60, worse=10, equivalent=10, undecided=20))
+    gain = of_words(
+        "ensemble", 0.7, 0.8, Counter(better=60, worse=10, equivalent=10, undecided=20)
+    )
     alike = of_words("ensemble", 0.97, 1.03, Counter(better=10, equivalent=90))
     copy = of_words("copy", 1.0, 1.0, Counter({"no effect": 99, "equivalent": 1}), is_copy=True)
     dead = of_words("no word", math.nan, math.nan, Counter({"not evaluated": 95, "undecided": 5}))
@@ -275,7 +280,8 @@ def test_words_are_wrong_where_the_truth_is_another() -> None:
         in found["the same, said better, worse or mixed"]
     )
     assert (
-        "| 1.0 (1 of 100) * | - | - | at most 0 |" in found["copies, said anything but *no effect*"]
+        "| 1.0 (1 of 100) * | - | - | at most 0 |"
+        in found["copies, said anything but *no effect*"]
     )
     assert (
         "| 5.0 (5 of 100) * | - | - | at most 0 |"

@@ -103,7 +103,9 @@ def writes(path: Path) -> bool:
         if not isinstance(node, ast.Call):
             continue
         name = (
-            node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            node.func.attr
+            if isinstance(node.func, ast.Attribute)
+            else getattr(node.func, "id", "")
         )
         words = [
             one.value

@@ -152,7 +152,9 @@ def test_the_named_candidate_has_a_level_of_its_own(monkeypatch: pytest.MonkeyPa
 
 
 def test_chance_is_allowed_for_and_no_more() -> None:
-    tallied = Tally(archives=1000, better=60, worse=0, equivalent=0, wrong=60, opposite=0, missed=0)
+    tallied = Tally(
+        archives=1000, better=60, worse=0, equivalent=0, wrong=60, opposite=0, missed=0
+    )
     assert at_most(tallied, 60, 5.0)
     assert not at_most(tallied, 80, 5.0)
     assert at_least(tallied, 320, 35.0)

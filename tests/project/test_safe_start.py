@@ -56,7 +56,10 @@ def image() -> tuple[dict[str, str], list[str], str]:
     text = (ROOT / "examples" / "ci" / "Dockerfile").read_text("utf-8").replace("\\\n", " ")
     lines = [line.partition(" ") for line in text.splitlines()]
     variables = [
-        word.split("=", 1) for name, _, rest in lines if name == "ENV" for word in shlex.split(rest)
+        word.split("=", 1)
+        for name, _, rest in lines
+        if name == "ENV"
+        for word in shlex.split(rest)
     ]
     (entry,) = re.findall(r"^ENTRYPOINT (.+)", text, re.MULTILINE)
     (user,) = re.findall(r"^USER (.+)", text, re.MULTILINE)
@@ -81,7 +84,9 @@ def test_the_image_imports_nothing_of_the_folder_of_the_dives(dives: Path, tmp_p
     assert "gates.toml" in done.stderr
 
 
-def test_the_action_imports_nothing_of_the_folder_of_the_dives(dives: Path, tmp_path: Path) -> None:
+def test_the_action_imports_nothing_of_the_folder_of_the_dives(
+    dives: Path, tmp_path: Path
+) -> None:
     tools = tmp_path / "tools"
     tools.mkdir()
     for name in ("python", "pip"):

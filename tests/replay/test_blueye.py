@@ -115,7 +115,9 @@ def test_json_log_is_read_by_field_paths() -> None:
     )
     dvl = Dvl(topic="dvl", velocity="velocity")
     dive = read_dive(DATA / "car_left_back_json.mcap", Config(imu=imu, dvl=dvl))
-    repeats = sum(note.count for note in dive.notes if note.code in ("dvl_same_values", "dvl_zero"))
+    repeats = sum(
+        note.count for note in dive.notes if note.code in ("dvl_same_values", "dvl_zero")
+    )
     assert repeats + len(dive.dvl.time_ns) == 19272
     assert np.median(dive.imu.specific_force_b[:, 2]) == pytest.approx(-GRAVITY_MPS2, rel=0.1)
 

@@ -174,7 +174,9 @@ def test_a_dive_whose_track_reports_no_heading_says_so(truth: Dive) -> None:
 
 def test_an_attitude_to_start_from_goes_before_it() -> None:
     dive = exact_dive("figure-eight", duration_s=100.0)
-    fitted, configured = (replay_dive(dive, load_config("fog", overrides=of)) for of in ([FIT], []))
+    fitted, configured = (
+        replay_dive(dive, load_config("fog", overrides=of)) for of in ([FIT], [])
+    )
     np.testing.assert_array_equal(fitted.histories[0].mat_nb, configured.histories[0].mat_nb)
     assert not any(note.code == "start_heading_fitted" for note in fitted.notes)
 

@@ -64,7 +64,9 @@ def test_with_corrections_taken_back_a_filter_moves_as_one_without_position_stat
     config = changed(
         FOG, filters={"baseline": VELOCITY, "candidate": changed(VELOCITY, states=("position",))}
     )
-    replay = replay_dive(survey(exact, config, 1), changed(config, evaluation=Evaluation(starts=8)))
+    replay = replay_dive(
+        survey(exact, config, 1), changed(config, evaluation=Evaluation(starts=8))
+    )
     baseline, candidate = replay.histories
     assert not len(baseline.corrected)
     corrected_m = north_east_down_m(candidate.position, candidate.dead_reckoned)
@@ -124,7 +126,9 @@ def test_bad_fixes_have_a_larger_error_or_are_not_evaluated_and_their_nis_is_rep
 ) -> None:
     """Of filters that start as uncertain as the settings say: bad fixes hardly move one that knows its start."""
     config = changed(FOG, initial=changed(FOG.initial, uncertainty="settings"))
-    replays = [replay_dive(survey(exact, config, seed, bad_share=0.2), config) for seed in range(2)]
+    replays = [
+        replay_dive(survey(exact, config, seed, bad_share=0.2), config) for seed in range(2)
+    ]
     for replay in replays:
         assert (evidence(replay)["position"].ratio or 0.0) > 1.5
         assert replay.verdicts["candidate"].verdict in {"undecided", "not evaluated"}

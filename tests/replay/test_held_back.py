@@ -143,7 +143,9 @@ OUTAGES_S = (
 
 def outages_of(dive: Dive) -> tuple[tuple[int, int], ...]:
     begin_ns = int(dive.imu.time_ns[0])
-    return tuple((begin_ns + int(a * NS_PER_S), begin_ns + int(b * NS_PER_S)) for a, b in OUTAGES_S)
+    return tuple(
+        (begin_ns + int(a * NS_PER_S), begin_ns + int(b * NS_PER_S)) for a, b in OUTAGES_S
+    )
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +182,10 @@ class Smoothed(Held):
         """Look back a bit further, and be the less sure the older that is."""
         held = super().readings(dive)
         mean = np.stack(
-            [held.values[max(0, row - 8) : row + 1].mean(axis=0) for row in range(len(held.values))]
+            [
+                held.values[max(0, row - 8) : row + 1].mean(axis=0)
+                for row in range(len(held.values))
+            ]
         )
         last_ns = dive.dvl.time_ns[
             np.searchsorted(dive.dvl.time_ns, held.time_ns, side="right") - 1

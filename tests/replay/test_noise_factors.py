@@ -100,7 +100,9 @@ def nees(history: History, dive: Dive) -> float:
     """Return the mean NEES of the twelve states after the step; errors of biases are true minus estimated."""
     assert dive.reference is not None
     assert dive.truth is not None
-    time_ns, own, rows = np.intersect1d(history.cov_ns, dive.reference.time_ns, return_indices=True)
+    time_ns, own, rows = np.intersect1d(
+        history.cov_ns, dive.reference.time_ns, return_indices=True
+    )
     at = np.searchsorted(history.time_ns, time_ns)
     turned = history.mat_nb[at] @ np.swapaxes(dive.reference.mat_nb[rows], 1, 2)
     error = np.column_stack(

@@ -36,7 +36,9 @@ from insdvl_replay.sim.sensor_errors import SensorErrors
 
 
 def replayed(word: str, duration_s: float = 200.0) -> Replay:
-    dive = simulate_dive("lawnmower", seed=4, duration_s=duration_s, grade="mems", imu_rate_hz=50.0)
+    dive = simulate_dive(
+        "lawnmower", seed=4, duration_s=duration_s, grade="mems", imu_rate_hz=50.0
+    )
     mine = Filter(aiding=("velocity", word), gate_probability=0.999)
     mems, filters = load_config("mems"), {"baseline": Filter(aiding=("velocity",)), "mine": mine}
     config = Config(
@@ -157,7 +159,9 @@ def aided(end_s: float | None = None, **filters: tuple[str, ...]) -> Config:
 def assert_same(history: History, expected: History) -> None:
     np.testing.assert_allclose(history.velocity_n, expected.velocity_n, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(history.mat_nb, expected.mat_nb, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(history.position[:, 2], expected.position[:, 2], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        history.position[:, 2], expected.position[:, 2], rtol=0.0, atol=1e-9
+    )
     np.testing.assert_allclose(history.sd, expected.sd, rtol=1e-9)
     for own, built_in in zip(history.innovations, expected.innovations, strict=True):
         np.testing.assert_array_equal(own.time_ns, built_in.time_ns)
@@ -392,9 +396,9 @@ def test_a_topic_of_the_log_aids_by_a_class_of_ones_own(tmp_path: Path) -> None:
         for name, errors in replay.errors.items()
     }
     assert rms_m["mine"] < 0.5 * rms_m["baseline"]
-    assert [channel.role for channel in replay.dive.channels if channel.topic == "/usbl/range"] == [
-        "topics.beacon"
-    ]
+    assert [
+        channel.role for channel in replay.dive.channels if channel.topic == "/usbl/range"
+    ] == ["topics.beacon"]
 
 
 @pytest.mark.parametrize(
@@ -404,7 +408,9 @@ def test_a_topic_of_the_log_aids_by_a_class_of_ones_own(tmp_path: Path) -> None:
         (Topic(topic="/usbl/range", values="rnge"), "rnge"),
     ],
 )
-def test_a_topic_that_is_named_wrong_is_reported(tmp_path: Path, topic: Topic, reason: str) -> None:
+def test_a_topic_that_is_named_wrong_is_reported(
+    tmp_path: Path, topic: Topic, reason: str
+) -> None:
     with pytest.raises(LogError, match=reason):
         replay_log(dive_with_a_beacon(tmp_path), ranged(topics={"beacon": topic}))
 

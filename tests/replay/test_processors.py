@@ -58,7 +58,9 @@ def test_every_simulated_dive_is_the_same_bytes(processor: Processor, tmp_path: 
     processor.run(
         *([*arguments, str(tmp_path / Path(place).name)] for *arguments, place in SIMULATE)
     )
-    made = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in tmp_path.iterdir()}
+    made = {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in tmp_path.iterdir()
+    }
     assert len(made) == len(LOGS) == 6
     assert made == digests()
 

@@ -131,7 +131,11 @@ def test_the_ahrs_of_the_subjugator_is_as_level_as_gravity_says(run: str) -> Non
         name: [note.code for note in replay.notes if note.code == "start_tilt_contradiction"]
         for name, replay in replays.items()
     }
-    assert contradicted == {"level": [], "as its type": ["start_tilt_contradiction"], "mounted": []}
+    assert contradicted == {
+        "level": [],
+        "as its type": ["start_tilt_contradiction"],
+        "mounted": [],
+    }
     starts_deg = {
         name: np.rad2deg(rpy_from_mat(replay.histories[0].mat_nb[0]))
         for name, replay in replays.items()

@@ -262,7 +262,9 @@ def test_candidates_are_held_against_the_first_filter_by_name(straight: Dive) ->
             "curved",
             "published",
         ]
-    updates = [len(innovations_of(history, "acceleration").nis) for history in replay.histories[1:]]
+    updates = [
+        len(innovations_of(history, "acceleration").nis) for history in replay.histories[1:]
+    ]
     pings = len(straight.dvl.time_ns)
     assert updates == [pings - 1, pings - 4, pings - 4, pings - 2]
     for table in frames(replay.tables).values():
@@ -430,7 +432,12 @@ def test_reference_that_covers_a_part_is_compared_there(straight: Dive) -> None:
 @pytest.mark.parametrize(
     ("quantity", "missing", "code", "initial"),
     [
-        ("velocity_n", ["velocity_n", "velocity_e", "velocity_d"], "start_velocity_dvl", Initial()),
+        (
+            "velocity_n",
+            ["velocity_n", "velocity_e", "velocity_d"],
+            "start_velocity_dvl",
+            Initial(),
+        ),
         ("mat_nb", ["roll", "pitch", "heading"], "start_levelled", Initial(heading_deg=30.0)),
         (
             "position",
@@ -610,7 +617,9 @@ def test_reference_that_is_too_slow_for_the_turns_is_said_to_be(
     rate_hz: float, severity: str
 ) -> None:
     """The eight turns by 138.9 deg at 17 deg/s, once within 130 s, at 0.9 m/s."""
-    dive = exact_dive("figure-eight", duration_s=130.0, imu_rate_hz=50.0, reference_rate_hz=rate_hz)
+    dive = exact_dive(
+        "figure-eight", duration_s=130.0, imu_rate_hz=50.0, reference_rate_hz=rate_hz
+    )
     notes = [note for note in replay_dive(dive, config()).notes if note.code == "reference_slow"]
     assert [note.severity for note in notes] == [severity] * bool(severity)
     if severity == "info":

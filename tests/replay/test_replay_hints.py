@@ -70,7 +70,9 @@ def test_nothing_is_said_of_any_sensors_that_are_as_configured(scenario: str, gr
 def test_axes_that_beams_see_unlike_are_no_reason() -> None:
     """The filter takes all axes of a velocity for alike, beams at 30 deg not: six times less variance down."""
     truth = told_the_truth("fog", "dvl.velocity_sd_mps=0.006")
-    alike = msgspec.structs.replace(truth, dvl=msgspec.structs.replace(truth.dvl, beam_sd_mps=None))
+    alike = msgspec.structs.replace(
+        truth, dvl=msgspec.structs.replace(truth.dvl, beam_sd_mps=None)
+    )
     rows = {
         row.measurement: row.mean_nis
         for row in replay_dive(dived("straight"), alike).tables.consistency

@@ -90,7 +90,9 @@ def test_first_run_is_that_of_the_replay(exact: Dive) -> None:
             np.testing.assert_array_equal(getattr(errors, name)[0], getattr(expected, name))
         vehicle = about_vehicle(errors, dive.reference).error[0, :, PHI]
         np.testing.assert_allclose(vehicle, expected.attitude_error_rad, rtol=0.0, atol=1e-12)
-        np.testing.assert_array_equal(errors.time_s, (expected.time_ns - history.time_ns[0]) * 1e-9)
+        np.testing.assert_array_equal(
+            errors.time_s, (expected.time_ns - history.time_ns[0]) * 1e-9
+        )
 
 
 def test_filters_meet_the_same_errors_and_other_dives_others(exact: Dive) -> None:
@@ -98,7 +100,9 @@ def test_filters_meet_the_same_errors_and_other_dives_others(exact: Dive) -> Non
     dive, start = prepared_world(exact, twice, 1)
     one, other = run_from_drawn_starts(dive, start, 3)
     np.testing.assert_array_equal(one.error, other.error)
-    assert (run_from_drawn_starts(dive, start, 3, seed=8)[0].error[1:, 0] != one.error[1:, 0]).all()
+    assert (
+        run_from_drawn_starts(dive, start, 3, seed=8)[0].error[1:, 0] != one.error[1:, 0]
+    ).all()
 
 
 def test_squares_are_those_of_the_errors(exact: Dive) -> None:

@@ -219,7 +219,8 @@ def test_fixes_that_are_none_are_not_called_wrong_numbers(tmp_path: Path) -> Non
 def test_a_heading_of_one_degree_holds_a_vehicle_of_small_sensors_for_an_hour() -> None:
     dive = simulated(seed=3, duration_s=3600.0, heading=SensorErrors(1.0, 1.0))
     replay = replay_dive(
-        dive, config("heading", heading=Heading(sd_deg=1.0), noise=MEMS.noise, initial=MEMS.initial)
+        dive,
+        config("heading", heading=Heading(sd_deg=1.0), noise=MEMS.noise, initial=MEMS.initial),
     )
     off_deg = {
         name: np.rad2deg(errors.attitude_error_rad[:, 2]) for name, errors in replay.errors.items()
@@ -371,7 +372,9 @@ def position_nees(
     )
     settings = Config(
         noise=MATCHED.noise,
-        initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, position_sd_m=POSITION_SD_M),
+        initial=Initial(
+            accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, position_sd_m=POSITION_SD_M
+        ),
         dvl=MATCHED.dvl,
         depth=depth_sensor,
         position=Position(sd_m=1.0, height_sd_m=height_sd_m),
@@ -415,7 +418,9 @@ def test_position_is_as_far_off_as_the_filter_says(
         position_nees(seed, depth_sensor, late_s=late_s, height_sd_m=height_sd_m, **sensors).mean()
         for seed in range(24)
     ])  # fmt: skip
-    assert 3.0 - 2.5 * runs.std() / np.sqrt(24) < runs.mean() < 3.0 + 2.5 * runs.std() / np.sqrt(24)
+    assert (
+        3.0 - 2.5 * runs.std() / np.sqrt(24) < runs.mean() < 3.0 + 2.5 * runs.std() / np.sqrt(24)
+    )
     assert 1.8 < runs.mean() < 4.4
 
 
@@ -503,7 +508,9 @@ def test_a_scale_of_one_percent_and_a_yaw_are_found_in_turns_with_fixes() -> Non
 def test_without_fixes_a_straight_line_leaves_the_scale_alone(grade: str) -> None:
     dive = simulate_dive("straight", seed=2, duration_s=400.0, grade=grade)
     assert dive.dvl.beam_velocity_mps is not None
-    dive = replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=dive.dvl.beam_velocity_mps * 1.01))
+    dive = replace(
+        dive, dvl=replace(dive.dvl, beam_velocity_mps=dive.dvl.beam_velocity_mps * 1.01)
+    )
     settings = load_config(grade, None, ["initial.velocity_sd_mps=1.0"])
     scaled = {"scaled": Filter(aiding=("velocity",), states=("dvl_scale",))}
     prepared = prepare_dive(dive, msgspec.structs.replace(settings, filters=scaled))
@@ -687,7 +694,9 @@ def test_a_dive_without_a_reference_starts_by_its_sensors() -> None:
     ) < np.deg2rad(3.0)
     assert (
         np.hypot(
-            *north_east_m(start.position[0], dive.reference.position[0], dive.reference.position[0])
+            *north_east_m(
+                start.position[0], dive.reference.position[0], dive.reference.position[0]
+            )
         )
         < 8.0
     )
@@ -731,7 +740,9 @@ def test_a_start_by_sensors_errs_as_the_filter_says() -> None:
             north_east_m(history.position[-1], truth.position[-1], truth.position[-1])
         )
         turned = rpy_from_mat(history.mat_nb[-1])[2] - rpy_from_mat(truth.mat_nb[-1])[2]
-        off.append(np.append(apart_m, wrap_angle(np.asarray(turned))) / history.sd[-1, [12, 13, 5]])
+        off.append(
+            np.append(apart_m, wrap_angle(np.asarray(turned))) / history.sd[-1, [12, 13, 5]]
+        )
     nees = np.mean(np.square(off), axis=0)
     assert 0.6 < nees[:2].mean() < 1.5, nees  # 95 %: 0.64 to 1.44
     assert 0.5 < nees[2] < 1.7, nees  # 0.52 to 1.64

@@ -44,7 +44,9 @@ def levy_klein(snapir: Path) -> dict[str, Floats]:
     return drifts_m(snapir, "levy-klein")
 
 
-def test_a_minute_without_velocities_costs_less_than_a_metre(levy_klein: dict[str, Floats]) -> None:
+def test_a_minute_without_velocities_costs_less_than_a_metre(
+    levy_klein: dict[str, Floats],
+) -> None:
     assert len(levy_klein["baseline"]) == 64
     assert 0.5 < np.median(levy_klein["baseline"]) < 1.0
     assert 0.5 < np.median(levy_klein["windowed"]) < 1.0

@@ -41,7 +41,9 @@ def dive() -> Dive:
 
 def config(*solutions: str | Solution, starts: int = 1, **changes: Any) -> Config:
     """A baseline, and solutions that are called ``onboard``, ``onboard1`` and so on."""
-    named = {f"onboard{number or ''}": Filter(solution=one) for number, one in enumerate(solutions)}
+    named = {
+        f"onboard{number or ''}": Filter(solution=one) for number, one in enumerate(solutions)
+    }
     filters = {"baseline": Filter(aiding=("velocity",)), **named}
     fitting = msgspec.structs.replace(MEMS, dvl=Dvl(velocity_sd_mps=0.005))
     return msgspec.structs.replace(
@@ -152,7 +154,9 @@ def correlated(told: Told, seed: int, factor: float = 1.0) -> tuple[Told, dict[s
         rng.normal(size=(count, 3)) * TWIST_SD * factor,
     )
     pose[0, :3] = 0.0  # where it is laid
-    moved_n, turn_n = (part[:, [1, 0, 2]] * [1.0, 1.0, -1.0] for part in (pose[:, :3], pose[:, 3:]))
+    moved_n, turn_n = (
+        part[:, [1, 0, 2]] * [1.0, 1.0, -1.0] for part in (pose[:, :3], pose[:, 3:])
+    )
     turned = Rotation.from_rotvec(turn_n) * told.attitude
     velocity_b = told.attitude.inv().apply(told.velocity_n) + twist * [1.0, -1.0, -1.0]
     covs = {
@@ -176,7 +180,9 @@ def test_nees_is_by_its_own_covariance(dive: Dive, tmp_path: Path, factor: float
     for group in ("velocity", "attitude", "position"):
         assert found[group].mean_nees == pytest.approx(3.0 * factor**2, rel=0.12)
     word = {1.0: "consistent", 3.0: "overconfident", 0.2: "conservative"}[factor]
-    assert {found[group].verdict for group in ("velocity", "attitude", "position", "all")} == {word}
+    assert {found[group].verdict for group in ("velocity", "attitude", "position", "all")} == {
+        word
+    }
     assert replay.verdicts["onboard"].credibility == word
     assert f"onboard is {word} " in replay.verdicts["onboard"].sentence
     assert len(rows(replay, "improvement")) == len(rows(replay, "convergence")) == 6  # no bias
@@ -337,7 +343,9 @@ def test_without_attitude_a_lever_arm_is_refused(dive: Dive) -> None:
     lacking = replace(reference, mat_nb=np.full_like(reference.mat_nb, np.nan))
     with pytest.raises(ConfigError, match=r"filters\.onboard\.solution .*attitude"):
         replay_dive(
-            replace(dive, solutions={"onboard": SolutionColumns(lacking, None, *no_covariances())}),
+            replace(
+                dive, solutions={"onboard": SolutionColumns(lacking, None, *no_covariances())}
+            ),
             settings,
         )
 
@@ -419,7 +427,9 @@ def test_the_projects_own_message_is_taken_as_it_is(dive: Dive, tmp_path: Path) 
     assert rows(replay, "reference_error", "onboard1")["depth"].rmse < 1e-6
 
 
-def test_what_is_the_reference_by_another_name_is_not_evaluated(dive: Dive, tmp_path: Path) -> None:
+def test_what_is_the_reference_by_another_name_is_not_evaluated(
+    dive: Dive, tmp_path: Path
+) -> None:
     """Evo's file of the reference, or its topic recorded twice."""
     write_tum(tmp_path / "own.tum", truth_of(dive))
     write_dive(tmp_path / "dive.mcap", dive)

@@ -70,7 +70,8 @@ def settings() -> Config:
 
 def answered(bias_deg: float, good_deg: float) -> CandidateAnswer:
     replays = [
-        replay_dive(with_compass(number, bias_deg, good_deg), settings()) for number in range(DIVES)
+        replay_dive(with_compass(number, bias_deg, good_deg), settings())
+        for number in range(DIVES)
     ]
     return pooled_candidate(
         "aided", "baseline", [replay.tables.evidence for replay in replays], DIVES
@@ -78,7 +79,9 @@ def answered(bias_deg: float, good_deg: float) -> CandidateAnswer:
 
 
 def row_of(replay: Replay, quantity: str, name: str = "aided") -> EvidenceRow | None:
-    rows = (row for row in replay.tables.evidence if (row.filter, row.quantity) == (name, quantity))
+    rows = (
+        row for row in replay.tables.evidence if (row.filter, row.quantity) == (name, quantity)
+    )
     return next(rows, None)
 
 
@@ -149,7 +152,9 @@ def test_a_recorded_solution_is_compared_with_the_baseline_from_the_drawn_headin
     dive = simulated(0)
     motion = dive.reference
     assert motion is not None
-    off_m = np.column_stack([np.full(len(motion.time_ns), 0.3), np.zeros((len(motion.time_ns), 2))])
+    off_m = np.column_stack(
+        [np.full(len(motion.time_ns), 0.3), np.zeros((len(motion.time_ns), 2))]
+    )
     moved = replace(motion, position=moved_position(motion.position, off_m))
     solution = SolutionColumns(moved, None, *no_covariances())
     replay = replayed_with(

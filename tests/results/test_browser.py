@@ -136,7 +136,8 @@ def test_dark_and_light_differ(pages: dict[str, Path], browser: Browser) -> None
 def test_every_plot_of_a_dive_is_drawn(pages: dict[str, Path], browser: Browser) -> None:
     browser.open(pages["lawnmower"], 1280)
     assert (
-        browser.value('document.querySelectorAll("svg.panel").length') == 2 + 12 + 9 + 3 + 5 + 4 + 3
+        browser.value('document.querySelectorAll("svg.panel").length')
+        == 2 + 12 + 9 + 3 + 5 + 4 + 3
     )
     assert browser.value('document.querySelectorAll("svg.strip").length') == 7
     lines = "e => Math.max(e.getBoundingClientRect().width, e.getBoundingClientRect().height) > 60"
@@ -151,9 +152,7 @@ def test_a_click_sorts_by_number_and_what_is_missing_is_last(
     pages: dict[str, Path], browser: Browser
 ) -> None:
     browser.open(pages["index"], 1280)
-    column = (
-        '[...document.querySelector("tbody").rows].map(row => parseFloat(row.cells[4].textContent))'
-    )
+    column = '[...document.querySelector("tbody").rows].map(row => parseFloat(row.cells[4].textContent))'
     for ascending in (True, False):
         browser.value('document.querySelectorAll("th button")[4].click()')
         shown = browser.value(column)

@@ -93,7 +93,9 @@ def test_a_coarse_imu_at_rest_repeats_its_readings_in_other_dives() -> None:
     step_ns = 50_000_000
     dives = []
     for number in range(8):
-        time_ns = 1_700_000_000_000_000_000 + number * 3_600_000_000_000 + step_ns * np.arange(2000)
+        time_ns = (
+            1_700_000_000_000_000_000 + number * 3_600_000_000_000 + step_ns * np.arange(2000)
+        )
         force_b = np.array([0.0, 0.0, -9.8]) + 0.01 * draw.integers(-1, 2, (2000, 3))
         rate_b = 0.001 * draw.integers(-1, 2, (2000, 3))
         dives.append(made(str(number), ImuColumns(time_ns, force_b, rate_b)))

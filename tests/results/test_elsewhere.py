@@ -49,9 +49,13 @@ def result(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     shutil.which("node") is None or not (NODE / "node_modules").is_dir(),
     reason="needs node and the libraries in tests/node (make extras)",
 )
-def test_foxgloves_libraries_read_every_message_with_the_values_of_the_tables(result: Path) -> None:
+def test_foxgloves_libraries_read_every_message_with_the_values_of_the_tables(
+    result: Path,
+) -> None:
     command = ["node", NODE / "read_replay.mjs", result / "replay.mcap"]
-    printed = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    printed = json.loads(
+        subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    )
     topics = printed["topics"]
     with (result / "replay.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
@@ -77,7 +81,9 @@ def test_foxgloves_libraries_read_every_message_with_the_values_of_the_tables(re
     )
 
 
-def test_both_readers_of_ros_read_every_message_with_the_values_of_the_tables(result: Path) -> None:
+def test_both_readers_of_ros_read_every_message_with_the_values_of_the_tables(
+    result: Path,
+) -> None:
     log = result / "replay.mcap"
     counts: Counter[str] = Counter()
     with AnyReader([log]) as reader:
@@ -109,7 +115,9 @@ def messages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     )
     with (folder / "replay.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        return {channel.topic: decoded for _, channel, _, decoded in reader.iter_decoded_messages()}
+        return {
+            channel.topic: decoded for _, channel, _, decoded in reader.iter_decoded_messages()
+        }
 
 
 def is_number(message: Any, path: str) -> bool:

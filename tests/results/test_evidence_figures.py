@@ -18,7 +18,9 @@ TIME_S = np.array([0.2, 0.9, 1.0, 10.0, 100.0])
 
 def converging(limit: float = 0.01) -> Mapping[str, ConvergenceCurves]:
     falling = {"baseline": 1.0 / TIME_S, "aided": 0.5 / TIME_S}
-    curves = ConvergenceCurves(TIME_S, falling, {name: np.full(5, 0.02) for name in falling}, limit)
+    curves = ConvergenceCurves(
+        TIME_S, falling, {name: np.full(5, 0.02) for name in falling}, limit
+    )
     return {"velocity": curves, "heading": curves}
 
 

@@ -86,7 +86,9 @@ def test_verdict_comes_first_and_every_cell_of_every_table_is_there(
 ) -> None:
     document, report, _ = result
     aided, (position, *_) = report.filters["aided"], report.tables.evidence
-    word, against, statement, acts, start, convergence, predicted, plan, _ = document.texts["p"][:9]
+    word, against, statement, acts, start, convergence, predicted, plan, _ = document.texts["p"][
+        :9
+    ]
     assert (word, against) == ("one dive", "aided against baseline")
     change_pct = 100.0 * abs(finite(position.ratio) - 1.0)
     assert statement.startswith(f"On this dive position {change_pct:.1f}")
@@ -183,7 +185,9 @@ def test_turns_and_silence_of_the_dvl_are_shaded_behind_every_panel_over_time(
     assert turns
     for figure in replay_figures(replay):
         for panel in figure.panels:
-            assert bool(panel.shades) == (panel.x_label == "time [s]" and panel.x_scale == "linear")
+            assert bool(panel.shades) == (
+                panel.x_label == "time [s]" and panel.x_scale == "linear"
+            )
     document, _, _ = saved(replay, tmp_path / "shaded")
     assert document.count("path", "silent") == document.count("path", "turn") > 20
 

@@ -121,7 +121,9 @@ def test_a_kill_before_the_rename_leaves_the_dataset_whole(tmp_path: Path) -> No
         check=False,
     )
     assert killed.returncode == -signal.SIGKILL
-    assert [path.name[0] for path in tmp_path.iterdir() if path.is_dir()] == ["."], "it had written"
+    assert [path.name[0] for path in tmp_path.iterdir() if path.is_dir()] == ["."], (
+        "it had written"
+    )
     assert set(pd.read_parquet(tmp_path)["filter_verdict"]) == {"worse"}
     add_to_lake(tmp_path, replayed())
     assert set(pd.read_parquet(tmp_path)["filter_verdict"]) == {"better"}

@@ -44,7 +44,9 @@ def test_index_leads_to_every_dive_and_says_why_one_failed() -> None:
         ).decode()
     )
     links = [attributes["href"] for tag, attributes in document.elements if tag == "a"]
-    assert links == ["a%20b/report.html", "two/report.html"] * 2, "from the plot and from the table"
+    assert links == ["a%20b/report.html", "two/report.html"] * 2, (
+        "from the plot and from the table"
+    )
     rows = [row.split("\n") for row in document.texts["tr"]]
     assert len(rows) == (1 + 3) + (1 + 4), "behind the dives a table of what both say together"
     assert re.findall(r"\d", document.texts["h1"][0]) == ["3", "1"]

@@ -191,7 +191,9 @@ def test_tables_say_why_a_verdict_is_not_that_of_its_interval() -> None:
     ]
     told = msgspec.structs.replace(made, credibility=[near, far, beyond], consistency=innovations)
     text = as_markdown(dive_document(report(used=told)))
-    assert f"velocity, north ({Reason.NEAR}); accelerometer bias, x ({Reason.BEYOND_3_SD})." in text
+    assert (
+        f"velocity, north ({Reason.NEAR}); accelerometer bias, x ({Reason.BEYOND_3_SD})." in text
+    )
     assert f"baseline velocity ({Reason.NEAR})." in text
     assert Reason.NEAR not in as_markdown(dive_document(report()))
 
@@ -323,7 +325,9 @@ def test_run_log_does_not_call_rejected_what_was_held_out() -> None:
         made.tables.consistency[0], measurement="held_out_heading", used=0, rejected=2120
     )
     text = run_log(
-        replace(made, tables=replace(made.tables, consistency=[*made.tables.consistency, held_out]))
+        replace(
+            made, tables=replace(made.tables, consistency=[*made.tables.consistency, held_out])
+        )
     )
     assert re.search(r"filter baseline: 424 velocity .*\b0 ", text)
     assert re.search(r"filter baseline: 2120 .*heading", text)
@@ -362,7 +366,11 @@ def test_shown_percentages_have_one_digit() -> None:
 
 
 def write_result(
-    target: Path, word: str, *, force: bool = False, interruption: type[BaseException] | None = None
+    target: Path,
+    word: str,
+    *,
+    force: bool = False,
+    interruption: type[BaseException] | None = None,
 ) -> None:
     with result_folder(target, force=force) as folder:
         (folder / COMPLETE).write_text(

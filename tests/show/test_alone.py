@@ -33,7 +33,8 @@ def reports() -> tuple[Report, Report]:
         for left_out in (["filters.aided=false"], [])
     )
     return tuple(
-        report_of(replay_dive(dive, load_config("fog", overrides=given))) for given in (alone, pair)
+        report_of(replay_dive(dive, load_config("fog", overrides=given)))
+        for given in (alone, pair)
     )  # type: ignore[return-value]
 
 

@@ -34,7 +34,9 @@ def answer(ratios: dict[str, list[float]], **changes: Any) -> CandidateAnswer:
 
 
 def row(quantity: str, *ratios: float) -> PooledRow:
-    return next(found for found in answer({quantity: [*ratios]}).rows if found.quantity == quantity)
+    return next(
+        found for found in answer({quantity: [*ratios]}).rows if found.quantity == quantity
+    )
 
 
 @pytest.mark.parametrize("ratios", [(0.8,), (0.8, 0.81)])

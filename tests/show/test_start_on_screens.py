@@ -25,7 +25,9 @@ def report() -> Report:
     simulated = simulate_dive(
         "lawnmower", seed=1, duration_s=60.0, grade="tactical", imu_rate_hz=20.0
     )
-    config = load_config("tactical", overrides=["evaluation.starts=1", "dvl.velocity_sd_mps=0.004"])
+    config = load_config(
+        "tactical", overrides=["evaluation.starts=1", "dvl.velocity_sd_mps=0.004"]
+    )
     found = replay_dive(simulated, config)
     return build_report(
         found.dive, config, found.tables, found.verdicts, found.notes, found.start_ns, found.end_ns

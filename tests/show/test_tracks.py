@@ -22,7 +22,9 @@ KML = "{http://www.opengis.net/kml/2.2}"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("tracks")
     assert (
-        run_command_line(["run", str(LOG), "-o", str(place), "--starts", "1", "--kml", "--geojson"])
+        run_command_line(
+            ["run", str(LOG), "-o", str(place), "--starts", "1", "--kml", "--geojson"]
+        )
         == 0
     )
     return place / "transit"
@@ -72,13 +74,17 @@ def test_kml_is_that_of_the_standard(folder: Path) -> None:
         places = np.array(
             [[float(number) for number in place.split(",")] for place in text.split()]
         )
-        np.testing.assert_allclose(places, shown[placemark.findtext(f"{KML}name") or ""], atol=1e-8)
+        np.testing.assert_allclose(
+            places, shown[placemark.findtext(f"{KML}name") or ""], atol=1e-8
+        )
         color = placemark.findtext(f"{KML}Style/{KML}LineStyle/{KML}color") or ""
         assert len(color) == 8
         assert color.startswith("ff")
 
 
-def test_python_writes_the_same_from_a_folder_and_from_memory(folder: Path, tmp_path: Path) -> None:
+def test_python_writes_the_same_from_a_folder_and_from_memory(
+    folder: Path, tmp_path: Path
+) -> None:
     replayed = replay_log(LOG, load_config(settings={"evaluation.starts": 1}))
     stored: DiveResult = read_result(folder)
     for ending in ("kml", "geojson"):

@@ -282,11 +282,16 @@ def test_duration_cuts_and_extends() -> None:
     np.testing.assert_allclose(
         longer.imu.angular_rate_b[:39_401], whole.imu.angular_rate_b, atol=1e-14
     )
-    assert SCENARIOS["figure-eight"].rpy_rate(np.array([400.0, 419.0]))[:, 2].tolist() == [0.0, 0.0]
+    assert SCENARIOS["figure-eight"].rpy_rate(np.array([400.0, 419.0]))[:, 2].tolist() == [
+        0.0,
+        0.0,
+    ]
 
 
 def test_long_dive_does_not_show_its_blocks() -> None:
-    fast, slow = (exact_dive("straight", duration_s=11_000.0, imu_rate_hz=hz) for hz in (10.0, 5.0))
+    fast, slow = (
+        exact_dive("straight", duration_s=11_000.0, imu_rate_hz=hz) for hz in (10.0, 5.0)
+    )
     np.testing.assert_allclose(
         fast.imu.specific_force_b[::2], slow.imu.specific_force_b, atol=1e-12
     )
@@ -355,7 +360,9 @@ def test_lost_beams_stay_lost_with_errors_and_leave_the_others_draws_alone() -> 
 
 def dvl_error(errors: DvlErrors, seed: int = 5) -> tuple[Floats, Floats]:
     exact = exact_dive("straight", duration_s=2000.0, imu_rate_hz=1.0)
-    return beams_of(add_errors(exact, ImuErrors(), errors, seed)) - beams_of(exact), beams_of(exact)
+    return beams_of(add_errors(exact, ImuErrors(), errors, seed)) - beams_of(exact), beams_of(
+        exact
+    )
 
 
 def test_dvl_noise_bias_and_scale_are_of_their_size() -> None:
@@ -395,7 +402,9 @@ def static_hour() -> Dive:
 
 
 @pytest.mark.parametrize("tau_s", [1, 10])
-def test_white_noise_has_its_density_at_every_averaging_time(static_hour: Dive, tau_s: int) -> None:
+def test_white_noise_has_its_density_at_every_averaging_time(
+    static_hour: Dive, tau_s: int
+) -> None:
     """The Allan deviation of white noise is N / sqrt(tau)."""
     noisy = add_errors(static_hour, WHITE, SILENT_DVL, seed=2)
     noises = np.hstack([noisy.imu.specific_force_b, noisy.imu.angular_rate_b])

@@ -72,7 +72,8 @@ def test_nees_is_the_squared_length_of_the_whitened_error() -> None:
         rng.standard_normal((5, 12)) * 10.0 ** -np.arange(12),
     )
     expected = [
-        np.sum(np.linalg.solve(root, error) ** 2) for root, error in zip(roots, errors, strict=True)
+        np.sum(np.linalg.solve(root, error) ** 2)
+        for root, error in zip(roots, errors, strict=True)
     ]
     np.testing.assert_allclose(nees(errors, covs), expected, rtol=1e-9)
 

@@ -305,7 +305,9 @@ def test_accelerations_do_not_have_the_unobservable_subspace_of_velocities() -> 
     }
     assert ranks(report)["velocity + published"] == ranks(report)["velocity"]
     at_rest = study("static", earth_rate=False)
-    assert unobservable(at_rest, "published") - unobservable(at_rest, "velocity") == VELOCITY_ERRORS
+    assert (
+        unobservable(at_rest, "published") - unobservable(at_rest, "velocity") == VELOCITY_ERRORS
+    )
 
 
 # --- What is left, with process noise and without.
@@ -442,7 +444,9 @@ def test_what_is_left_on_a_real_dive_is_what_its_filters_predict(snapir: Path) -
 # --- Logs and the command.
 
 
-def test_log_is_studied_like_a_scenario(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_log_is_studied_like_a_scenario(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = tmp_path / "dive.mcap"
     write_dive(log, simulate_dive("figure-eight", duration_s=200.0))
     arguments = ["study", "observability", str(log), "--start", "50", "--end", "180", "--png"]

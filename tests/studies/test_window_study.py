@@ -306,7 +306,9 @@ def test_log_that_cannot_be_used_does_not_stop_the_others(
         "figure-eight",
     }
     (left_out,) = (
-        note for note in msgspec.json.decode(printed.out)["notes"] if note["code"] == "log_left_out"
+        note
+        for note in msgspec.json.decode(printed.out)["notes"]
+        if note["code"] == "log_left_out"
     )
     assert "broken.mcap" in left_out["text"]
     assert printed.err.splitlines()[-1].startswith("error: 1 of 3 ")
@@ -329,7 +331,9 @@ def test_interrupted_command_leaves_nothing(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(render, "save_result", interrupted)
-    assert run_command_line(["study", "window", simulated[0], "-o", str(tmp_path / "study")]) == 130
+    assert (
+        run_command_line(["study", "window", simulated[0], "-o", str(tmp_path / "study")]) == 130
+    )
     assert list(tmp_path.iterdir()) == []
 
 

@@ -36,13 +36,19 @@ def noted(notes: Iterable[Note]) -> str:
 def spoken(folder: Path, *arguments: str) -> str:
     """Return exit code, stdout and stderr of a command that runs in this process, in a folder."""
     out, err = io.StringIO(), io.StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
         code = run_command_line(list(arguments))
     return f"exit code {code}\n{out.getvalue()}{err.getvalue()}".rstrip("\n")
 
 
 def golden_text(cases: Iterable[tuple[str, str]], folder: Path) -> str:
     """Join cases to the text of a golden file, without what differs from one machine to the next."""
-    text = "\n".join(f"=== {name}\n{said}\n" for name, said in cases).replace(str(folder), "FOLDER")
+    text = "\n".join(f"=== {name}\n{said}\n" for name, said in cases).replace(
+        str(folder), "FOLDER"
+    )
     text = re.sub(r"in line \d+ of \S+/", "in line N of ", text)
     return visible_lines(re.sub(r"(.)\1{99,}", r"\1...", text))

@@ -116,7 +116,9 @@ def of_the_reference(turning: Dive) -> Cases:
     exact = reference_of(straight)
     position, mat_nb = exact.position.copy(), exact.mat_nb.copy()
     position[exact.time_ns > START_NS + 100 * SECOND, 0] += 5.0 / 6.36e6
-    mat_nb[exact.time_ns > START_NS + 50 * SECOND] @= mat_from_rpy(np.array([0.0, 0.0, 12.0 * DEG]))
+    mat_nb[exact.time_ns > START_NS + 50 * SECOND] @= mat_from_rpy(
+        np.array([0.0, 0.0, 12.0 * DEG])
+    )
     for name, columns in (
         ("a position that jumps", replace(exact, position=position)),
         ("a heading that jumps", replace(exact, mat_nb=mat_nb)),
@@ -148,7 +150,9 @@ def of_sensors(moving: ReferenceColumns) -> Cases:
     for name, values in (("stuck", still), ("coarse", swell)):
         yield (
             f"a depth: {name}",
-            noted(sensor_notes({"depth": SensorColumns(time_ns, values[:, None])}, None, Config())),
+            noted(
+                sensor_notes({"depth": SensorColumns(time_ns, values[:, None])}, None, Config())
+            ),
         )
     depth_sensor = {"depth": SensorColumns(moving.time_ns, -moving.position[:, 2:])}
     for surface_m in (10.0, -10.0):

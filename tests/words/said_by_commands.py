@@ -79,9 +79,9 @@ CODE = '[filters.baseline]\naiding = ["velocity"]\n[filters.mine]\naiding = ["ve
 
 def said_by_commands(folder: Path) -> Cases:
     """Return what each wrong use ends with."""
-    assert spoken(folder, "simulate", "straight", "-o", "dive.mcap", "--duration", "40").startswith(
-        "exit code 0"
-    )
+    assert spoken(
+        folder, "simulate", "straight", "-o", "dive.mcap", "--duration", "40"
+    ).startswith("exit code 0")
     (folder / "text.mcap").write_text("this is no log")
     for name in ("taken", "thesis"):
         (folder / name / "dive").mkdir(parents=True)

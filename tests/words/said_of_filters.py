@@ -43,7 +43,11 @@ JUDGED: tuple[tuple[dict[str, float], dict[str, Any]], ...] = (
     ),
     (
         SMALLER,
-        {**CAUTIOUS, "errors_of_aided": "overconfident", "errors_of_baseline": "insufficient data"},
+        {
+            **CAUTIOUS,
+            "errors_of_aided": "overconfident",
+            "errors_of_baseline": "insufficient data",
+        },
     ),
 )
 ACTS = (0.0, 0.005, 0.03, 0.5)  # From a copy to a candidate that is another filter.

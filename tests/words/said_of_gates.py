@@ -144,7 +144,12 @@ def of_cells() -> Cases:
         ("a row that is not there", {**errors, "row": "rol"}, stored(), None),
         ("a filter that is not there", {"filter": "aidde", "max": 1}, stored(), None),
         ("worse than expected", {"row": "ba_x", **worse}, stored(ba_x_sd=1.2), stored()),
-        ("worse percentage", {"row": "ba_x", "column": "improvement_pct", **worse}, lost, stored()),
+        (
+            "worse percentage",
+            {"row": "ba_x", "column": "improvement_pct", **worse},
+            lost,
+            stored(),
+        ),
         ("without degrees of freedom", nis, without_dof, stored()),
         ("no number is expected", {"row": "ba_x", **worse}, stored(), none),
         ("an expected row is missing", worse, less, stored()),

@@ -111,7 +111,8 @@ def of_verdicts(folder: Path) -> Cases:
     """Return what is said first of two sets, and in brief."""
     for name, words in {"one": "worse", "two": "worse", "three": "better"}.items():
         write(
-            folder / "before" / name, content(name, filter_verdict="better", prediction="confirmed")
+            folder / "before" / name,
+            content(name, filter_verdict="better", prediction="confirmed"),
         )
         new = content(
             name,

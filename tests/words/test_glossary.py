@@ -23,7 +23,9 @@ IN_NAMES = frozenset((
     "judgements", "judged", "unfit", "misled", "gravest", "obstacle", "obstacles", "doubt", "doubts", "doubtful",
     "mistake", "gauge", "anew", "whoever", "beside", "laid",
 ))  # fmt: skip
-PATTERN = re.compile(rf"\b(?:{'|'.join(map(re.escape, IN_PROSE))}|stands(?! for))\b", re.IGNORECASE)
+PATTERN = re.compile(
+    rf"\b(?:{'|'.join(map(re.escape, IN_PROSE))}|stands(?! for))\b", re.IGNORECASE
+)
 DOCUMENTS = (
     "README.md",
     "CONTRIBUTING.md",

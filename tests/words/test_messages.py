@@ -38,7 +38,9 @@ def test_what_is_said_is_what_was_read_and_found_good(area: str, tmp_path: Path)
     said = golden_text(AREAS[area](tmp_path), tmp_path)
     stored = (GOLDEN / f"{area}.txt").read_text("utf-8")
     moved = "\n".join(
-        unified_diff(stored.splitlines(), said.splitlines(), "stored", "said now", lineterm="", n=2)
+        unified_diff(
+            stored.splitlines(), said.splitlines(), "stored", "said now", lineterm="", n=2
+        )
     )
     assert not moved, f"{moved}\n`make golden` stores what is said now"
 

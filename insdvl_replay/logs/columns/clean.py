@@ -113,7 +113,12 @@ class Cleaner:
         return values
 
     def keep(
-        self, good: Mask, code: str, reason: str, severity: Severity = Severity.INFO, hint: str = ""
+        self,
+        good: Mask,
+        code: str,
+        reason: str,
+        severity: Severity = Severity.INFO,
+        hint: str = "",
     ) -> None:
         """Drop the rows that are not good; the reason says what the dropped messages are like."""
         self._keep_rows(good[self.rows], code, reason, severity, hint)
@@ -205,7 +210,9 @@ class Cleaner:
             good = np.ones(times.size, np.bool_)
             good[again[differ]] = False
             self._keep_rows(good, "same_times", reason, Severity.WARNING, self.stamp_hint)
-        self._keep_rows(is_new(self.times), "repeats", "messages repeat the time of the one before")
+        self._keep_rows(
+            is_new(self.times), "repeats", "messages repeat the time of the one before"
+        )
 
     def drop_repeated_values(self, values: Floats) -> None:
         """Keep the first of consecutive rows with identical values, as a recorder writes that publishes faster."""
@@ -239,7 +246,12 @@ class Cleaner:
         self.notes.append(Note(f"{self.table.source.code}_{code}", text, count, severity, hint))
 
     def _keep_rows(
-        self, good: Mask, code: str, reason: str, severity: Severity = Severity.INFO, hint: str = ""
+        self,
+        good: Mask,
+        code: str,
+        reason: str,
+        severity: Severity = Severity.INFO,
+        hint: str = "",
     ) -> None:
         dropped = int(np.count_nonzero(~good))
         if dropped:

@@ -322,7 +322,9 @@ def _with_beam_speeds(table: Table, settings: Dvl) -> Table:
         moves = (sizes[:, beam] > _MOVING_MPS) & (down[:, beam] != 0.0)
         if not moves.any():
             return table
-        pointing = vectors[moves, beam] * (np.sign(down[moves, beam]) / sizes[moves, beam])[:, None]
+        pointing = (
+            vectors[moves, beam] * (np.sign(down[moves, beam]) / sizes[moves, beam])[:, None]
+        )
         axis[:] = np.median(pointing, axis=0)
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     columns = {
@@ -353,7 +355,9 @@ def _numbers_of_beams(table: Table, cleaner: Cleaner, quantity: str, width: int)
     numbers = _limited(cleaner.kept(table.values(quantity)))
     if numbers.shape[1] % width:
         field = table.source.fields[quantity]
-        text = f"field '{field}' holds {numbers.shape[1]} numbers, which are not {width} for a beam"
+        text = (
+            f"field '{field}' holds {numbers.shape[1]} numbers, which are not {width} for a beam"
+        )
         raise LogError(text, _BEAM_HINT, *table.where)
     return numbers.reshape(len(numbers), -1, width)
 

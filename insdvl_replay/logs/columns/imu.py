@@ -167,7 +167,9 @@ def _drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Flo
         good = np.ones(len(specific_force_b), np.bool_)
         good[cleaner.rows[spikes]] = False
         reason = "samples have spikes of over 20 m/s^2 or 200 deg/s (20 times the usual step)"
-        cleaner.keep(good, "spikes", reason, Severity.WARNING, "check the instrument and its cable")
+        cleaner.keep(
+            good, "spikes", reason, Severity.WARNING, "check the instrument and its cable"
+        )
 
 
 def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:

@@ -199,7 +199,9 @@ def heights_without_marks(cleaner: Cleaner, height_m: Floats) -> Floats:
     is_impossible &= np.isfinite(height_m)
     hint = f'to read another field: {cleaner.role}.height or {cleaner.role}.depth = "field.path"'
     reason = "heights are of no water on Earth, in metres"
-    return cleaner.without_impossible(height_m[:, None], is_impossible[:, None], reason, hint)[:, 0]
+    return cleaner.without_impossible(height_m[:, None], is_impossible[:, None], reason, hint)[
+        :, 0
+    ]
 
 
 def angles_without_marks(cleaner: Cleaner, angles: Floats, unit: float) -> Floats:
@@ -431,7 +433,9 @@ def decode_solution(
     order, rows = rows_among(table.sampled, cleaner.rows, len(table))
     cov, wrong = _covariances(table, completed, found, order, rows)
     if wrong:
-        clause = counted_clause(wrong, "covariances are not positive definite and count as missing")
+        clause = counted_clause(
+            wrong, "covariances are not positive definite and count as missing"
+        )
         text = f"{table.source.role}: {clause}"
         hint = "correct the program that writes them; without covariances the consistency is not evaluated"
         notes.append(Note("solution_covariance", text, wrong, Severity.WARNING, hint))

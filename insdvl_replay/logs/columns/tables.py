@@ -61,7 +61,9 @@ _RATE: Final = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?) ?Hz")
 # As a stamp: a field, and the unit of its numbers.
 _WITH_UNIT: Final = re.compile(rf"(.+?) ?\[({'|'.join(TIME_UNITS_NS)})\]")
 _UNDER_WAY: Final = 1000  # messages at most that are under way from a sensor to the recorder
-_HOPELESS: Final = 1000  # where so many messages cannot be read, and fewer can, the schema is wrong
+_HOPELESS: Final = (
+    1000  # where so many messages cannot be read, and fewer can, the schema is wrong
+)
 
 
 def stamp_path(stamp: str) -> str:
@@ -87,7 +89,9 @@ class Table:
     # Log times of messages that are left out because they do not fit their schema.
     unreadable_ns: tuple[int, ...] = ()
     fault: LogError | None = None  # what is wrong with the first of these
-    duplicates: int = 0  # messages that are left out because another channel or file holds them too
+    duplicates: int = (
+        0  # messages that are left out because another channel or file holds them too
+    )
     # Every path that the messages have, with the type of what is there.
     known: Kinds = field(default_factory=dict)
     files: Rows | None = None  # (k,), the file of each message, where they are from several
@@ -332,7 +336,9 @@ class _Builder:
         self.count = 0
         self.others = 0
         self.has_whole_times = False
-        self.runs: list[tuple[int, int]] = []  # a channel, and how many messages in a row are of it
+        self.runs: list[
+            tuple[int, int]
+        ] = []  # a channel, and how many messages in a row are of it
         self.unreadable_ns: list[int] = []
         self.fault: LogError | None = None
         self.sampled: set[str] = set()
@@ -562,7 +568,9 @@ def measure_clock(
     )
 
 
-def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) -> tuple[Note, ...]:
+def clock_notes(
+    place: str, clocks: Sequence[Clock], max_disagreement_s: float
+) -> tuple[Note, ...]:
     """Refuse to mix clocks that have nothing to do with each other, and say which of them are not the recorder's.
 
     The clock of the IMU is the first. Log time minus stamp may differ by so much between it and another role's, beyond

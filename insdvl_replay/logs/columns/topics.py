@@ -45,7 +45,8 @@ class KnownType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 Types = Mapping[str, KnownType]
 LOG_TIME: Final = "log_time"  # the recorder's time of arrival, as a stamp
 _ENTRIES: Final = msgspec.toml.decode(
-    Path(__file__).with_name("known_types.toml").read_text("utf-8"), type=dict[str, list[KnownType]]
+    Path(__file__).with_name("known_types.toml").read_text("utf-8"),
+    type=dict[str, list[KnownType]],
 )
 
 
@@ -106,7 +107,9 @@ _KINDS: Final = {
     "increment_s": ("time", ""),
     "depth": ("length", ""),
     "height": ("length", ""),
-    **dict.fromkeys(("latitude", "longitude", "roll", "pitch", "heading"), ("angle", "angle_unit")),
+    **dict.fromkeys(
+        ("latitude", "longitude", "roll", "pitch", "heading"), ("angle", "angle_unit")
+    ),
 }
 # Of increments over a time: their kind, and the unit in which they give the usual one of the rate.
 _INCREMENTS: Final = {"specific_force": ("velocity", "m/s"), "angular_rate": ("angle", "rad")}
@@ -270,7 +273,9 @@ class TopicRole:
         """Refuse a topic that has too little for the role."""
         if any(quantities <= set(fields) for quantities in self.enough):
             return
-        reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
+        reason = (
+            f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
+        )
         if known.fields:
             lacking = ", ".join(known.fields.values())
             reason = f"is of type {type_name}, but its schema lacks some of {lacking}"

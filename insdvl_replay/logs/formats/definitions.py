@@ -86,9 +86,7 @@ def definitions_of(
         return parse_definitions(type_name, schema_text, "ros2idl")
     for missing in missing_types(type_name, text):  # BlueOS records the file of a type alone
         with suppress(LogError):
-            text = (
-                f"{text}\n{_RULE}\nMSG: {missing.replace('/msg/', '/')}\n{definition_text(missing)}"
-            )
+            text = f"{text}\n{_RULE}\nMSG: {missing.replace('/msg/', '/')}\n{definition_text(missing)}"
     return parse_definitions(type_name, text)
 
 
@@ -136,7 +134,9 @@ def _fields(type_name: str, section: str, language: str) -> Iterator[Field]:
             continue
         match = _LINE.match(statement)
         if match is None:
-            raise LogError(f"{type_name}: '{statement}' in the schema is no field", _only(language))
+            raise LogError(
+                f"{type_name}: '{statement}' in the schema is no field", _only(language)
+            )
         if match["constant"] is not None:
             continue
         base = _type_of(match["base"], package, language)
@@ -176,7 +176,9 @@ def _parse_idl(type_name: str, text: str) -> dict[str, tuple[Field, ...]]:
     from rosbags.typesys import TypesysError, get_types_from_idl
 
     # The texts of all types in a schema, without the lines between them and those of the preprocessor.
-    plain = re.sub(r"(?m)^(?:[ \t]*#|={3,}[ \t]*$|(?:IDL|MSG):).*$", "", text.replace("\r\n", "\n"))
+    plain = re.sub(
+        r"(?m)^(?:[ \t]*#|={3,}[ \t]*$|(?:IDL|MSG):).*$", "", text.replace("\r\n", "\n")
+    )
     try:
         types = get_types_from_idl(plain)
     except (TypesysError, RecursionError, ValueError, AssertionError) as error:
@@ -203,7 +205,8 @@ def _idl_field(type_name: str, name: str, description: Any) -> Field:
             return Field(name, base, "sequence", 0)
         if not isinstance(length, int) or not 0 < length <= LONGEST_ARRAY:
             raise LogError(
-                f"{type_name}: the schema has an array of '{length!s:.12}'", record_again("ros2idl")
+                f"{type_name}: the schema has an array of '{length!s:.12}'",
+                record_again("ros2idl"),
             )
         return Field(name, base, "array", length)
     return Field(name, _idl_type(node, argument))
@@ -233,7 +236,9 @@ def _check(type_name: str, definitions: Definitions, language: str) -> None:
     levels: dict[str, int] = {}
     for name in inner_first:
         fields = definitions.get(name, ())
-        paths[name] = sum(1 + (field.kind != "single") + paths[field.type_name] for field in fields)
+        paths[name] = sum(
+            1 + (field.kind != "single") + paths[field.type_name] for field in fields
+        )
         levels[name] = 1 + max((levels[field.type_name] for field in fields), default=-1)
         if paths[name] > MOST_PATHS or levels[name] > MOST_LEVELS:
             raise too_large(type_name)

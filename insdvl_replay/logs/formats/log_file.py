@@ -51,7 +51,9 @@ class LogChannel:
     schema_data: bytes = b""  # may be empty; protobuf's is no text
     metadata: Mapping[str, str] = field(default_factory=dict)
     time_column: str = ""  # of a table: the column of its log times
-    untimed: str = ""  # of a table: why its times cannot be read, so that its rows are only counted
+    untimed: str = (
+        ""  # of a table: why its times cannot be read, so that its rows are only counted
+    )
 
     @cached_property
     def schema_text(self) -> str:
@@ -481,7 +483,9 @@ def _may_be_opened(ahead: Collection[tuple[Chunk, Opening]], chunk: Chunk) -> bo
 
 def _by_channel(channel: Integers, log_ns: TimeNs) -> dict[int, TimeNs]:
     """Return the log times of each channel, in the order of the file."""
-    return {channel_id: log_ns[channel == channel_id] for channel_id in np.unique(channel).tolist()}
+    return {
+        channel_id: log_ns[channel == channel_id] for channel_id in np.unique(channel).tolist()
+    }
 
 
 @dataclass

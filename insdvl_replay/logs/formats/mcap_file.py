@@ -293,9 +293,7 @@ class McapFile(ChunkedFile):
             if closing != MAGIC and (
                 kind != Opcode.HEADER or length > size or not can_be_record(kind, length)
             ):
-                what = (
-                    f"is not an MCAP file, nor a bag: it starts with bytes '{opening[:8].hex(' ')}'"
-                )
+                what = f"is not an MCAP file, nor a bag: it starts with bytes '{opening[:8].hex(' ')}'"
                 raise UnusableFileError(what, "give an .mcap, .db3 or .bag file", self.path)
             self.damage(
                 0, f"the opening bytes are '{opening[:magic].hex(' ')}', not those of an MCAP file"
@@ -416,7 +414,9 @@ class McapFile(ChunkedFile):
             what = f"a chunk has {len(fields)} bytes, too few for its own header"
             raise DamageError(start, what) from error
         data_start = start + HEADER_SIZE + 40 + name_size
-        return Chunk(start, end, False, name, data_start, data_size, size, crc, (first_ns, last_ns))
+        return Chunk(
+            start, end, False, name, data_start, data_size, size, crc, (first_ns, last_ns)
+        )
 
     def _take_attachment(self, begin: int, length: int) -> None:
         """Read an attachment's fields; its bytes are not touched."""
@@ -429,7 +429,9 @@ class McapFile(ChunkedFile):
             media_type = stream.read_prefixed_string()
             size = stream.read8()
         except (McapError, struct.error, UnicodeDecodeError) as error:
-            raise DamageError(begin, f"an attachment of {length} bytes cannot be parsed") from error
+            raise DamageError(
+                begin, f"an attachment of {length} bytes cannot be parsed"
+            ) from error
         if stream.count + size + 4 > length:
             raise DamageError(
                 begin, f"an attachment says it has {size} bytes; its record has {length}"

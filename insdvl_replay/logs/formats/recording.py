@@ -83,7 +83,9 @@ class Recording:
     bytes can be used, and files of which nothing can be used are done without.
     """
 
-    def __init__(self, path: Path, files: Collection[Path], *, allow_damaged: bool = False) -> None:
+    def __init__(
+        self, path: Path, files: Collection[Path], *, allow_damaged: bool = False
+    ) -> None:
         self.path = path  # stands for the whole: the folder of a bag, or one of the files
         self.allow_damaged = allow_damaged
         self._unusable: dict[Path, UnusableFileError] = {}

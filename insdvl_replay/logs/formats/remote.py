@@ -367,7 +367,9 @@ def _file_system(url: str) -> tuple[Any, str]:
         if urlsplit(url).scheme in ("http", "https"):
             import aiohttp
 
-            timeout = aiohttp.ClientTimeout(total=None, sock_connect=STALLED_S, sock_read=STALLED_S)
+            timeout = aiohttp.ClientTimeout(
+                total=None, sock_connect=STALLED_S, sock_read=STALLED_S
+            )
             options["client_kwargs"] = {"timeout": timeout, "trust_env": True}
         with _refused(url):
             system, path = fsspec.core.url_to_fs(url, skip_instance_cache=True, **options)
@@ -499,7 +501,9 @@ def _records(url: str, content: bytes) -> "defaultdict[int, list[Any]]":
         raise LogError(f"its summary cannot be read: {error}", _FETCH, shown_url(url)) from error
     if walked.is_broken:
         raise LogError(
-            "its summary cannot be read: there are bytes that are no record", _FETCH, shown_url(url)
+            "its summary cannot be read: there are bytes that are no record",
+            _FETCH,
+            shown_url(url),
         )
     return found
 

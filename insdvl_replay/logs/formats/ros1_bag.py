@@ -94,9 +94,7 @@ class BagFile(ChunkedFile):
         if self.damages:
             return (damage_note(self.path.name, self.damages, self._losses()),)
         if not self.has_summary:
-            text = (
-                f"{self.path.name} was not closed by its recorder: the last messages may be missing"
-            )
+            text = f"{self.path.name} was not closed by its recorder: the last messages may be missing"
             return (Note("log_summary", text, 1, Severity.WARNING, COPY_AGAIN),)
         return ()
 

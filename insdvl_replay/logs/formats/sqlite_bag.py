@@ -132,14 +132,14 @@ class SqliteFile(LogFile):
                 with companion.open("rb") as stream:
                     start = stream.read(8)
                 if any(start):  # one that is done with is empty or begins with zeros
-                    hint = (
-                        f"keep a copy of both, then `sqlite3 {self.path} '{statement}'` merges them"
-                    )
+                    hint = f"keep a copy of both, then `sqlite3 {self.path} '{statement}'` merges them"
                     raise LogError(f"is not complete: {companion.name} {what}", hint, self.path)
 
     def _damaged(self, found: str) -> UnusableFileError:
         saved = self.path.with_name(f"saved_{self.path.name}")
-        hint = f"copy it again, or recover it with `sqlite3 {self.path} .recover | sqlite3 {saved}`"
+        hint = (
+            f"copy it again, or recover it with `sqlite3 {self.path} .recover | sqlite3 {saved}`"
+        )
         return UnusableFileError(f"is damaged: {found}", hint, self.path)
 
     @contextmanager

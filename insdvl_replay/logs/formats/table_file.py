@@ -231,7 +231,14 @@ class TableFile(LogFile):
         )
 
     def _note(
-        self, code: str, topic: str, text: str, count: int = 1, hint: str = "", *, warn: bool = True
+        self,
+        code: str,
+        topic: str,
+        text: str,
+        count: int = 1,
+        hint: str = "",
+        *,
+        warn: bool = True,
     ) -> None:
         severity = Severity.WARNING if warn else Severity.INFO
         whole = f"{topic}: {text}"
@@ -378,9 +385,13 @@ class TableFile(LogFile):
         self, name: str, comments: Sequence[bytes], separator: bytes | None, width: int
     ) -> None:
         """Report rows of numbers that are left out since they begin as comments do."""
-        rows = [line for line in comments if is_row(line.lstrip().lstrip(b"#% "), separator, width)]
+        rows = [
+            line for line in comments if is_row(line.lstrip().lstrip(b"#% "), separator, width)
+        ]
         if rows:
-            clause = counted_clause(len(rows), "rows of numbers begin with # or % and are left out")
+            clause = counted_clause(
+                len(rows), "rows of numbers begin with # or % and are left out"
+            )
             self._note("table_comments", name, clause, len(rows), warn=False)
 
     def _require_rows(self, name: str, fits: Mask, width: int) -> None:
@@ -443,7 +454,9 @@ class TableFile(LogFile):
         if count > MOST_COLUMNS:
             what = f"has {count} columns; {MOST_COLUMNS} are read"
             raise LogError(
-                what, "write the columns of the IMU, the DVL and the reference to tables", self.path
+                what,
+                "write the columns of the IMU, the DVL and the reference to tables",
+                self.path,
             )
 
     def _read_text(self, table: _Table, name: str, title: str, cells: Array) -> Array:

@@ -48,7 +48,8 @@ class StoredDive:
         """Return a column of the trajectory, of each filter."""
         time_s = self.trajectory.time_s
         return [
-            Series(name, time_s, self.trajectory.of(name, column)) for name in self.trajectory.names
+            Series(name, time_s, self.trajectory.of(name, column))
+            for name in self.trajectory.names
         ]
 
 

@@ -43,9 +43,8 @@ SETTLED: Final = 0.02
 # Share of the values that a panel shows, since one outage would flatten all others; and margin above.
 _SHOWN = 0.97
 _AIR = 1.15
-_CONSTANT: Final = (
-    0.5  # Values that fall to no less than this share of the largest are nearly constant.
-)
+# Values that fall to no less than this share of the largest are nearly constant.
+_CONSTANT: Final = 0.5
 _GAP: Final = 2.5  # A gap of the pings is longer than this many usual steps.
 _WIDEST: Final = 1.5  # A panel shows a band up to this many times the largest error, so that errors fill the panel.
 
@@ -258,7 +257,9 @@ def nis_figure(
             if not len(innovations.nis):
                 continue
             time = clock.time(innovations.time_ns)
-            rejected = np.where(innovations.used | innovations.is_held_out, np.nan, innovations.nis)
+            rejected = np.where(
+                innovations.used | innovations.is_held_out, np.nan, innovations.nis
+            )
             curves = (
                 Curve(time, innovations.nis, f"{filter_style(number)} solid"),
                 Curve(time, rejected, REJECTED, points=True),
