@@ -228,9 +228,11 @@ def test_link_that_looks_down_with_its_x_axis_is_noticed_and_can_be_reported(rea
         return values | {"velocity": xyz(to_link @ TRUE_D[i])}
 
     assert "dvl_beams_not_down" in codes(read("mvp_msgs/msg/DVL", ping))
-    at_zero = lambda i: (
-        ping(i) | {"beams": [beam | {"velocity": 0.0} for beam in ping(i)["beams"]]}
-    )  # noqa: E731
+
+    def at_zero(i: int) -> dict[str, Any]:
+        values = ping(i)
+        return values | {"beams": [beam | {"velocity": 0.0} for beam in values["beams"]]}
+
     assert {"dvl_beams_not_down", "dvl_no_beams"} <= codes(
         read("mvp_msgs/msg/DVL", at_zero)
     ).keys()
