@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.checks.imu import AXES, ENOUGH, LONGEST_STEP_S, lies_within, since_s, turned_by
-from insdvl_replay.checks.sentences import Measured, Remark, refusal, warning
+from insdvl_replay.checks.sentences import Measured, Remark, refusal
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
@@ -24,6 +24,7 @@ from insdvl_replay.core.dive_columns import (
     nanoseconds,
     seconds,
 )
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, FASTEST_MPS
 from insdvl_replay.geometry.frames import (
     Complex,
@@ -138,7 +139,7 @@ def dvl_remarks(
     zero = np.flatnonzero((values == 0.0).all(axis=1))
     if zero.size:
         first_s = since_s(dvl.time_ns, zero[0])
-        yield warning("dvl_zero", int(zero.size), pings=len(values), first_s=first_s)
+        yield note("dvl_zero", int(zero.size), pings=len(values), first_s=first_s)
     names: Sequence[str] = AXES
     if dvl.velocity_d is None:
         names = [f"along beam {number}" for number in range(1, values.shape[1] + 1)]
@@ -146,7 +147,7 @@ def dvl_remarks(
         given = column[np.isfinite(column)]
         if len(given) >= ENOUGH and np.all(given == given[0]):
             value = given[0] + 0.0  # never a negative zero
-            yield warning("dvl_constant", len(given), name=name, value=value)
+            yield note("dvl_constant", len(given), name=name, value=value)
     if reference is not None:
         yield from _velocity_remarks(place, dvl, reference, config)
 
@@ -161,9 +162,9 @@ def _velocity_remarks(
     opposite = _opposite_axes(measured_b, true_b)
     if found is None or found.coherence < COHERENT:
         if opposite:
-            yield warning("dvl_axes", count, axes=" and ".join(opposite))
+            yield note("dvl_axes", count, axes=" and ".join(opposite))
         elif found is not None and found.coherence < INCOHERENT:
-            yield warning("dvl_contradiction", count, coherence=found.coherence)
+            yield note("dvl_contradiction", count, coherence=found.coherence)
         return
     # By less than 10 deg, lever arm and sideslip turn a velocity on average.
     is_turned = abs(found.turn) > 10.0 * DEG
@@ -173,10 +174,10 @@ def _velocity_remarks(
         roll, pitch, heading = config.dvl.mounting_rpy_deg
         right = float(wrap_angle(np.asarray(heading * DEG - found.turn))) / DEG
         angles = {"roll": roll, "pitch": pitch, "heading": right}
-        turned = warning("dvl_direction", count, turn_deg=found.turn / DEG, **angles)
+        turned = note("dvl_direction", count, turn_deg=found.turn / DEG, **angles)
         yield Measured(turned)
     elif opposite:
-        yield warning("dvl_axes", count, axes=" and ".join(opposite))
+        yield note("dvl_axes", count, axes=" and ".join(opposite))
 
 
 def _opposite_axes(measured_b: Floats, true_b: Floats) -> list[str]:
@@ -198,7 +199,7 @@ def scale_remarks(place: str, scale: float, dvl: DvlColumns, config: Config) -> 
         yield refusal("dvl_unit", place, scale=scale)
     elif abs(scale - 1.0) > LARGEST_SCALE_ERROR:
         setting = scale * config.dvl.scale
-        yield Measured(warning("dvl_scale", len(dvl.time_ns), scale=scale, setting=setting))
+        yield Measured(note("dvl_scale", len(dvl.time_ns), scale=scale, setting=setting))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.checks.sentences import Remark, marked, refusal, warning
+from insdvl_replay.checks.sentences import Remark, marked, refusal
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
@@ -23,6 +23,7 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.errors import LogError, counted
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.units import SPECIFIC_FORCE_UNITS
 from insdvl_replay.geometry import earth
@@ -86,7 +87,7 @@ def rate_remark(place: str, imu: ImuColumns, settings: Imu) -> Remark | None:
     if rate_hz < 0.95 * settings.min_rate_hz:  # what an IMU holds of its nominal rate
         return refusal("imu_too_slow", place, rate_hz=rate_hz, least_hz=np.floor(rate_hz))
     if rate_hz < 40.0:  # a vehicle rolls and surges at 1 to 2 Hz; slower samples miss part of it
-        return warning("imu_slow", count, rate_hz=rate_hz)
+        return note("imu_slow", count, rate_hz=rate_hz)
     return None
 
 
@@ -128,7 +129,7 @@ def _constant_remarks(place: str, imu: ImuColumns) -> Iterator[Remark]:
             yield refusal("imu_zero", place, count=count, **known)
             break
         for axis in np.flatnonzero(same).tolist():
-            yield warning("imu_constant", count, axis=AXES[axis], value=readings[0, axis], **known)
+            yield note("imu_constant", count, axis=AXES[axis], value=readings[0, axis], **known)
 
 
 def _stuck_remarks(imu: ImuColumns) -> Iterator[Remark]:
@@ -143,7 +144,7 @@ def _stuck_remarks(imu: ImuColumns) -> Iterator[Remark]:
     if long.size:
         repeats = int(np.sum(ends[long] - starts[long]))
         first_s = since_s(imu.time_ns, starts[long[0]])
-        yield warning("imu_stuck", repeats, first_s=first_s, longest_s=lengths_s.max())
+        yield note("imu_stuck", repeats, first_s=first_s, longest_s=lengths_s.max())
 
 
 @dataclass(frozen=True)
@@ -195,13 +196,13 @@ def _gravity_remarks(
     elif abs(ratio - 1.0) > 0.05:  # no bias of a working accelerometer reaches 50 mg
         off = np.abs(sizes / gravity - 1.0) > 0.05
         first_s = since_s(imu.time_ns, quiet.starts[off][0])
-        warned = warning("imu_gravity", int(off.sum()), first_s=first_s, **found)
+        warned = note("imu_gravity", int(off.sum()), first_s=first_s, **found)
         yield marked(warned, is_measured=cure.is_measured)
     elif along_down > 0.0:
         above = down > 0.0
         first_s = since_s(imu.time_ns, quiet.starts[above][0])
         force = {"along_down": along_down, "level": -gravity}
-        yield warning("imu_upside_down", int(above.sum()), first_s=first_s, **force)
+        yield note("imu_upside_down", int(above.sum()), first_s=first_s, **force)
 
 
 def _cure(imu: ImuColumns, ratio: float, settings: Imu) -> _Cure:

@@ -38,7 +38,7 @@ from insdvl_replay.checks.sentences import (
     Remark,
     ignore_hint,
     refusal,
-    warning,
+    refused,
     without_mark,
 )
 from insdvl_replay.core.config import Config, Imu
@@ -57,6 +57,7 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import (
     AROUND,
@@ -117,7 +118,7 @@ def plausibility_remarks(
         turn = turn @ mat_from_rpy(np.array(config.imu.mounting_rpy_deg) * DEG)
         roll, pitch, heading = (rpy_from_mat(turn) / DEG + 0.0).tolist()
         count = len(imu.time_ns)
-        yield Measured(warning("imu_turned", count, roll=roll, pitch=pitch, heading=heading))
+        yield Measured(note("imu_turned", count, roll=roll, pitch=pitch, heading=heading))
     yield from dvl_remarks(place, dvl, reference, config)
     if reference is not None:
         yield from reference_notes(imu, dvl, reference)
@@ -206,33 +207,34 @@ def _gyro_remarks(
         }
         unit = "deg/s" if found.scale > 1.0 else "rad/s"
         if found.scale < 0.0:
-            yield warning("imu_gyro_sign", count, **shown)
+            yield note("imu_gyro_sign", count, **shown)
         elif found.off > UNIT_WRONG and unit != (settings.angular_rate_unit or "rad/s"):
             yield refusal("imu_gyro_unit", place, unit=unit, **shown)
         else:
             shown["setting"] = found.scale * settings.angular_rate_scale
+            said = note("imu_gyro_scale", count, **shown)
             if found.off > UNIT_WRONG:
-                yield Measured(refusal("imu_gyro_scale", place, **shown))
+                yield Measured(refused(said, place))
             else:
-                yield Measured(warning("imu_gyro_scale", count, **shown))
+                yield Measured(said)
     # Attitudes that swing less say nothing.
     if by_attitude is None or by_attitude.excursion.max() < 3.0 * DEG:
         return
     known = by_attitude.excursion >= 3.0 * DEG
     if abs(by_attitude.correlation) < INCOHERENT:
-        yield warning("imu_gyro_contradiction", count, correlation=by_attitude.correlation)
+        yield note("imu_gyro_contradiction", count, correlation=by_attitude.correlation)
     elif np.any(known & (by_attitude.by_axis > 0.7)):
         # Axes that turn the other way while another one follows.
         for axis in np.flatnonzero(known & (by_attitude.by_axis < -0.7)).tolist():
             correlation = by_attitude.by_axis[axis]
-            yield warning("imu_gyro_axis", count, axis=AXES[axis], correlation=correlation)
+            yield note("imu_gyro_axis", count, axis=AXES[axis], correlation=correlation)
 
 
 def _track_remarks(
     place: str, track: TrackFit, dvl: DvlColumns, config: Config
 ) -> Iterator[Remark]:
     if track.coherence < INCOHERENT:
-        yield warning("track_contradiction", len(dvl.time_ns), coherence=track.coherence)
+        yield note("track_contradiction", len(dvl.time_ns), coherence=track.coherence)
     if track.coherence < COHERENT:
         return
     yield from scale_remarks(place, track.dvl_scale, dvl, config)
@@ -243,7 +245,7 @@ def _track_remarks(
     if abs(float(wrap_angle(np.asarray(heading_deg * DEG - track.heading)))) > 30.0 * DEG:
         fitted_deg = track.heading / DEG
         both = {"fitted_deg": fitted_deg, "heading_deg": heading_deg}
-        yield Measured(warning("dvl_direction by positions", len(dvl.time_ns), **both))
+        yield Measured(note("dvl_direction by_positions", len(dvl.time_ns), **both))
 
 
 def reference_notes(
@@ -325,7 +327,7 @@ def _frozen_note(time_ns: TimeNs, frozen: Mask, *, quantity: str, doing: str) ->
     longest_s = float(seconds(time_ns[ends - 1], time_ns[starts - 1]).max())
     spans = {"first_s": since_s(time_ns, int(starts[0])), "longest_s": longest_s}
     count = int(frozen.sum())
-    return warning("reference_frozen", count, quantity=quantity, doing=doing, **spans)
+    return note("reference_frozen", count, quantity=quantity, doing=doing, **spans)
 
 
 def _without_rows(values: Floats, rows: Mask) -> Floats:
@@ -391,7 +393,7 @@ def _constant_notes(
         if np.ptp(turned, axis=0).max() > 30.0 * DEG:  # beyond the gyros' bias and Earth's rate
             found.append(("attitude", "the gyros measure turns"))
     for quantity, doing in found:
-        yield warning("reference_constant", len(reference.time_ns), quantity=quantity, doing=doing)
+        yield note("reference_constant", len(reference.time_ns), quantity=quantity, doing=doing)
 
 
 def _is_constant(rows: Floats) -> bool:
@@ -442,7 +444,7 @@ def _scale_notes(reference: ReferenceColumns) -> Iterator[Note]:
     coherence = float(product / (np.sqrt(power) * np.linalg.norm(by_position_m)))
     if coherence < 0.8:
         count = int(np.count_nonzero(reference.known["positions"] & reference.known["velocities"]))
-        yield warning("reference_contradiction", count, coherence=coherence)
+        yield note("reference_contradiction", count, coherence=coherence)
         return
     # Noise of the velocity makes the one too small, noise of the positions the other too large: the scale lies between.
     scale = float(product / power)
@@ -455,7 +457,7 @@ def _scale_notes(reference: ReferenceColumns) -> Iterator[Note]:
         off_pct = 100.0 * abs(scale - 1.0)
         sd_pct = 100.0 * scale_sd
         longer = "longer" if scale > 1.0 else "shorter"
-        yield warning(
+        yield note(
             "reference_scale", len(by_position_m), off_pct=off_pct, sd_pct=sd_pct, longer=longer
         )
 
@@ -477,4 +479,4 @@ def _jump_notes(
             "unit": unit,
             "at_s": time_s[largest + 1],
         }
-        yield warning("reference_jump", int(jumps.size), largest=unlike[largest] / factor, **known)
+        yield note("reference_jump", int(jumps.size), largest=unlike[largest] / factor, **known)

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.checks.sentences import warning
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import (
     Dive,
@@ -29,6 +28,7 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.dive_record import Delay, ReferenceDelay
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.words import DelayStatus
 from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
 
@@ -167,13 +167,13 @@ def _delay_notes(found: ReferenceDelay, count: int, latency_s: float) -> tuple[N
     is_contradictory = found.status == DelayStatus.CONTRADICTORY
     if is_contradictory and turns is not None and accelerations is not None:
         both = {"turns_s": turns.delay_s, "accelerations_s": accelerations.delay_s}
-        return (warning("reference_late in part", count, **both),)
+        return (note("reference_late in_part", count, **both),)
     if not is_late(found) or found.delay_s is None:
         return ()
     late = "late" if found.delay_s > 0.0 else "early"
     setting = latency_s + found.delay_s
     size = {"size_s": abs(found.delay_s), "sd_s": found.sd_s}
-    return (warning("reference_late", count, late=late, setting=setting, **size),)
+    return (note("reference_late", count, late=late, setting=setting, **size),)
 
 
 def is_late(found: ReferenceDelay) -> bool:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.checks.imu import ENOUGH
-from insdvl_replay.checks.sentences import warning
 from insdvl_replay.core.config import Config, Depth
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
@@ -24,6 +23,7 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
@@ -73,7 +73,7 @@ def sensor_notes(
         span_s = (int(columns.time_ns[-1]) - int(columns.time_ns[0])) / NS_PER_S
         # No working sensor repeats a reading for so long.
         if all_count >= ENOUGH and span_s >= 30.0 and _are_all_same(columns.values):
-            stuck.append(warning("{name}_stuck", all_count, name=name, span_s=span_s))
+            stuck.append(note(f"{name}_stuck", all_count, name=name, span_s=span_s))
         if reference is None or name not in ("depth", "heading", "position"):
             continue
         latency_s = getattr(config, name).latency_s - config.reference.latency_s
@@ -82,7 +82,7 @@ def sensor_notes(
             same = _are_shared(name, columns.values[ours], reference, theirs)
         count = int(same.sum())
         if count > _SHARED * all_count:
-            shared.append(warning("{name}_is_reference", count, name=name, readings=all_count))
+            shared.append(note(f"{name}_is_reference", count, name=name, readings=all_count))
     return (*stuck, *shared)
 
 
@@ -143,7 +143,7 @@ def solution_notes(
         all_count = len(solution.motion.time_ns)
         if count > max(_SHARED * all_count, 10):
             known = {"name": name, "rows": all_count, "quantity": quantity}
-            notes.append(warning("solution_{name}_is_reference", count, **known))
+            notes.append(note(f"solution_{name}_is_reference solution", count, **known))
     return tuple(notes)
 
 
@@ -218,9 +218,9 @@ def _heading_contradictions(off: Floats, zero: Depth | None) -> Iterator[Note]:
     spread = float(np.median(np.abs(wrap_angle(off - mean))))
     if spread > 20.0 * DEG:  # no compass that is turned to true north scatters so
         spreads = {"mean_deg": mean / DEG, "spread_deg": spread / DEG}
-        yield warning("heading_contradiction", len(off), whose=_whose(zero), **spreads)
+        yield note("heading_contradiction", len(off), whose=_whose(zero), **spreads)
     elif zero is not None and abs(mean) > 5.0 * DEG:  # no AHRS errs by more in the mean
-        yield warning("heading_contradiction in the mean", len(off), mean_deg=mean / DEG)
+        yield note("heading_contradiction mean", len(off), mean_deg=mean / DEG)
 
 
 def _depth_contradictions(
@@ -232,14 +232,14 @@ def _depth_contradictions(
         return
     scale = _scale_of_depth(ours_m, -position[:, 2], zero)
     if scale is not None:
-        yield warning("depth_contradiction", len(ours_m), scale=scale, whose=_whose(zero))
+        yield note("depth_contradiction", len(ours_m), scale=scale, whose=_whose(zero))
         return
     if zero is None or zero.surface_height_m is None:
         return
     off_m = float(np.median(_deeper_m(values, mat_nb, position, zero)))
     # Swell and air pressure, and what fresh water makes of a depth.
     if abs(off_m) > 2.0 + 0.03 * float(np.median(np.abs(ours_m))):
-        yield warning("depth_contradiction of its zero", len(ours_m), below=_below(off_m))
+        yield note("depth_contradiction zero", len(ours_m), below=_below(off_m))
 
 
 def _scale_of_depth(ours_m: Floats, theirs_m: Floats, zero: Depth | None) -> float | None:
@@ -278,7 +278,7 @@ def depth_at_start_notes(
     if not abs(deeper_m) > 2.0 + 5.0 * sd_m + 2.0 * late_s:
         return ()
     found = {"late_s": late_s, "below": _below(deeper_m), "height_m": start.position[0, 2]}
-    return (warning("depth_contradiction at the start", 1, **found),)
+    return (note("depth_contradiction start", 1, **found),)
 
 
 def _deeper_m(values: Floats, mat_nb: Floats, position: Floats, depth: Depth) -> Floats:

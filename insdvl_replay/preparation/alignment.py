@@ -19,6 +19,7 @@ from insdvl_replay.core.dive_columns import (
     at_time,
 )
 from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import BY_SENSOR, DEG, DEG_PER_HOUR, MG, PHI
 from insdvl_replay.core.words import HeadingSource, Severity
 from insdvl_replay.geometry.earth import earth_rate_n
@@ -35,7 +36,6 @@ from insdvl_replay.nav.levelling import (
     start_cov,
 )
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filters
-from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.start_sources import (
     AttitudeSource,
     PositionSource,
@@ -601,7 +601,7 @@ def _reference_position(
     for quantity, values in quantities.items():
         far_s = float(apart_s(reference.time_ns, values, np.array([start_ns]))[0])
         if far_s > FAR_S:
-            notes.append(note("start_{quantity}_far", quantity=quantity, away=far_s))
+            notes.append(note(f"start_{quantity}_far", quantity=quantity, away=far_s))
             break
     given_deg = initial.latitude_deg
     latitude_deg = float(latitude) / DEG

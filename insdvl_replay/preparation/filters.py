@@ -11,6 +11,7 @@ from msgspec.structs import asdict
 from insdvl_replay.core.config import Acceleration, Config, Filter, InertialNoise
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns, TimeNs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.quantities import HELD_OUT
 from insdvl_replay.core.states import DEG, FASTEST_MPS, MORE_STATES, SENSORS, states_for
 from insdvl_replay.core.words import Severity
@@ -37,7 +38,6 @@ from insdvl_replay.nav.measurements import (
     sensor_measurement,
 )
 from insdvl_replay.nav.timeline import FIRST_OTHER, NO_GAPS, Gaps
-from insdvl_replay.preparation.notes import note
 
 NO_SENSORS: Final[Mapping[str, Measurement]] = MappingProxyType({})
 NO_READINGS: Final[Mapping[str, int]] = MappingProxyType({})
@@ -342,16 +342,12 @@ def silence_notes(sensor: str, time_ns: TimeNs, start_ns: int, end_ns: int) -> l
         usual_s = float(np.median(length_s[1:-1]))
     if length_s[longest] <= max(SILENT_S, SILENT_READINGS * usual_s):
         return []
-    silent = note(
-        "{sensor}_silent",
-        severity=Severity.INFO if sensor == "position" else Severity.WARNING,
-        sensor=sensor,
-        length=length_s[longest],
-        span=(end_ns - start_ns) / NS_PER_S,
-        since=(int(ends_ns[longest]) - start_ns) / NS_PER_S,
-        until="to the end" if longest == len(time_ns) else "on",
-    )
-    return [silent]
+    since_s = (int(ends_ns[longest]) - start_ns) / NS_PER_S
+    span_s = (end_ns - start_ns) / NS_PER_S
+    until = "to the end" if longest == len(time_ns) else "on"
+    severity = Severity.INFO if sensor == "position" else Severity.WARNING
+    values = {"length": length_s[longest], "span": span_s, "since": since_s, "until": until}
+    return [note(f"{sensor}_silent", severity=severity, sensor=sensor, **values)]
 
 
 def held_out_notes(config: Config) -> list[Note]:
@@ -360,5 +356,5 @@ def held_out_notes(config: Config) -> list[Note]:
     for sensor in config.evaluation.held_out:
         names = [name for name, filter_ in config.computed.items() if sensor in filter_.aiding]
         if names:
-            notes.append(note("{sensor}_held_out", sensor=sensor, filters=", ".join(names)))
+            notes.append(note(f"{sensor}_held_out", sensor=sensor, filters=", ".join(names)))
     return notes

@@ -24,6 +24,7 @@ from insdvl_replay.core.dive_columns import (
     in_spans,
 )
 from insdvl_replay.core.errors import ConfigError, Note, UserError, error_context, listed
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.quantities import COMPONENTS
 from insdvl_replay.core.runtime import is_compiled, plain
 from insdvl_replay.core.states import states_with
@@ -48,7 +49,6 @@ from insdvl_replay.nav.user_measurement import (
     load_plugin,
 )
 from insdvl_replay.preparation.filters import ResolvedFilter, silence_notes
-from insdvl_replay.preparation.notes import note
 
 Outage = tuple[int, int]  # times of the last ping before it, and of the last ping in it, ns
 SHOWN: Final = "example: docs/own_filter.md"

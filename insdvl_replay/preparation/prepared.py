@@ -29,6 +29,7 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.errors import ConfigError, LogError, Note, counted, error_context
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import DEG, DV, PHI, STATES
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import DvlMounting, moved_position
@@ -47,7 +48,6 @@ from insdvl_replay.preparation.filters import (
     prepare_sensors,
     resolve_filters,
 )
-from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import prepare_user_measurements, prepare_user_noise
 
 MOST_DROPPED: Final = 0.5  # of the pings: a residual limit that drops more is a mistake

@@ -28,6 +28,7 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.history import History
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR
 from insdvl_replay.evaluation.consistency import MANY_REJECTED
@@ -50,7 +51,6 @@ from insdvl_replay.nav.outage import gravity_drift, run_outage
 from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Gaps, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.heading_draw import HeadingDraw, heading_draw
-from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import Outage, in_outages
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.solutions import recorded_history

@@ -23,6 +23,7 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.history import History
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import BA, DEG, POSITION, states_with
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.reference_errors import WELL_COVERED, covered_share
@@ -34,7 +35,6 @@ from insdvl_replay.geometry.rotation import (
     vector_from_mat,
     wrap_angle,
 )
-from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.prepared import reference_at_imu
 
 # in usual steps: between samples that are further apart a solution gives nothing

@@ -10,10 +10,10 @@ import numpy as np
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
 from insdvl_replay.core.words import HeadingSource
 from insdvl_replay.nav.dvl import DvlVelocities
-from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.source_errors import HEADING_FLOOR, SourceSd, ahrs_sd, reference_sd
 
 NEAR_PINGS: Final = 10  # around a ping, that show how fast the velocity changes

@@ -30,6 +30,7 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import parallel_map, report_stage
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.evaluate import with_solutions
@@ -56,7 +57,6 @@ from insdvl_replay.logs import copy_log, held_back_messages, write_dive
 from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution
 from insdvl_replay.preparation.candidates import failed_history, history_of_candidate
-from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import Outage, given_dive
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.preparation.programs import DIVE_FILES, UserProcesses

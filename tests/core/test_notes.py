@@ -11,7 +11,7 @@ import notes as generator
 import pytest
 
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.notes import SOURCES, Explanation, explanation, explanations
+from insdvl_replay.core.notes import SOURCES, NoteKind, explanation, explanations
 
 PROJECT = Path(__file__).resolve().parents[2]
 PAGE = PROJECT / "docs" / "reference" / "notes.md"
@@ -57,13 +57,13 @@ def constants() -> dict[str, str]:
 
 
 def places_of_codes() -> dict[str, int]:
-    """Functions and classes that take a code, and at which place; what returns a note takes it first."""
+    """Functions and classes that take a code, and at which place."""
     places = {}
     for node in every(ast.FunctionDef):
         names = [argument.arg for argument in (*node.args.posonlyargs, *node.args.args)]
         names = names[names[:1] in (["self"], ["cls"]) :]
-        if "code" in names or getattr(node.returns, "id", "") == "Note":
-            places[node.name] = names.index("code") if "code" in names else 0
+        if "code" in names:
+            places[node.name] = names.index("code")
     for node in every(ast.ClassDef):
         names = [field.target.id for field in node.body if isinstance(field, ast.AnnAssign)]
         places |= {node.name: names.index("code")} if "code" in names else {}
@@ -190,7 +190,7 @@ def test_explanations_are_short_sentences() -> None:
 )
 def test_code_of_a_source_has_the_explanation_of_all_sources(code: str, entry: str) -> None:
     found = explanation(code)
-    assert isinstance(found, Explanation)
+    assert isinstance(found, NoteKind)
     assert found == KNOWN[entry]
 
 

@@ -21,6 +21,7 @@ from ruamel.yaml import YAML
 import insdvl_replay
 from insdvl_replay import __version__, nav, preparation
 from insdvl_replay.cli.app import app
+from insdvl_replay.core.notes import explanation
 
 PROJECT = Path(__file__).resolve().parents[2]
 CHAPTERS = sorted(
@@ -164,7 +165,6 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
     without = {
         "preparation.replay",
         "preparation.plugins",
-        "preparation.notes",
         "preparation.filters",
         "preparation.solutions",
         "preparation.candidates",
@@ -292,21 +292,11 @@ def test_python_in_the_pages_names_what_there_is(document: str) -> None:
 
 
 def test_notes_of_the_troubleshooting_page_exist() -> None:
-    """A code is written whole, or as the role of a topic and what was noticed of it."""
-    source = "\n".join(
-        path.read_text("utf-8") for path in (PROJECT / "insdvl_replay").rglob("*.py")
-    )
     cells = re.findall(r"^\| (`.*?) \|", text_of("docs/troubleshooting.md"), re.MULTILINE)
     codes = [code for cell in cells for code in re.findall(r"`([a-z]+(?:_[a-z]+)+)`", cell)]
     assert len(codes) > 50
     for code in codes:
-        ends = [code.split("_", part)[-1] for part in range(1, code.count("_") + 1)]
-        found = (
-            f'"{code}"',
-            f'"{code} ',
-            *(mark + end + '"' for end in ends for mark in ('"', "}_")),
-        )
-        assert any(text in source for text in found), code
+        assert explanation(code).what, code
 
 
 # --- The site.

@@ -15,11 +15,12 @@ from wordless import Wordless, error_of_x
 
 from insdvl_replay.batch.against import BothSides, Side
 from insdvl_replay.batch.jobs import Outcome, ReplayJob, ReplayOptions
-from insdvl_replay.checks import sentences
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.cli.against import answer_against
+from insdvl_replay.core import notes
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError, UserError
+from insdvl_replay.core.words import Severity
 from insdvl_replay.inspection import automatic
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import write_dive
@@ -147,9 +148,9 @@ def test_a_hint_with_a_measured_value_is_given_of_the_whole_log_alone(
     deep: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_logs(tmp_path / "logs")
-    of_x = dict.fromkeys(sentences._SENTENCES, ("x", "x"))
-    monkeypatch.setattr(sentences, "_SENTENCES", of_x)
-    notes = inspect_log(tmp_path / "logs" / "turned.mcap", load_config(), deep=deep).notes
-    (hint,) = (note.hint for note in notes if note.code == "dvl_scale")
+    of_x = notes.Sentence(Severity.WARNING, "x", "x")
+    monkeypatch.setattr(notes, "_sentence", lambda code, word: of_x)
+    found = inspect_log(tmp_path / "logs" / "turned.mcap", load_config(), deep=deep).notes
+    (hint,) = (note.hint for note in found if note.code == "dvl_scale")
     assert ("--deep" in hint) != deep
     assert (hint == "x") == deep
