@@ -61,13 +61,33 @@ if TYPE_CHECKING:
         replay_log,
         run_as_program,
         simulate,
-    )  # fmt: skip
+    )
 
 __all__ = [
-    "Candidate", "CommandResult", "DiveResult", "DiveResults", "Result", "Solution", "UserMeasurement", "UserNoise",
-    "UserReadings", "__version__", "calibrate", "check", "compare", "compare_settings", "inspect", "load_config",
-    "plan", "propose", "read_result", "read_results", "replay_log", "run_as_program", "simulate",
-]  # fmt: skip
+    "Candidate",
+    "CommandResult",
+    "DiveResult",
+    "DiveResults",
+    "Result",
+    "Solution",
+    "UserMeasurement",
+    "UserNoise",
+    "UserReadings",
+    "__version__",
+    "calibrate",
+    "check",
+    "compare",
+    "compare_settings",
+    "inspect",
+    "load_config",
+    "plan",
+    "propose",
+    "read_result",
+    "read_results",
+    "replay_log",
+    "run_as_program",
+    "simulate",
+]
 
 
 def __getattr__(name: str) -> "Any":

@@ -248,14 +248,20 @@ def _in_folder(folder: Path, seen: set[str], *, results: bool) -> Iterator[Path]
 def _logs_in(folder: Path) -> list[Path]:
     logs = list[Path]()
     for suffix in LOG_SUFFIXES:
-        logs += [path for path in folder.glob(f"*{suffix}") if path.is_file()]
+        for path in folder.glob(f"*{suffix}"):
+            if path.is_file():
+                logs.append(path)
     return logs
 
 
 def _folders_in(folder: Path) -> list[Path]:
     """Return the folders in a folder but for hidden ones."""
-    entries = [entry for entry in os.scandir(folder) if not entry.name.startswith(".")]
-    return [Path(entry) for entry in entries if entry.is_dir()]
+    folders = list[Path]()
+    for entry in os.scandir(folder):
+        is_hidden = entry.name.startswith(".")
+        if entry.is_dir() and not is_hidden:
+            folders.append(Path(entry))
+    return folders
 
 
 def _is_of_tables(folder: Path, logs: Sequence[Path], folders: Sequence[Path]) -> bool:

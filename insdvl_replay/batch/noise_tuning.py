@@ -3,7 +3,7 @@
 The fit takes the noise under which the baseline's own innovations are most likely. It knows nothing of the reference.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from insdvl_replay.core.config import Config, Filter
-from insdvl_replay.core.dive_columns import Dive, Floats
+from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.words import Severity
@@ -73,6 +73,25 @@ def replay_with_tuned_baseline(
 def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:
     """Return the settings with the tuned baseline among the filters, and notes on its noise."""
     baseline = config.filters[config.baseline]
+    _require_tunable(baseline, config)
+    dive = with_reference_at_imu(dive, config)
+    start = prepare_with_heading(dive, config)
+    end_ns = min(start.end_ns, int(start.velocities.time_ns[0]) + int(FIT_S * 1e9))
+    fitted_to = start.velocities.within(start.alignment.start_ns, end_ns)
+    start = replace(start, velocities=fitted_to, end_ns=end_ns)
+    # What is fitted, by key, as the baseline has it. The DVL's noise is in one of two keys.
+    resolved = start.filters[0]
+    before = {key: getattr(resolved.inertial_noise, key) for key in INERTIAL}
+    before[resolved.dvl_noise.key] = resolved.dvl_noise.sd_mps
+    tuned = _fitted(dive, start, config, baseline, before)
+    values = {key: getattr(tuned, key) for key in before}
+    imu = dive.imu.within(start.alignment.start_ns, start.end_ns)
+    notes = (_fitted_note(values, before), *_out_of_class_notes(values, imu))
+    return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), notes
+
+
+def _require_tunable(baseline: Filter, config: Config) -> None:
+    """Raise ConfigError where there is a control already, or the baseline takes more than velocities."""
     if NAME in config.filters:
         raise ConfigError(
             f"filter '{NAME}' is configured already",
@@ -83,49 +102,43 @@ def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note,
             f"--control tunes a baseline aided by velocity alone, found {list(baseline.aiding)}",
             "name such a filter first in the configuration",
         )
-    dive = with_reference_at_imu(dive, config)
-    start = prepare_with_heading(dive, config)
-    end_ns = min(start.end_ns, int(start.velocities.time_ns[0]) + int(FIT_S * 1e9))
-    start = replace(
-        start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns
-    )
-    # What is fitted, by key, as the baseline has it. The DVL's noise is in one of two keys.
-    resolved = start.filters[0]
-    before = {key: getattr(resolved.inertial_noise, key) for key in INERTIAL}
-    before[resolved.dvl_noise.key] = resolved.dvl_noise.sd_mps
-    tuned = _fitted(dive, start, config, baseline, before)
-    values = {key: getattr(tuned, key) for key in before}
-    edges = [
-        key
-        for key, value in values.items()
-        if not 1.01 * LOWEST * before[key] < value < HIGHEST / 1.01 * before[key]
-    ]
 
-    # Notes: what was fitted, and what stands for something else than the noise of a sensor
+
+def _fitted_note(values: Mapping[str, float], before: Mapping[str, float]) -> Note:
+    """Say what was fitted, and of which class that is."""
     pasted = ", ".join(f"{key} = {value:.4g}" for key, value in values.items())
     text = f"noise of the control, fitted to the baseline's innovations: [filters.{NAME}] {pasted}"
-    classes = {
-        CLASSES[key].name: sensor_class(key, values[key]) for key in INERTIAL if key not in edges
-    }
-    if named := [f"{sensors} of class {best}" for sensors, best in classes.items() if best]:
+    edges = []
+    for key, value in values.items():
+        lowest = 1.01 * LOWEST * before[key]
+        highest = HIGHEST / 1.01 * before[key]
+        if not lowest < value < highest:
+            edges.append(key)
+    classes = dict[str, str]()
+    for key in INERTIAL:
+        if key not in edges:
+            classes[CLASSES[key].name] = sensor_class(key, values[key])
+    named = [f"{sensors} of class {best}" for sensors, best in classes.items() if best]
+    if named:
         text += f" ({', '.join(named)})"
     if edges:
         text += f"; at the edge of what is looked at, where the innovations tell no more: {', '.join(edges)}"
-    notes = [Note("control_fitted", text, len(values))]
-    imu = dive.imu.within(start.alignment.start_ns, start.end_ns)
-    readings = zip(INERTIAL, (imu.specific_force_b, imu.angular_rate_b), strict=True)
-    scatter = {key: readings_scatter(values_b, imu.usual_step_s) for key, values_b in readings}
-    reasons = {
-        key: beyond_the_sensor(key, value, scatter.get(key, 0.0)) for key, value in values.items()
-    }
-    if found := [
-        f"{key} = {values[key]:.4g} is {reason}" for key, reason in reasons.items() if reason
-    ]:
+    return Note("control_fitted", text, len(values))
+
+
+def _out_of_class_notes(values: Mapping[str, float], imu: ImuColumns) -> Iterator[Note]:
+    """Say which noise stands for something else than that of a sensor."""
+    scatter = dict[str, float]()
+    for key, values_b in zip(INERTIAL, (imu.specific_force_b, imu.angular_rate_b), strict=True):
+        scatter[key] = readings_scatter(values_b, imu.usual_step_s)
+    found = []
+    for key, value in values.items():
+        reason = beyond_the_sensor(key, value, scatter.get(key, 0.0))
+        if reason:
+            found.append(f"{key} = {value:.4g} is {reason}")
+    if found:
         text = f"the control has fitted noise that cannot be the sensors': {'; '.join(found)}"
-        notes.append(
-            Note("control_out_of_class", text, len(found), Severity.WARNING, GEOMETRY_FIRST)
-        )
-    return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), tuple(notes)
+        yield Note("control_out_of_class", text, len(found), Severity.WARNING, GEOMETRY_FIRST)
 
 
 def _fitted(

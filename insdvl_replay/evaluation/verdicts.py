@@ -64,9 +64,16 @@ SMALLEST_NIS_PER_DOF: Final = 0.1
 FARTHEST_PCT: Final = 20.0
 # Notes on columns of a dive that contradict each other.
 CONTRADICTIONS: Final = (
-    "dvl_beam_contradiction", "dvl_contradiction", "dvl_direction", "imu_gyro_contradiction", "imu_gyro_sign",
-    "imu_upside_down", "reference_contradiction", "start_heading_contradiction", "track_contradiction",
-)  # fmt: skip
+    "dvl_beam_contradiction",
+    "dvl_contradiction",
+    "dvl_direction",
+    "imu_gyro_contradiction",
+    "imu_gyro_sign",
+    "imu_upside_down",
+    "reference_contradiction",
+    "start_heading_contradiction",
+    "track_contradiction",
+)
 SHARED: Final = "The reference shares sensors with the filters, so common errors cannot be seen."
 
 

@@ -146,18 +146,27 @@ def trial_config(config: Config, latitude_deg: float) -> Config:
     return msgspec.structs.replace(
         config,
         dvl=msgspec.structs.replace(
-            config.dvl, lever_arm_m=Dvl().lever_arm_m, mounting_rpy_deg=Dvl().mounting_rpy_deg, velocity_sd_mps=0.03,
-            beam_sd_mps=None, latency_s=0.0, latency_of_dives_s=(),
+            config.dvl,
+            lever_arm_m=Dvl().lever_arm_m,
+            mounting_rpy_deg=Dvl().mounting_rpy_deg,
+            velocity_sd_mps=0.03,
+            beam_sd_mps=None,
+            latency_s=0.0,
+            latency_of_dives_s=(),
         ),
         noise=COARSE,
         initial=Initial(
-            source="level", heading_deg=0.0, latitude_deg=latitude_deg, accel_bias_sd_mg=20.0, gyro_bias_sd_degph=200.0
+            source="level",
+            heading_deg=0.0,
+            latitude_deg=latitude_deg,
+            accel_bias_sd_mg=20.0,
+            gyro_bias_sd_degph=200.0,
         ),
         span=Config().span,
         filters={"baseline": Filter(aiding=("velocity",))},
         evaluation=Config().evaluation,
         topics={},
-    )  # fmt: skip
+    )
 
 
 def with_cost(tried: Hypothesis, dive: Dive, config: Config) -> Hypothesis:

@@ -140,11 +140,21 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg
     )
     errors, tables = tables_of_filters(
-        dive, histories, runs.spread, runs.drawn, runs.outages, runs.user_outages, noise, prepared.sensor_sd,
+        dive,
+        histories,
+        runs.spread,
+        runs.drawn,
+        runs.outages,
+        runs.user_outages,
+        noise,
+        prepared.sensor_sd,
         jump_table(dive.name, histories, runs.motions),
-        start_ns=span[0], bridged_gaps=len(prepared.gaps.start_ns) > 0,
-        independent=settings.independent, lost_m=config.evaluation.lost_m, turned=runs.turned,
-    )  # fmt: skip
+        start_ns=span[0],
+        bridged_gaps=len(prepared.gaps.start_ns) > 0,
+        independent=settings.independent,
+        lost_m=config.evaluation.lost_m,
+        turned=runs.turned,
+    )
     notes = (
         *dive.notes,
         *prepared.notes,
@@ -176,6 +186,16 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         histories = tuple(history.without_cov() for history in histories)
     curves = curves_of(runs.drawn, runs.outages)
     return Replay(
-        dive, config, *span, prepared.velocities, histories, errors, tables, verdicts, curves, notes, runs.printed,
+        dive,
+        config,
+        *span,
+        prepared.velocities,
+        histories,
+        errors,
+        tables,
+        verdicts,
+        curves,
+        notes,
+        runs.printed,
         runs.cpu_s,
-    )  # fmt: skip
+    )

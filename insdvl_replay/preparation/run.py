@@ -554,10 +554,20 @@ MOST_NIS = 2.5
 # Warnings that name a unit, axes, a sign or a scale that is wrong.
 MISREAD: Final = frozenset(
     {
-        "imu_gravity", "imu_upside_down", "imu_gyro_sign", "imu_gyro_scale", "imu_gyro_contradiction", "imu_gyro_axis",
-        "imu_turned", "dvl_direction", "dvl_axes", "dvl_scale", "dvl_contradiction", "track_contradiction",
+        "imu_gravity",
+        "imu_upside_down",
+        "imu_gyro_sign",
+        "imu_gyro_scale",
+        "imu_gyro_contradiction",
+        "imu_gyro_axis",
+        "imu_turned",
+        "dvl_direction",
+        "dvl_axes",
+        "dvl_scale",
+        "dvl_contradiction",
+        "track_contradiction",
     }
-)  # fmt: skip
+)
 
 
 class MisfitError(LogError):
