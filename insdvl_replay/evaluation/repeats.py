@@ -74,8 +74,13 @@ class Repeat:
 def metres(value: float) -> str:
     """Write a distance, a small one in mm."""
     if value >= 1.0 or value == 0.0:
-        return f"{value:.2g} m"
-    return f"{1000.0 * value:.2g} mm"
+        return f"{_two_digits(value)} m"
+    return f"{_two_digits(1000.0 * value)} mm"
+
+
+def _two_digits(value: float) -> str:
+    """Write two digits, and whole numbers from 100 on, which need no power of ten."""
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
 
 
 def apart_m(first: History, second: History) -> float:

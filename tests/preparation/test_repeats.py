@@ -19,7 +19,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Role, Verdict
 from insdvl_replay.evaluation.answers import PROVED, pooled_candidate
-from insdvl_replay.evaluation.repeats import Change, Repeat, apart_m
+from insdvl_replay.evaluation.repeats import Change, Repeat, apart_m, metres
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.logs import write_dive
 from insdvl_replay.nav.user_candidate import Candidate, CandidateStart, Solution
@@ -419,3 +419,8 @@ class Burning(Candidate):
         while time.process_time() < until_s:
             pass
         return Baseline().run(dive, start)
+
+
+def test_distances_are_written_without_powers_of_ten() -> None:
+    written = [metres(value) for value in (0.0, 4e-5, 0.0123, 0.468, 0.9996, 1.25, 234.4)]
+    assert written == ["0 m", "0.04 mm", "12 mm", "468 mm", "1000 mm", "1.2 m", "234 m"]
