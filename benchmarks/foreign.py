@@ -36,9 +36,8 @@ GROUPS = 12
 LENGTH_S = 300.0
 STARTS = 2
 PRESET = "tactical"
-DVL_SD_MPS = (
-    0.006  # as a simulated DVL errs; the preset's is too large for the baseline to be judged by
-)
+# As a simulated DVL errs; the preset's is too large for the baseline to be judged by.
+DVL_SD_MPS = 0.006
 TRUTH = "FOREIGN_TRUTH"  # names the file with the exact motion
 FACTOR = 2.0
 NAME = "twice"

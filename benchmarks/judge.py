@@ -407,10 +407,9 @@ def main() -> None:
         "--print", action="store_true", help="print only, and leave the page as it is"
     )
     given = parser.parse_args()
+    # Each process, which has yet to load numpy, has one core.
     for library in ("OPENBLAS", "OMP"):
-        os.environ.setdefault(
-            f"{library}_NUM_THREADS", "1"
-        )  # each process, which has yet to load numpy, has one core
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     begun_s = time.monotonic()
     chosen = [
         i for i, world in enumerate(WORLDS) if any(part in world.name for part in given.worlds)

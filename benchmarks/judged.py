@@ -20,9 +20,9 @@ from insdvl_replay.core.tables import EvidenceRow, finite
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.evaluation.answers import (
     CandidateAnswer,
-    levels_of,
-    pooled_candidate,
-    primary_of,
+    CandidateOnDive,
+    answer_over_dives,
+    answers_together,
 )
 from insdvl_replay.evaluation.interval import (
     LEVEL,
@@ -131,15 +131,12 @@ class Record:
 
     word: str
     rows: tuple[EvidenceRow, ...]
-    is_evaluated: bool
     reason: str = ""
     vehicle: str = ""
     nis_per_dof: float = math.nan
 
 
-REFUSED: Final = Record(
-    Verdict.NOT_EVALUATED, (), is_evaluated=False, reason="the log was refused"
-)
+REFUSED: Final = Record(Verdict.NOT_EVALUATED, (), reason="the log was refused")
 """A log that is refused is as good as a dive that is not evaluated."""
 
 
@@ -149,7 +146,6 @@ def record_of(replay: Replay, candidate: str) -> Record:
     return Record(
         word=str(found.verdict),
         rows=tuple(row for row in replay.tables.evidence if row.filter == candidate),
-        is_evaluated=found.verdict != Verdict.NOT_EVALUATED,
         reason=found.reason,
         vehicle=replay.config.vehicle.name,
         nis_per_dof=_nis_per_dof(replay),
@@ -178,33 +174,24 @@ def verdicts_over(
     primary : str
         The quantity that the settings name; empty where the tool chooses.
     """
-    alone = [_answer(baseline, name, of_dives, primary) for name, of_dives in records.items()]
-    levels = levels_of(alone, named)
-    found = {}
-    for answer in alone:
-        name = answer.filter
-        level = levels[answer.filter]
-        is_shared = level != LEVEL
-        found[name] = (
-            _answer(baseline, name, records[name], primary, level) if is_shared else answer
-        )
-    return {name: str(answer.verdict) for name, answer in found.items()}
+
+    def answer_at(candidate: str, level: float) -> CandidateAnswer:
+        dives = [_on_dive(record, baseline) for record in records[candidate]]
+        return answer_over_dives(candidate, dives, primary=primary, level=level)
+
+    answers = answers_together(records, answer_at, named)
+    return {name: str(answer.verdict) for name, answer in answers.items()}
 
 
-def _answer(
-    baseline: str, candidate: str, records: Sequence[Record], primary: str, level: float = LEVEL
-) -> CandidateAnswer:
-    judged = [record for record in records if record.is_evaluated]
-    rows = [record.rows for record in judged]
-    return pooled_candidate(
-        candidate,
-        baseline,
-        rows,
-        len(records),
-        reasons=[record.reason for record in records],
-        primary=primary_of(rows, primary),
-        level=level,
-        vehicles=[record.vehicle for record in judged],
+def _on_dive(record: Record, baseline: str) -> CandidateOnDive:
+    return CandidateOnDive(
+        log="",
+        baseline=baseline,
+        vehicle=record.vehicle,
+        verdict=record.word,
+        reason=record.reason,
+        predicted_pct=None,
+        rows=record.rows,
     )
 
 

@@ -50,17 +50,13 @@ from insdvl_replay.show.first_screen import ForestRow, forest, interval_ends
 
 PAGE = PROJECT / "docs" / "benchmark.md"
 PICTURE = PAGE.with_suffix(".svg")
-QUOTING = (
-    PROJECT / "README.md",
-    PROJECT / "docs" / "reproduction.md",
-)  # what is found of the paper's method
+# The pages that quote what is found of the paper's method.
+QUOTING = (PROJECT / "README.md", PROJECT / "docs" / "reproduction.md")
 COMMAND = "make benchmark"
 EXAMPLES = PROJECT / "examples" / "candidates"
 ALL = "all dives"  # of all data sets
-METHODS = {
-    "published": "published",
-    "windowed_fitted": "windowed with fitted noise",
-}  # of the paper, in words
+# The candidates that are the paper's method, in words.
+METHODS = {"published": "published", "windowed_fitted": "windowed with fitted noise"}
 WORDS = tomllib.loads((PROJECT / "benchmarks" / "public" / "words.toml").read_text("utf-8"))
 NUMBERS = [
     "no",
@@ -91,7 +87,7 @@ HEADER = (
 )
 BEST_FIRST = [*Verdict]
 TOO_FEW = (Undecided.ONE_DIVE, Undecided.FEW_DIVES)
-# of the picture and above each plot, in pixels
+# Pixels: of the picture, and above each plot.
 WIDTH = 860
 ABOVE = 30
 JOBS = 2

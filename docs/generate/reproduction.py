@@ -6,6 +6,7 @@ FOLDER holds the eight dives of the AUV Snapir, which are not published. Without
 them stay as they are, and all others are written. A test holds the page equal to what this writes.
 """
 
+import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -293,9 +294,9 @@ def noise(sea: AtSea) -> str:
 def _of_eight(name: str, row: PooledRow) -> tuple[str, ...]:
     ratio = f"{finite(row.ratio):.3g}"
     p = "-"
-    if row.low is not None and row.high is not None and row.p is not None:
-        ratio += f" [{row.low:.3g}, {row.high:.3g}]"
-        p = f"{row.p:.2g}"
+    if math.isfinite(finite(row.p)):
+        ratio += f" [{finite(row.low):.3g}, {finite(row.high):.3g}]"
+        p = f"{finite(row.p):.2g}"
     return name, label(row.quantity), ratio, f"{row.dives_won} of {row.dives}", p, row.verdict
 
 

@@ -11,7 +11,7 @@ WIDTH = 720
 HEIGHT = 236
 ROW = 34
 TOP = 40
-# of the axis, and where texts begin
+# Ends of the axis, and where texts begin.
 LEFT = 190
 RIGHT = 520
 TEXT = 540

@@ -52,7 +52,7 @@ from insdvl_replay.core.path_kinds import looks_like_log, require_kind_of_toml
 S = TypeVar("S", bound=Struct)
 
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
-# whose filters a fitted noise belongs to; those of the other classes are the same
+# The preset whose filters are used with a fitted noise; those of the other classes are the same.
 FITTED_LIKE: Final = "fog"
 FOUND: Final = "found"  # the table of a file of found settings that sets nothing
 SECTIONS: Final = frozenset(ConfigFile.__struct_fields__)

@@ -206,13 +206,9 @@ def counted_clause(count: int, clause: str) -> str:
         return f"{count} {clause}"
     end = re.search("[:;]|$", clause).start()  # type: ignore[union-attr]
     first, *words = clause[:end].split(" ")
-    first = (
-        f"{first[:-3]}y"
-        if first.endswith("ies")
-        else first.removesuffix("s")
-        if first[-1:] == "s"
-        else first
-    )
+    if first.endswith("ies"):
+        first = f"{first[:-3]}y"
+    first = first.removesuffix("s")
     return f"1 {' '.join([first, *(_SINGULAR.get(word, word) for word in words)])}{clause[end:]}"
 
 
@@ -247,13 +243,12 @@ def read_text(path: Path) -> str:
 
 def read_regular(path: Path, most_bytes: int) -> bytes:
     """Read a file that others name. An OSError where it cannot be read, is no regular file, or has more bytes."""
-    with os.fdopen(
-        os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb"
-    ) as file:  # a named pipe is not waited for
+    # A named pipe is not waited for.
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
         state = os.fstat(file.fileno())
         if not stat.S_ISREG(state.st_mode):
             raise OSError(errno.EINVAL, "it is no regular file", str(path))
-        # Python takes the memory before it reads
+        # Python takes the memory before it reads.
         data = file.read(min(state.st_size, most_bytes) + 1)
     if len(data) > most_bytes:
         raise OSError(errno.EFBIG, f"it has more than {most_bytes >> 20} MiB", str(path))

@@ -32,9 +32,8 @@ class Innovations:
     reopened: Mask
     # by which R is larger at the end than configured; 1 but for adaptive noise
     noise_factor: float = 1.0
-    holds_height: bool = (
-        False  # it measures the velocity down, see `nav.earth_model.GravityHeight`
-    )
+    # it measures the velocity down, see `nav.earth_model.GravityHeight`
+    holds_height: bool = False
 
     @property
     def dof(self) -> int:

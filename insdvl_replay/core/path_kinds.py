@@ -56,7 +56,7 @@ def result_hint(folder: Path) -> str:
     """Return the hint for a result where a log is expected."""
     return (
         f"name the log that was replayed. To see the result: {folder / PAGES[0]}. To compare results: "
-        + (f"`insdvl-replay compare OLD {folder}`")
+        f"`insdvl-replay compare OLD {folder}`"
     )
 
 

@@ -69,9 +69,8 @@ def is_whole(measurement: str) -> bool:
 # How the four beams of a ping agree: noise that is measured without a filter.
 PARITY: Final = "parity"
 _BEAM: Final = "beam_"
-HELD_OUT: Final = (
-    "held_out_"  # So begins the name of a sensor of whose readings no filter is told.
-)
+# So begins the name of a sensor of whose readings no filter is told.
+HELD_OUT: Final = "held_out_"
 
 
 # So ends the code of the note, behind a sensor's name, that its readings are the reference's own.

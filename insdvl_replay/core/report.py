@@ -186,9 +186,8 @@ def _code_file(word: str) -> CodeFile:
     """Return the file of a program, or of the module of a class."""
     module, is_class, _ = word.partition(":")
     file = getattr(sys.modules.get(module), "__file__", None) or shutil.which(word) or word
-    if (
-        is_class and "/" not in word and module not in sys.modules
-    ):  # a class is imported by a process of its own
+    # A class is imported by a process of its own.
+    if is_class and "/" not in word and module not in sys.modules:
         try:
             file = getattr(importlib.util.find_spec(module), "origin", None) or ""
         except Exception:  # of a package that is imported on the way

@@ -242,9 +242,8 @@ def _cache_class() -> Any:
         def load_overload(self: Any, sig: Any, target_context: Any) -> Any:
             try:
                 return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-            except (
-                Exception
-            ):  # a damaged pickle can raise anything; without its index it is written again
+            # A damaged pickle can raise anything; without its index it is written again.
+            except Exception:
                 with suppress(OSError):
                     self.flush()
                 return None

@@ -181,8 +181,6 @@ _CREDIBILITY: Final = (
     *ALL_CREDIBILITY_GROUPS,
     JOINT,
 )
-
-
 _REASON_CODES: Final = [code for code in ReasonCode if code]
 
 

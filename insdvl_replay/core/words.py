@@ -157,9 +157,8 @@ class DelayStatus(StrEnum):
     DETERMINED = "determined"
     # Turns and accelerations have different delays; the larger one is given.
     CONTRADICTORY = "contradictory"
-    LITTLE_MOTION = (
-        "little motion"  # The vehicle moves too little, or the reference is too coarse.
-    )
+    # The vehicle moves too little, or the reference is too coarse.
+    LITTLE_MOTION = "little motion"
     NO_ATTITUDE = "no attitude"  # Without one, turns and accelerations cannot be compared.
     NO_REFERENCE = "no reference"
 

@@ -379,7 +379,7 @@ def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str])
 
 
 def _crowd(panel: Panel) -> float:
-    """Return how many times more paths a panel has than all of whose columns are drawn."""
+    """Return how many times `_FEW` paths a panel has, at least 1; with more, fewer columns are drawn."""
     bands = [curve for curve in panel.curves if curve.band is not None]
     return max((len(panel.curves) + len(bands)) / _FEW, 1.0)
 

@@ -26,13 +26,11 @@ class Solution:
     position: Floats | None = None  # (k, 3), latitude rad, longitude rad, height m
     velocity_n: Floats | None = None  # (k, 3), m/s
     mat_nb: Floats | None = None  # (k, 3, 3)
-    # (c, 9, 9), covariance of the errors of velocity, attitude (misalignment in n) and position (m, in n), SI; NaN for
-    # those that are not known
+    # (c, 9, 9), covariance of velocity, misalignment and position errors, in n, SI; NaN: unknown
     cov: Floats | None = None
     cov_ns: TimeNs | None = None  # (c,), its times, if they are not those of the rows
-    innovation_b: Floats | None = (
-        None  # (k, 3), predicted minus measured velocity; NaN without one
-    )
+    # (k, 3), predicted minus measured velocity of the DVL; NaN where there is none
+    innovation_b: Floats | None = None
     innovation_cov: Floats | None = None  # (k, 3, 3), their covariance S
 
 

@@ -122,7 +122,7 @@ def _has_velocity_rows(report: Report) -> bool:
 
 
 def verdict_in_table(row: PooledRow) -> str:
-    """Return the word of a row, in brackets if it neither decides nor warns; a dash on one dive, which has none."""
+    """Return the word of a row, in brackets if it neither decides nor warns; empty on one dive, which has none."""
     if row.dives <= 1:
         return ""
     if row.role == Role.SHOWN and row.verdict:
@@ -324,9 +324,9 @@ def against_control(reports: Sequence[Report], name: str) -> CandidateAnswer | N
     It stands in for that against a baseline whose noise is far off. Both filters have an error against the same
     baseline, so their ratio is that of their own values.
     """
-    reports, _ = distinct_dives(reports)
     if name == CONTROL:
         return None
+    reports, _ = distinct_dives(reports)
     having = []
     for report in reports:
         if name in report.filters and CONTROL in report.filters and has_misfit(report):

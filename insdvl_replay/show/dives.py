@@ -304,7 +304,7 @@ def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:
 
 
 def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
-    """Yield the pooled verdicts, and the number of dives with each verdict."""
+    """Yield the title, which dives are copies, and the pooled verdicts."""
     reports = reports_of(outcomes)
     answers = answers_of(reports)
     yield Title(_title(outcomes, reports))

@@ -521,10 +521,9 @@ def _shown_dives(
     for (dive, _), row in found.items():
         largest[dive] = max(largest.get(dive, 0.0), finite(row.ratio))
     worst = sorted(largest, key=lambda dive: -largest[dive])[:WORST]
-    failed = [dive for dive, outcome in dives.items() if isinstance(outcome, Failure)][
-        :MOST_FAILED
-    ]
-    kept = {dive: outcome for dive, outcome in dives.items() if dive in (*failed, *worst)}
+    failed = [dive for dive, outcome in dives.items() if isinstance(outcome, Failure)]
+    chosen = {*failed[:MOST_FAILED], *worst}
+    kept = {dive: outcome for dive, outcome in dives.items() if dive in chosen}
     left_out = len(outcomes) - len(kept)
     return kept, f"failed dives and the {WORST} largest ratios; {left_out} more are on the page"
 

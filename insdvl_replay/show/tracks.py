@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TUM: Final = "tum"
-# of a degree, which is 0.1 mm, and of a metre
+# Decimals of a degree, the last of which is 0.1 mm, and of a metre.
 _DIGITS = 9
 _HEIGHT_DIGITS = 3
 

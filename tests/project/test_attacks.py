@@ -40,9 +40,8 @@ def test_damaged_logs_end_in_a_sentence_or_in_tables_that_say_what_is_lost() -> 
     assert found.returncode == 0, found.stdout + found.stderr
     assert sum(row("mutants", found.stdout)) == MUTANTS
     assert all(number > 10 for number in row("runs", found.stdout))
-    assert (
-        sum(row("differs, noted", found.stdout)) > 10
-    )  # the sample reaches tables, not only refusals
+    # The sample reaches tables, not only refusals.
+    assert sum(row("differs, noted", found.stdout)) > 10
 
 
 def ended(code: int, said: str = "", peak_mb: float = 300.0) -> victim.Ended:

@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -166,7 +167,7 @@ def record(
         reference_noise=0.0,
         role=Role.PRIMARY,
     )
-    return Record("undecided", (row,), is_evaluated=True, vehicle=vehicle)
+    return Record("undecided", (row,), vehicle=vehicle)
 
 
 def test_the_word_on_log_ratios_is_that_of_the_interval_of_the_tool() -> None:
@@ -186,6 +187,13 @@ def test_a_verdict_over_dives_needs_three_and_half_of_them() -> None:
     assert verdict_over("aided", "baseline", dives[:2]) == "undecided"
     assert verdict_over("aided", "baseline", [*dives, REFUSED, REFUSED]) == "better"
     assert verdict_over("aided", "baseline", [*dives, *[REFUSED] * 3]) == "not evaluated"
+
+
+def test_dives_on_which_a_filter_does_not_repeat_are_no_evidence() -> None:
+    dives = [record(ratio) for ratio in (0.79, 0.80, 0.81)]
+    not_repeated = [replace(dive, word=Verdict.NOT_REPEATABLE) for dive in dives]
+    assert verdict_over("aided", "baseline", not_repeated) == "not repeatable"
+    assert verdict_over("aided", "baseline", [*dives, *not_repeated[:2]]) == "better"
 
 
 def test_a_copy_has_no_effect() -> None:

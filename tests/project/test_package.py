@@ -45,9 +45,8 @@ def test_wheel_holds_types_presets_and_message_definitions(tmp_path: Path) -> No
     (described,) = (name for name in names if name.endswith("/METADATA"))
     text = zipfile.ZipFile(wheel).read(described).decode()
     assert "# insdvl-replay" in text
-    assert not re.findall(
-        r"\]\((?![a-z]+:|#)", text
-    )  # no link of the README leads to a file that an index lacks
+    # No link of the README leads to a file that an index lacks.
+    assert not re.findall(r"\]\((?![a-z]+:|#)", text)
 
 
 def test_links_of_the_readme_lead_to_the_repository_from_an_index() -> None:

@@ -56,6 +56,5 @@ def test_readme_shows_what_the_program_makes_of_a_foreign_vehicle(ros1: readme.P
     arm = re.search(r"^lever_arm_m = \[(.+)\]$", readme.README.read_text("utf-8"), re.MULTILINE)
     assert arm
     found = np.array(arm[1].split(","), dtype=float)
-    np.testing.assert_allclose(
-        found, [0.3, -0.5, 0.68], atol=0.0145
-    )  # its launch file has x forward, y port, z up
+    # Its launch file has x forward, y port, z up.
+    np.testing.assert_allclose(found, [0.3, -0.5, 0.68], atol=0.0145)

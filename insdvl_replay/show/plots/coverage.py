@@ -14,6 +14,9 @@ from insdvl_replay.preparation.replay import Replay
 _COLUMNS = 300
 _HEIGHT = 20
 _TICKS = 5
+# Pixels from the strips to the feet of the times, and of the label of their axis.
+_TICK_DOWN = 12
+_LABEL_DOWN = 28
 _RIGHTMOST: Final = 97.0  # Labels from here on end at their place, in percent of the width.
 _FEWEST_BEAMS: Final = 3  # With fewer valid beams a ping has no velocity.
 _MISSING: Final = 2.5  # A gap is longer than this many usual steps.
@@ -46,13 +49,12 @@ def _ticks(clock: Clock) -> str:
     """Write the times below the strips, and the label of their axis at the right, below them."""
     texts = []
     for across, label in Axis(*clock.limits, 0.0, 100.0).ticks(_TICKS):
-        texts.append(_tick(across, label))
-    texts.append(_tick(100.0, clock.label))
+        texts.append(_text(across, _TICK_DOWN, label))
+    texts.append(_text(100.0, _LABEL_DOWN, clock.label))
     return "".join(texts)
 
 
-def _tick(across: float, label: str) -> str:
-    down = 28 if across == 100.0 else 12
+def _text(across: float, down: int, label: str) -> str:
     anchor = "end" if across > _RIGHTMOST else "middle"
     return f'<text class="tick" x="{across:.1f}%" y="{down}" text-anchor="{anchor}">{label}</text>'
 

@@ -16,9 +16,8 @@ from insdvl_replay.preparation.replay import Replay
 TURNS_DEGPS = 1.5
 OVER_S = 10.0
 SILENT: Final = 3.0  # A gap of the DVL is longer than this many usual steps.
-MOST: Final = (
-    40  # With more stretches of a kind, none is shaded, since they would hide the curves.
-)
+# With more stretches of a kind, none is shaded, since they would hide the curves.
+MOST: Final = 40
 
 
 def shades_of(replay: Replay) -> tuple[Shade, ...]:
