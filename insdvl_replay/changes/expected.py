@@ -177,8 +177,8 @@ def _gated_values(report: StoredReport, gates: Sequence[CellGate]) -> dict[str, 
     """Return the gated values with their names, what a comparison needs, and the settings, readable in a review."""
     tables: dict[str, dict[tuple[str, ...], Row]] = {}
     for gate in gates:
-        rows = tables.setdefault(gate.table, {})
         for pair in gate.rows_of(None, report):
+            rows = tables.setdefault(gate.table, {})
             kept = rows.setdefault((pair.filter, pair.row, pair.unit), {})
             needed = ("log", "filter", pair.layout.key, "unit", "dof", "evidence", gate.column)
             for column in needed:

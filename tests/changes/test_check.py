@@ -422,6 +422,18 @@ def test_expected_values_are_the_gated_ones_and_the_settings(team: Path) -> None
     assert len(text.split("\n")) < 120, "its changes can be read in a review"
 
 
+def test_no_empty_table_is_stored_for_a_gate_without_a_row(tmp_path: Path) -> None:
+    write(tmp_path / "dive", content())
+    rowless = (
+        EXPECTED.replace("no state becomes less certain", "has no row")
+        .replace("improvement", "outage")
+        .replace('"sd"', '"drift_rms_m"')
+    )
+    assert check(tmp_path, EXPECTED + rowless, "dive", "--update").returncode == 1
+    stored = json.loads((tmp_path / "expected" / "dive.json").read_text("utf-8"))
+    assert list(stored["tables"]) == ["improvement"]
+
+
 # --- Some gates, some dives, all dives together.
 
 
