@@ -137,8 +137,10 @@ def _paths(given: Paths, name: str = "log") -> list[Path]:
 
 
 def _logs(given: Paths, name: str = "log") -> list[Path]:
-    """Return the paths of logs."""
+    """Return the paths of logs; none is an error."""
     paths = _paths(given, name)
+    if not paths:
+        raise ConfigError(f"{name}: names no dive", "give the path of a log")
     for path in paths:
         if (folder := result_named(path)) is not None and is_result(folder):
             raise ConfigError(f"{path}: is a result, not a log", result_hint(folder))
@@ -249,14 +251,14 @@ def read_results(folder: Text) -> "DiveResults":
 
     found, notes = read_reports(_path("folder", folder), Report)
     reports = [report for _, report in found]
-    content = named_result(reports, [*(layout.name for layout in TABLES), *TOGETHER], ())
-    dives = {
-        os.path.relpath(file.parent, folder): DiveResult(report, file.parent)
-        for file, report in found
-    }
-    return DiveResults(
-        replace(content, document=overview_parts(reports), notes=notes), dives, Path(folder)
-    )
+    names = [layout.name for layout in TABLES]
+    content = named_result(reports, [*names, *TOGETHER], ())
+    content = replace(content, document=overview_parts(reports), notes=notes)
+    dives = {}
+    for file, report in found:
+        place = os.path.relpath(file.parent, folder)
+        dives[place] = DiveResult(report, file.parent)
+    return DiveResults(content, dives, Path(folder))
 
 
 def plan(folder: Text) -> "CommandResult":
@@ -384,8 +386,7 @@ def calibrate(
     settings = _settings(config).load()
     dives = [[FoundDive(path)] for path in _logs(logs, "logs")]
     calibrated = calibrate_logs(dives, settings, asked, failed, allow_damaged=allow_damaged)
-    if calibrated is None:
-        raise ConfigError("logs: names no dive", "give the path of a log")
+    assert calibrated is not None
     found = calibrated.dives
     content = calibration_result(found.found, found.config, figures=calibrated.figures())
     return CommandResult(replace(content, settings=calibrated.settings()))
@@ -418,9 +419,14 @@ def compare(
     from insdvl_replay.changes.comparison_document import comparison_document, comparison_result
 
     found = compare_results(
-        _path("old", old), _path("new", new), tables=tables, columns=columns, dives=dives, filter_pairs=pairs or {},
+        _path("old", old),
+        _path("new", new),
+        tables=tables,
+        columns=columns,
+        dives=dives,
+        filter_pairs=pairs or {},
         tolerance_pct=tolerance_pct,
-    )  # fmt: skip
+    )
     return CommandResult(comparison_result(found, comparison_document(found)))
 
 

@@ -156,6 +156,21 @@ def test_an_argument_of_another_kind_is_named(
     assert refusal.value.hint
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        replay_log,
+        insdvl_replay.inspect,
+        insdvl_replay.propose,
+        insdvl_replay.calibrate,
+        lambda logs: insdvl_replay.compare_settings(logs, FAST, load_config(), "nowhere"),
+    ],
+)
+def test_no_log_is_an_error_of_the_user(call: Callable[[list[Path]], Any]) -> None:
+    with pytest.raises(ConfigError, match="names no dive"):
+        call([])
+
+
 @pytest.mark.parametrize("name", ["transit", "transit/report.json", "vehicle.toml"])
 def test_a_result_or_settings_are_no_log_and_a_log_is_no_result(name: str, folder: Path) -> None:
     for call in (
