@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace as with_values
 
 from insdvl_replay.batch.fitted_noise import with_same_noise
-from insdvl_replay.batch.found import FoundDive
+from insdvl_replay.batch.found import Fetch, FoundDive
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, plan_jobs
 from insdvl_replay.batch.replaying import Replaying
 from insdvl_replay.core.config import Config
@@ -72,7 +72,7 @@ def plan_against(
     options: ReplayOptions,  # before the change
     layers: SettingsLayers,  # likewise
     against: Sequence[str],  # ``section.key=value``, together one change
-    fetch: Callable[[Sequence[FoundDive]], Sequence[FoundDive]],  # remote logs
+    fetch: Fetch,
     how: Replaying,
     *,
     one_dive: bool = False,

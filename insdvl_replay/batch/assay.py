@@ -31,9 +31,8 @@ def _dvl(**changes: Callable[[Dvl], Any]) -> Control:
 
     def control(dive: Dive, config: Config) -> tuple[Dive, Config]:
         values = {key: change(config.dvl) for key, change in changes.items()}
-        return dive, msgspec.structs.replace(
-            config, dvl=msgspec.structs.replace(config.dvl, **values)
-        )
+        dvl = msgspec.structs.replace(config.dvl, **values)
+        return dive, msgspec.structs.replace(config, dvl=dvl)
 
     return control
 
@@ -103,13 +102,13 @@ def assay_of(dive: Dive, config: Config) -> list[AssayRow]:
     alone = {config.baseline: config.filters[config.baseline]}
     evaluation = msgspec.structs.replace(config.evaluation, starts=1, candidate="")
     config = msgspec.structs.replace(config, filters=alone, evaluation=evaluation)
-    before = _errors(replay_dive(dive, config), independent=config.reference.independent)
+    is_independent = config.reference.independent
+    before = _errors(replay_dive(dive, config), independent=is_independent)
     rows = []
     for name, control in CONTROLS.items():
         report_stage(f"assay: {name}")
-        after = _errors(
-            replay_dive(*control(dive, config)), independent=config.reference.independent
-        )
+        faulty = replay_dive(*control(dive, config))
+        after = _errors(faulty, independent=is_independent)
         for quantity, (unit, value, role) in before.items():
             if quantity in after:
                 new = after[quantity][1]

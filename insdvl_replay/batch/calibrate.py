@@ -41,8 +41,8 @@ class CalibratedLogs:
     def notes(self) -> list[tuple[str, Note]]:
         """The notes on the dives that were fitted, each with the name of its dive."""
         notes = []
-        for read, asked in zip(self.dives.kept, self.dives.innovations, strict=True):
-            for note in (*read.dive.notes, *asked.prepared.notes):
+        for read, used in zip(self.dives.kept, self.dives.innovations, strict=True):
+            for note in (*read.dive.notes, *used.prepared.notes):
                 notes.append((read.dive.name, note))
         return notes
 

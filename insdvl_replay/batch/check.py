@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from insdvl_replay.batch.dive_paths import find_dives
-from insdvl_replay.batch.found import FoundDive
+from insdvl_replay.batch.found import Fetch, FoundDive
 from insdvl_replay.batch.jobs import Outcome, ReplayOptions, plan_jobs
-from insdvl_replay.batch.replaying import Replaying
+from insdvl_replay.batch.replaying import Replaying, unheard
 from insdvl_replay.batch.search import outcomes
 from insdvl_replay.changes.expected import require_expected, write_expected
 from insdvl_replay.changes.findings import Checked, CheckResult, Finding
@@ -18,13 +18,10 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.results.folder import COMPLETE
 
-Fetch = Callable[[Sequence[FoundDive]], Sequence[FoundDive]]
+Load = Callable[[Path | None], Config]
+"""Loads settings, with a dive's own file of them if it has one."""
 Changed = tuple[str, Finding]
 """A dive, and a cell of it with the value that was expected before."""
-
-
-def _unheard(_said: object) -> None:
-    """Say nothing."""
 
 
 @dataclass(frozen=True)
@@ -55,18 +52,16 @@ class Listener:
     """Who is told of a check while it goes on; by default nobody."""
 
     # of all dives, before gates are evaluated
-    results: Callable[[Sequence[Checked]], None] = _unheard
+    results: Callable[[Sequence[Checked]], None] = unheard
     # of expected values, before they are stored
-    changes: Callable[[Sequence[Changed]], None] = _unheard
-    stored: Callable[[Path], None] = _unheard  # a file of expected values
+    changes: Callable[[Sequence[Changed]], None] = unheard
+    stored: Callable[[Path], None] = unheard  # a file of expected values
 
 
 def plan_check(
     gates: Gates,
     names: Sequence[str],  # of the dives; without any those that the gate file names
-    load: Callable[
-        [Path | None], Config
-    ],  # settings, with a dive's own file of them if it has one
+    load: Load,
     *,
     part: Part = Part(),
     allow_damaged: bool = False,
@@ -99,7 +94,7 @@ def checked_dives(
     check: Check,
     output: Path,  # of the replays
     how: Replaying,
-    fetch: Fetch,  # of remote logs
+    fetch: Fetch,
     listener: Listener = Listener(),
     *,
     update: bool = False,  # store what is found as expected, before the gates are evaluated
@@ -129,7 +124,9 @@ def _results_of(check: Check, output: Path, how: Replaying, fetch: Fetch) -> lis
     logs = [dive for dive in dives if not _is_result(dive)]
     jobs = plan_jobs(logs, output, check.options, check.configs)
     if len(logs) == len(dives):  # stored results may have other filters
-        names = dict.fromkeys(name for job in jobs for name in job.options.config.filters)
+        names = dict[str, None]()
+        for job in jobs:
+            names.update(dict.fromkeys(job.options.config.filters))
         require_known_filters(check.gates, list(names))
     checked: list[Checked] = []
     with closing(outcomes(jobs, how)) as replays:

@@ -21,6 +21,8 @@ BAG_METADATA: Final = "metadata.yaml"
 """The file by which a bag is known. Names do not show it: dives of an archive are numbered like the parts of a bag."""
 
 _LONGEST_LINE: Final = 4096  # letters of a path
+# Raised of a path that is too long, has a NUL in it, or has links in a circle.
+_UNUSABLE_PATH: Final = (OSError, ValueError, RuntimeError)
 _NUMBER: Final = re.compile(r"[+-]?\d+\.?\d*([eE][+-]?\d+)?")
 # What a line looks like that names a log or a folder: a URL, a path with a slash, or one word.
 _PATHS: Final = tuple(
@@ -80,11 +82,7 @@ def find_dives(
                 if (first.settings, first.sha256) != (dive.settings, dive.sha256):
                     text = f"{dive.url or dive.path}: is listed twice, with different settings or digests"
                     raise ConfigError(text, "leave one of them out")
-        except (
-            OSError,
-            ValueError,
-            RuntimeError,
-        ) as error:  # too long, NUL in it, links in a circle
+        except _UNUSABLE_PATH as error:
             reason = getattr(error, "strerror", None) or error
             raise ConfigError(
                 f"{name}: is not a usable path: {reason}", "check the path"

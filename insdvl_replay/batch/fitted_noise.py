@@ -100,12 +100,11 @@ def _with_new_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:
     if not found.notes:
         return list(jobs)
     notes = (*options.found, *found.notes)
-    return [
-        replace(
-            job, options=replace(job.options, config=found.config, found=notes, vehicle=found.text)
-        )
-        for job in jobs
-    ]
+    fitted = list[ReplayJob]()
+    for job in jobs:
+        own = replace(job.options, config=found.config, found=notes, vehicle=found.text)
+        fitted.append(replace(job, options=own))
+    return fitted
 
 
 def _with_known_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:

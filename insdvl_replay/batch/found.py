@@ -1,5 +1,6 @@
 """A dive that is meant: a path or a URL, and what is known of it before it is read."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
@@ -22,10 +23,14 @@ class FoundDive:
     @property
     def name_giver(self) -> Path:
         """The path after which the dive is named: of a remote log, host and path of its URL."""
+        if not self.url:
+            return self.path
         place = shown_url(self.url).partition("://")[2].removesuffix("?...")
-        if self.url:
-            return Path("/", *place.split("/"))
-        return self.path
+        return Path("/", *place.split("/"))
+
+
+Fetch = Callable[[Sequence[FoundDive]], Sequence[FoundDive]]
+"""Fetches the remote logs among dives; each dive that cannot be had gets its error."""
 
 
 def dive_of_url(url: str, sha256: str = "", settings: Path | None = None) -> FoundDive:

@@ -60,14 +60,12 @@ def replay_with_tuned_baseline(
 ) -> Replay:
     """Replay the dive in a log, with the tuned baseline beside the configured filters."""
     dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
-    config, notes = with_tuned_baseline(dive, config)
-    replay = replay_dive(
-        replace(dive, name=name or dive.name, notes=(*dive.notes, *notes)), config
-    )
+    config, found = with_tuned_baseline(dive, config)
+    dive = replace(dive, name=name or dive.name, notes=(*dive.notes, *found))
+    replay = replay_dive(dive, config)
     # The control stands beside it now: nothing has to point at it.
-    return replace(
-        replay, notes=tuple(note for note in replay.notes if note.code != NOISE_FAR_OFF)
-    )
+    notes = tuple(note for note in replay.notes if note.code != NOISE_FAR_OFF)
+    return replace(replay, notes=notes)
 
 
 def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:

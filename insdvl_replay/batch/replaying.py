@@ -19,7 +19,7 @@ def silently(_work: str) -> Iterator[Paused]:
     yield nullcontext
 
 
-def _unheard(_said: object) -> None:
+def unheard(_said: object) -> None:
     """Say nothing."""
 
 
@@ -34,5 +34,5 @@ class Replaying:
     rerun: bool = False  # replay also what is up to date
     work: Callable[[ReplayJob], bytes] | None = None  # what replays a dive, if it is not stored
     working: Working = silently
-    report_note: Callable[[Note], None] = _unheard  # of results that are replaced
-    say: Callable[[str], None] = _unheard  # a line on settings that may not fit
+    report_note: Callable[[Note], None] = unheard  # of results that are replaced
+    say: Callable[[str], None] = unheard  # a line on settings that may not fit

@@ -98,9 +98,9 @@ def _with_assay(job: ReplayJob, replay: "Replay") -> "Replay":
     dive = read_checked_dive(
         job.logs, job.config, allow_damaged=allow_damaged, name=job.target.name
     )
-    return replace(
-        replay, tables=msgspec.structs.replace(replay.tables, assay=assay_of(dive, job.config))
-    )
+    rows = assay_of(dive, job.config)
+    tables = msgspec.structs.replace(replay.tables, assay=rows)
+    return replace(replay, tables=tables)
 
 
 def replayed(job: ReplayJob, name: str | None) -> "Replay":

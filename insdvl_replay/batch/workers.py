@@ -258,9 +258,8 @@ def _do(work: Callable[[Item], Result], item: Item) -> Result:
     except SystemExit:
         os._exit(1)
     except Exception as error:
-        if is_out_of_memory(error) and not isinstance(
-            error, MemoryError
-        ):  # the limit is known here
+        # Only this process knows its limit of memory.
+        if is_out_of_memory(error) and not isinstance(error, MemoryError):
             raise MemoryError(str(error)) from error
         raise
 

@@ -288,9 +288,9 @@ def find_violation(comparison: Comparison, limit: float | str | None) -> str | N
     """Return what is worse than allowed; None if nothing is.
 
     For ``worse`` these are the sentences of the filters whose answer is worse or partly worse, and missing dives. For
-    ``undecided`` those of filters without a decision count, too. For a
-    number they are the values that are worse by more, in percent or points. A worse verdict, a number that was lost or
-    grew from zero, and a missing row or dive exceed every number.
+    ``undecided`` those of filters without a decision count, too. For a number they are the values that are worse by
+    more, in percent or points. A worse verdict, a number that was lost or grew from zero, and a missing row or dive
+    exceed every number.
     """
     if limit is None:
         return None

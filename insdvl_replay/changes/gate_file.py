@@ -5,7 +5,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 from msgspec import Meta, Struct
 from msgspec.structs import replace
@@ -26,10 +26,6 @@ from insdvl_replay.core.report import StoredReport
 from insdvl_replay.core.states import COLUMNS, GROUPS
 from insdvl_replay.core.tables import ANSWERS, CANDIDATES, TABLES, PooledRow, layout_of
 from insdvl_replay.core.words import GateLevel
-
-if TYPE_CHECKING:
-    # Trajectories need numpy, and a check of tables alone must not wait for it.
-    pass
 
 ANY: Final = "*"  # every filter or row
 LOG: Final = "{log}"  # in the path of expected values, the dive's name

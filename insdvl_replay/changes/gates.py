@@ -165,11 +165,16 @@ def _outcomes_of_dive(gates: Gates, dive: Checked) -> list[GateOutcome]:
     for gate in gates.gates:
         if gate.table not in OVER_DIVES and gate.applies_to(dive.name):
             outcomes.append(_outcome(gates, gate, dive))
-    missed = [item for item in outcomes if item.status in _MISSED]
-    if not missed or not isinstance(dive.result, StoredReport):
+    is_missed = any(item.status in _MISSED for item in outcomes)
+    if not is_missed or not isinstance(dive.result, StoredReport):
         return outcomes
     causes = known_causes(gates, dive.name, dive.result)
-    return [replace(item, causes=causes) if item in missed else item for item in outcomes]
+    explained = list[GateOutcome]()
+    for item in outcomes:
+        if item.status in _MISSED:
+            item = replace(item, causes=causes)
+        explained.append(item)
+    return explained
 
 
 def _with_share(

@@ -473,8 +473,13 @@ def montecarlo(
         return
     _keep(
         lambda: study_montecarlo(scenario, resolved, runs=runs, jobs=jobs, **asked)[0],
-        f"simulating {scenario}", output / f"montecarlo-{scenario}", format_, verbose, force=force, png=png,
-    )  # fmt: skip
+        f"simulating {scenario}",
+        output / f"montecarlo-{scenario}",
+        format_,
+        verbose,
+        force=force,
+        png=png,
+    )
 
 
 @study.command(cls=opt.PlainCommand)
@@ -515,15 +520,14 @@ def window(
     """
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings
     from insdvl_replay.cli.screen import fetch_with_progress
-    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.core.settings_layers import SettingsLayers
     from insdvl_replay.studies.window import LEFT_OUT, study_window
 
     found = find_dives(logs)
     own = shared_settings(found, "study window")
     given = [*settings, *opt.span_settings(start, end)]
-    resolved = load_config(
-        preset, opt.settings_files(own, config), given, allow_code=True
-    ).without_code()
+    layers = SettingsLayers(preset, config, given, allow_code=True)
+    resolved = layers.load(own).without_code()
     found = fetch_with_progress(found, offline=offline)
     codes = [log_failure(dive.error, verbose) for dive in found if dive.error is not None]
     dives = [dive.path for dive in found if dive.error is None]
@@ -531,8 +535,13 @@ def window(
         return max(codes)
     report = _keep(
         lambda: study_window(dives, resolved, longest, jobs=jobs),
-        "comparing accelerations", output / "window", format_, verbose, force=force, png=png,
-    )  # fmt: skip
+        "comparing accelerations",
+        output / "window",
+        format_,
+        verbose,
+        force=force,
+        png=png,
+    )
     left_out = [note.text for note in report.notes if note.code == LEFT_OUT]
     if left_out:
         log_to_stderr(
@@ -581,8 +590,13 @@ def observability(
     target = output / f"observability-{dive_name(Path(dive))}"
     _keep(
         lambda: study_observability(dive, resolved, earth_rate=not no_earth_rate),
-        "stacking the measurements", target, format_, verbose, force=force, png=png,
-    )  # fmt: skip
+        "stacking the measurements",
+        target,
+        format_,
+        verbose,
+        force=force,
+        png=png,
+    )
 
 
 def _keep(

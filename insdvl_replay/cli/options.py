@@ -237,13 +237,6 @@ def span_settings(start: float | None, end: float | None, starts: int | None = N
     return [f"{key}={value!r}" for key, value in given.items() if value is not None]
 
 
-def settings_files(own: Path | None, given: list[Path]) -> list[Path]:
-    """Return the settings of a dive by its manifest, and those of ``-c``, which override them."""
-    if own is None:
-        return given
-    return [own, *given]
-
-
 def outage_spans(texts: list[str]) -> list[tuple[float, float]]:
     """Parse the values of ``--outage``."""
     spans = []

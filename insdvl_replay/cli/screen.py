@@ -76,14 +76,23 @@ def printed(content: RenderableType) -> str:
 Plan = Mapping[str, float]
 """Stages of a work in their order, with the share of the work that is done when each begins."""
 REPLAY: Final[Plan] = {
-    "reading the log": 0.0, "running the filters": 0.1, "DVL outage test": 0.13,
-    "running the filters from random starts": 0.16, "judging the filters": 0.6, "writing the results": 0.85,
+    "reading the log": 0.0,
+    "running the filters": 0.1,
+    "DVL outage test": 0.13,
+    "running the filters from random starts": 0.16,
+    "judging the filters": 0.6,
+    "writing the results": 0.85,
     "drawing the report": 0.92,
-}  # fmt: skip
+}
 CALIBRATION: Final[Plan] = {
-    "reading": 0.0, "trying mountings": 0.05, "trying mountings with arm and delay": 0.1, "searching the delay": 0.15,
-    "fitting the innovations": 0.25, "fitting the reference": 0.7, "testing on held-out dives": 0.9,
-}  # fmt: skip
+    "reading": 0.0,
+    "trying mountings": 0.05,
+    "trying mountings with arm and delay": 0.1,
+    "searching the delay": 0.15,
+    "fitting the innovations": 0.25,
+    "fitting the reference": 0.7,
+    "testing on held-out dives": 0.9,
+}
 COUNTED: Final = {
     "dive": "{text} {number} of {total} dives",
     "run": "{text}, run {number} of {total}",
@@ -99,13 +108,11 @@ class Meter:
     def __init__(
         self, text: str, plan: Plan, remark: str = "", clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._text, self._plan, self._remark, self._clock, self._start_s = (
-            text,
-            plan,
-            remark,
-            clock,
-            clock(),
-        )
+        self._text = text
+        self._plan = plan
+        self._remark = remark
+        self._clock = clock
+        self._start_s = clock()
         self._head = text
         self._stage = ""
         self._done = 0

@@ -429,7 +429,6 @@ def figure(
       insdvl-replay figure replay/dive error
       insdvl-replay figure replay/dive sigma --states ba,bg --width 180mm --format svg -o biases.svg
     """
-    from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.core.report import StoredReport
     from insdvl_replay.document.paper import drawn
     from insdvl_replay.results.folder import REPLAY_LOG, TRAJECTORY_FILE, result_file

@@ -38,7 +38,7 @@ def read_results(root: Path) -> tuple[list[StoredResult], list[Note]]:
 def read_one_result(root: Path, kind: type[_Kind]) -> tuple[Path, _Kind]:
     """Read the one result in a place, and return its folder and report; several are a ConfigError.
 
-    As `result.Report` those of this version alone can be read, as `StoredReport` all.
+    As `Report` those of this version alone can be read, as `StoredReport` all.
     """
     ((file, report), *others), _ = read_reports(root, kind)
     if others:

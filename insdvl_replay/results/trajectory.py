@@ -22,7 +22,6 @@ from insdvl_replay.results.folder import read_file
 
 if TYPE_CHECKING:
     # Only their types are needed: who reads a trajectory must not wait for the filters.
-
     from insdvl_replay.core.history import History
     from insdvl_replay.evaluation.convergence import ConvergenceCurves
     from insdvl_replay.evaluation.reference_errors import ReferenceErrors
