@@ -64,9 +64,8 @@ DRIFTS: Final = ("drift_30s", "drift_60s", "drift_100m")
 # Quantities that a wrong heading changes only to second order.
 HEADING_FREE: Final = ("velocity_along", "depth_60s")
 SETTLED: Final = 1.2  # A sigma has settled once it stays below this many times the last one.
-MOST_LEFT_OUT: Final = (
-    0.5  # share of a dive, at most, that is left out until the sigma has settled
-)
+# Share of a dive, at most, that is left out until the sigma has settled.
+MOST_LEFT_OUT: Final = 0.5
 # Squared errors of the baseline beyond the noise of the reference count for at least this share of all.
 LEAST_OWN_SHARE: Final = 0.1
 FEWEST_WINDOWS: Final = 2  # of an outage row that may decide

@@ -444,7 +444,7 @@ def _coverage_notes(
         joined = f"{', '.join(others)} and {last}" if others else last
         text = (
             f"{joined} of the {source} cover {percent} % of the replay; errors "
-            f"against them are from this part only"
+            "against them are from this part only"
         )
         count = min(int(np.sum(known[quantity] & inside)) for quantity in quantities)
         hint = "choose this part with --start and --end"

@@ -15,7 +15,7 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import label
-from insdvl_replay.core.tables import share_text
+from insdvl_replay.core.tables import share_text, two_digits
 from insdvl_replay.evaluation.answers import PROVED
 from insdvl_replay.evaluation.evaluate import accuracy_series, track_series
 from insdvl_replay.evaluation.evidence import ErrorSeries, ReferenceNoise, compared, settling_times
@@ -74,13 +74,8 @@ class Repeat:
 def metres(value: float) -> str:
     """Write a distance, a small one in mm."""
     if value >= 1.0 or value == 0.0:
-        return f"{_two_digits(value)} m"
-    return f"{_two_digits(1000.0 * value)} mm"
-
-
-def _two_digits(value: float) -> str:
-    """Write two digits, and whole numbers from 100 on, which need no power of ten."""
-    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
+        return f"{two_digits(value)} m"
+    return f"{two_digits(1000.0 * value)} mm"
 
 
 def apart_m(first: History, second: History) -> float:

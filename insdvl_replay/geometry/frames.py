@@ -22,10 +22,8 @@ def north_east_m(position: Floats, origin: Floats, touching: Floats) -> tuple[Fl
     Positions are latitude rad, longitude rad, height m, shape (..., 3). Where the height of ``touching`` is not finite,
     that of the ellipsoid counts.
     """
-    latitude, longitude = (
-        position[..., 0] - origin[..., 0],
-        wrap_angle(position[..., 1] - origin[..., 1]),
-    )
+    latitude = position[..., 0] - origin[..., 0]
+    longitude = wrap_angle(position[..., 1] - origin[..., 1])
     radius_north_m, radius_east_m, cosine = _radii_m(touching)
     return latitude * radius_north_m, longitude * radius_east_m * cosine
 
@@ -50,13 +48,15 @@ def east_north_up_m(position: Floats, origin: Floats) -> Floats:
 def moved_position(position: Floats, moved_n: Floats) -> Floats:
     """Move positions by short ways north, east, down, m: the inverse of `north_east_down_m`."""
     radius_north_m, radius_east_m, cosine = _radii_m(position)
-    north, east = moved_n[..., 0] / radius_north_m, moved_n[..., 1] / (radius_east_m * cosine)
+    north = moved_n[..., 0] / radius_north_m
+    east = moved_n[..., 1] / (radius_east_m * cosine)
     return position + np.stack([north, east, -moved_n[..., 2]], axis=-1)
 
 
 def _radii_m(position: Floats) -> tuple[Floats, Floats, Floats]:
     """Return R_N + h, R_E + h and the cosine of the latitude."""
-    latitude, height_m = position[..., 0], position[..., 2]
+    latitude = position[..., 0]
+    height_m = position[..., 2]
     level_m = np.where(np.isfinite(height_m), height_m, 0.0)
     return (
         meridian_radius_m(latitude) + level_m,
@@ -106,7 +106,8 @@ def beam_vectors(tilt_deg: float = TILT_DEG, azimuth_deg: Sequence[float] = AZIM
 
     Levy and Klein print vectors of rank 2 that are not of unit length; see docs/equations/beams.md.
     """
-    tilt, azimuth = tilt_deg * DEG, np.array(azimuth_deg) * DEG
+    tilt = tilt_deg * DEG
+    azimuth = np.array(azimuth_deg) * DEG
     down = np.full_like(azimuth, np.cos(tilt))
     return np.column_stack([np.cos(azimuth) * np.sin(tilt), np.sin(azimuth) * np.sin(tilt), down])
 
@@ -132,11 +133,9 @@ def solve_beams(
     solvable = np.linalg.cond(normal) < 1e8
     shape_of = np.full_like(normal, np.nan)
     shape_of[solvable] = np.linalg.inv(normal[solvable])
-    unit_cov_d, weight, measured = (
-        shape_of[alike],
-        weight_of[alike],
-        np.where(valid, beam_velocity_mps, 0.0),
-    )
+    unit_cov_d = shape_of[alike]
+    weight = weight_of[alike]
+    measured = np.where(valid, beam_velocity_mps, 0.0)
     velocity_d = np.einsum(
         "mjk,mi,ik,mi->mj", unit_cov_d, weight, vectors_d, measured, optimize=True
     )
@@ -183,7 +182,8 @@ def horizontal(vectors: Floats) -> Complex:
 
 def steps_of(motion: ReferenceColumns) -> Steps:
     """Return the steps of a track from each known position to the next."""
-    placed, moving = motion.known["positions"], motion.known["velocities"]
+    placed = motion.known["positions"]
+    moving = motion.known["velocities"]
     time_ns = motion.time_ns[placed]
     if len(time_ns) < 2:
         return Steps(np.empty(0), np.empty(0, complex), np.empty(0, complex))
@@ -194,7 +194,8 @@ def steps_of(motion: ReferenceColumns) -> Steps:
         velocity = horizontal(motion.velocity_n[moving])
         # Trapezoids alone would cut the corners of a turn, by 0.7 % at 17 deg a step. The change of the acceleration is
         # the next term of Euler and Maclaurin.
-        step_s, acceleration = np.diff(velocity_s), np.gradient(velocity, velocity_s)
+        step_s = np.diff(velocity_s)
+        acceleration = np.gradient(velocity, velocity_s)
         moved_m = (
             0.5 * (velocity[1:] + velocity[:-1]) * step_s
             - np.diff(acceleration) * step_s**2 / 12.0

@@ -239,7 +239,8 @@ def beam_measurements(beams: DvlBeams, sd_mps: float) -> list[Measurement]:
 
     The noise is that of one beam.
     """
-    readings, count = beams.beam_velocity_mps, len(beams.directions_b)
+    readings = beams.beam_velocity_mps
+    count = len(beams.directions_b)
     return [
         Measurement(
             name=beam_name(beam + 1),
@@ -316,8 +317,10 @@ def parity_innovations(beams: DvlBeams, sd_mps: float) -> tuple[Innovations, ...
     blind = np.linalg.svd(beams.directions_b.T)[2][-1]
     whole = np.isfinite(beams.beam_velocity_mps).all(axis=1)
     parity_mps = np.sum(beams.beam_velocity_mps[whole] * blind, axis=1) * np.sign(blind[0])
-    count, time_ns = int(whole.sum()), beams.time_ns[whole]
-    sd, no = np.full((count, 1), sd_mps), np.zeros(count, np.bool_)
+    count = int(whole.sum())
+    time_ns = beams.time_ns[whole]
+    sd = np.full((count, 1), sd_mps)
+    no = np.zeros(count, np.bool_)
     return (
         Innovations(
             measurement=PARITY,

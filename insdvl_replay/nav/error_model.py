@@ -60,10 +60,13 @@ class StateLayout(NamedTuple):
 
 def layout_of(more: Collection[str]) -> StateLayout:
     """Lay some blocks behind the twelve states, in the order of `states.MORE_STATES`."""
-    first, row = {}, TWELVE
+    first = {}
+    row = TWELVE
     for name, block in MORE_STATES.items():
-        first[name] = row if name in more else -1
-        row += len(block) if name in more else 0
+        first[name] = -1
+        if name in more:
+            first[name] = row
+            row += len(block)
     return StateLayout(
         TWELVE + (len(MORE_STATES["position"]) if "position" in more else 0), **first
     )
@@ -202,9 +205,8 @@ def add_noise(P: Floats, n: int, noise_density: Floats, dt: float) -> None:
 class NoiseSteps(NamedTuple):
     """White noise of the readings beside that of the settings, constant from each of f times to the next."""
 
-    time_s: (
-        Floats  # (f,), increasing, from the start of the filter; before the first there is none
-    )
+    # (f,), increasing, from the start of the filter; before the first there is none
+    time_s: Floats
     density_b: Floats  # (f, 6), of accelerometers and gyros along the axes of b
 
 

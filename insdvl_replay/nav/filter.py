@@ -363,8 +363,8 @@ def _run(  # noqa: C901
     noise_density: tuple[float, ...],
     more_noise: NoiseSteps,
     layout: StateLayout,
-    heading_bias_rate_hz: float
-    | None,  # None for twelve states, so that nothing is compiled for more
+    # None for twelve states, so that nothing is compiled for more
+    heading_bias_rate_hz: float | None,
     measurements: Stack,
     user: Predicts | None,
     lever_arm_b: Vector,

@@ -102,9 +102,11 @@ def find_level(
     inside = (velocities.time_ns >= start_ns) & (velocities.time_ns <= samples.time_ns[-1])
     ping_ns = velocities.time_ns[inside]
     time_ns = distinct(np.concatenate([[start_ns], samples.time_ns, ping_ns]))
-    time_s, sample_s = seconds(time_ns, start_ns), seconds(samples.time_ns, start_ns)
+    time_s = seconds(time_ns, start_ns)
+    sample_s = seconds(samples.time_ns, start_ns)
     at = _readings_at(samples, sample_s, time_s)
-    force_b, rate_ib_b = np.column_stack(at.specific_force_b), np.column_stack(at.angular_rate_b)
+    force_b = np.column_stack(at.specific_force_b)
+    rate_ib_b = np.column_stack(at.angular_rate_b)
     # The Earth's rotation in b; a level that is wrong by 3 deg moves the result by 0.001 deg.
     x, y, z = force_b.mean(axis=0)
     mat_nb = mat_from_rpy(np.array([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), heading]))
@@ -159,12 +161,11 @@ def find_level(
         )
 
     # Without a DVL, the velocity counts as equal at the end and at the start.
-    ends, unseen = np.array([0, len(time_s) - 1]), UNSEEN_MPS2**2 * np.eye(3)
-    difference, still, per_gyro_bias = (
-        np.array([-1.0, 1.0]) / time_s[-1],
-        np.zeros((2, 3)),
-        np.zeros((2, 3, 3)),
-    )
+    ends = np.array([0, len(time_s) - 1])
+    unseen = UNSEEN_MPS2**2 * np.eye(3)
+    difference = np.array([-1.0, 1.0]) / time_s[-1]
+    still = np.zeros((2, 3))
+    per_gyro_bias = np.zeros((2, 3, 3))
     unaided = level(
         ends,
         difference,
@@ -179,13 +180,15 @@ def find_level(
         return unaided
 
     # With one, a straight line through the pings. Their noise is that of the settings, or their scatter if larger.
-    rows, cov_b = np.searchsorted(time_ns, ping_ns), velocity_cov_b[inside]
+    rows = np.searchsorted(time_ns, ping_ns)
+    cov_b = velocity_cov_b[inside]
     velocity = np.einsum(
         "kij,kj->ki",
         mat[rows],
         velocities.velocity_b[inside] - np.cross(rate_eb_b[rows], lever_arm_b),
     )
-    free, ping_s = velocity - force_sum[rows], time_s[rows] - time_s[rows].mean()
+    free = velocity - force_sum[rows]
+    ping_s = time_s[rows] - time_s[rows].mean()
     weights = ping_s / np.sum(ping_s**2)
     slope = weights @ free
     slope_cov = np.einsum("k,kij,kjl,kml->im", weights**2, mat[rows], cov_b, mat[rows])
@@ -235,10 +238,12 @@ def _readings_at(samples: ImuColumns, sample_s: Floats, time_s: Floats) -> Any:
 
 def _bends(readings: Floats, sample_s: Floats) -> Floats:
     """Return the bends at samples, shape (k, 3), as `timeline` finds them one by one."""
-    bends, step_s = np.zeros_like(readings), np.diff(sample_s)[:, None]
+    bends = np.zeros_like(readings)
+    step_s = np.diff(sample_s)[:, None]
     if len(readings) < 3:
         return bends
-    before_s, after_s = step_s[:-1], step_s[1:]
+    before_s = step_s[:-1]
+    after_s = step_s[1:]
     even = (before_s <= UNEVEN * after_s) & (after_s <= UNEVEN * before_s)
     slope = np.diff(readings, axis=0) / step_s
     bends[1:-1] = np.where(even, np.diff(slope, axis=0) / (before_s + after_s), 0.0)
@@ -294,7 +299,8 @@ def with_more_states(
     """
     if not len(more_sd):
         return start
-    n, cov = len(start.cov), np.diag(np.concatenate([start.sd, more_sd]) ** 2)
+    n = len(start.cov)
+    cov = np.diag(np.concatenate([start.sd, more_sd]) ** 2)
     cov[:n, :n] = start.cov
     if heading_bias and start.is_heading_sensed:
         by_heading = np.append(
@@ -335,7 +341,8 @@ def start_cov(
     -------
     ndarray, shape (12, 12)
     """
-    effect, own = np.eye(len(sd)), np.diag(sd**2)
+    effect = np.eye(len(sd))
+    own = np.diag(sd**2)
     if level is not None:
         tilt = slice(PHI.start, PHI.start + 2)
         # C_hat' e_d is gravity's direction in b, so that phi x e_d = -C times its error.

@@ -158,22 +158,20 @@ class Stack(NamedTuple):
 
 def stacked(measurements: Sequence[Measurement]) -> Stack:
     """Stack measurements, at least one, for the loop."""
-    count, width = (
-        max(len(made.available) for made in measurements),
-        max(made.size for made in measurements),
-    )
+    count = max(len(made.available) for made in measurements)
+    width = max(made.size for made in measurements)
     window = max(1, *(made.velocity_weights.shape[1] for made in measurements))
     shapes = (), (width,), (width, width), (window,), (window - 1,)
     available, values, cov, velocity_weights, interval_weights = (
         np.zeros((len(measurements), count, *shape)) for shape in shapes
     )
     for m, made in enumerate(measurements):
-        k, size, (windows, length) = len(made.available), made.size, made.velocity_weights.shape
-        available[m, :k], values[m, :k, :size], cov[m, :k, :size, :size] = (
-            made.available,
-            made.values,
-            made.cov,
-        )
+        k = len(made.available)
+        size = made.size
+        windows, length = made.velocity_weights.shape
+        available[m, :k] = made.available
+        values[m, :k, :size] = made.values
+        cov[m, :k, :size, :size] = made.cov
         velocity_weights[m, :windows, window - length :] = made.velocity_weights
         interval_weights[m, :windows, window - length :] = made.interval_weights
     by_measurement = (

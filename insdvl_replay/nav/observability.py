@@ -61,9 +61,8 @@ class NominalPings(NamedTuple):
     mat_nb: Floats  # (m, 3, 3)
     rate_nb_b: Floats  # (m, 3), angular rate of the body against n, rad/s
     gravity: Floats  # (m,), m/s^2
-    transition: (
-        Floats  # (m, 12, 12), Phi(t, t0), from the errors at the start to those at the ping
-    )
+    # (m, 12, 12), Phi(t, t0), from the errors at the start to those at the ping
+    transition: Floats
     step: Floats  # (m, 12, 12), Phi from the ping before, for the first from the start
     noise: Floats  # (m, 12, 12), covariance that process noise has added meanwhile
 
@@ -136,10 +135,14 @@ def _walk_motion(
     found: NominalPings,
 ) -> None:
     """Mechanise from one recorded event to the next, and let errors grow and noise gather from ping to ping."""
-    transition, step, noise = np.eye(TWELVE), np.eye(TWELVE), np.zeros((TWELVE, TWELVE))
-    step_by_row, noise_by_row = step.ravel(), noise.ravel()
+    transition = np.eye(TWELVE)
+    step = np.eye(TWELVE)
+    noise = np.zeros((TWELVE, TWELVE))
+    step_by_row = step.ravel()
+    noise_by_row = noise.ravel()
     state = _state_at(nominal, timeline.record[0])
-    earth, before = NOWHERE, first_node(timeline)
+    earth = NOWHERE
+    before = first_node(timeline)
     while not is_last(timeline, before):
         now = next_node(timeline, before)
         dt = now.time_s - before.time_s
@@ -150,10 +153,8 @@ def _walk_motion(
         errors_motion = motion
         if not earth_rate:
             # The same way on an Earth that is flat and at rest takes another specific force.
-            coriolis_n, still = (
-                cross(add(motion.rate_ie_n, motion.rate_in_n), before_n),
-                (0.0, 0.0, 0.0),
-            )
+            coriolis_n = cross(add(motion.rate_ie_n, motion.rate_in_n), before_n)
+            still = (0.0, 0.0, 0.0)
             errors_motion = Motion(
                 still, still, subtract(motion.force_n, coriolis_n), motion.mat_nb, still
             )
@@ -166,7 +167,8 @@ def _walk_motion(
         if not is_event(timeline, now):
             continue
 
-        ping, row = timeline.rows[PINGS, now.event], timeline.record[now.event]
+        ping = timeline.rows[PINGS, now.event]
+        row = timeline.record[now.event]
         if row >= 0:
             state = _state_at(nominal, row)
         if ping >= 0:
@@ -177,9 +179,11 @@ def _walk_motion(
             write_row_vector(subtract(rate_ib_b, rate_in_b), found.rate_nb_b, ping)
             found.gravity[ping] = normal_gravity(state.position[0], state.position[2])
             multiply(step, transition, found.transition[ping])
-            found.step[ping], found.noise[ping] = step, noise
+            found.step[ping] = step
+            found.noise[ping] = noise
             transition = found.transition[ping]
-            step[:], noise[:] = np.eye(TWELVE), 0.0
+            step[:] = np.eye(TWELVE)
+            noise[:] = 0.0
 
 
 def whitened_rows(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats) -> Floats:
@@ -217,10 +221,14 @@ def _write_jacobians(
     H: Floats,
 ) -> None:
     """Write the Jacobian of each ping. What only the innovation needs is left at zero."""
-    unused, unused_b, z = (0.0, 0.0, 0.0), np.zeros(pings.velocity_n.shape), np.empty(3)
-    memory, nothing = Memory(pings.rate_nb_b, unused_b, unused_b), np.empty(0)
+    unused = (0.0, 0.0, 0.0)
+    unused_b = np.zeros(pings.velocity_n.shape)
+    z = np.empty(3)
+    memory = Memory(pings.rate_nb_b, unused_b, unused_b)
+    nothing = np.empty(0)
     for ping in rows:
-        velocity_n, mat_nb = row_vector(pings.velocity_n, ping), row_matrix(pings.mat_nb, ping)
+        velocity_n = row_vector(pings.velocity_n, ping)
+        mat_nb = row_matrix(pings.mat_nb, ping)
         gravity = pings.gravity[ping]
         ins = InsNow(
             unused, velocity_n, mat_nb, unused, memory, gravity, lever_arm_b, NOWHERE, unused, nothing
@@ -299,13 +307,15 @@ def remaining_cov(
     prior_sd : ndarray, shape (12,)
         Standard deviations of the states at the start, SI units.
     """
-    P, identity = np.diag(np.square(prior_sd)), np.eye(TWELVE)
+    P = np.diag(np.square(prior_sd))
+    identity = np.eye(TWELVE)
     jacobians_of = [jacobians(pings, measurement, lever_arm_b) for measurement in measurements]
     for ping, (step, noise) in enumerate(zip(pings.step, pings.noise, strict=True)):
         P = step @ P @ step.T + noise
         for measurement, H_of in zip(measurements, jacobians_of, strict=True):
             if measurement.available[ping]:
-                H, R = H_of[ping], measurement.cov[ping]
+                H = H_of[ping]
+                R = measurement.cov[ping]
                 K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
                 kept = identity - K @ H
                 P = kept @ P @ kept.T + K @ R @ K.T
@@ -355,11 +365,9 @@ def named_directions(
     tuple of ErrorDirection
         In an order in which each is simpler than those after it.
     """
-    zero, axes, earth = (
-        np.zeros(3),
-        ("north", "east", "down"),
-        local_earth_at(float(position[0]), float(position[2])),
-    )
+    zero = np.zeros(3)
+    axes = ("north", "east", "down")
+    earth = local_earth_at(float(position[0]), float(position[2]))
 
     def rate_en_n(moving_n: Floats) -> Floats:
         curvature = transport_curvature(earth, float(position[2]))
@@ -371,7 +379,8 @@ def named_directions(
     force_n = np.cross(coriolis_n, velocity_n) - np.array(
         [0.0, 0.0, normal_gravity(position[0], position[2])]
     )
-    velocities, tilts = [], []
+    velocities = []
+    tilts = []
     for axis, across, unit in zip(axes, ("east", "north", ""), np.eye(3), strict=True):
         error = np.concatenate([unit, zero, zero, zero])
         velocities.append(ErrorDirection(f"dv_{axis[0]}", f"velocity error {axis}", error))
@@ -386,7 +395,8 @@ def named_directions(
             ErrorDirection(f"phi_{axis[0]} held", label, np.concatenate([dv, unit, ba, bg]))
         )
     down_n = np.array([0.0, 0.0, 1.0])
-    down_b, across_b = mat_nb.T @ down_n, -mat_nb.T @ np.cross(velocity_n, down_n)
+    down_b = mat_nb.T @ down_n
+    across_b = -mat_nb.T @ np.cross(velocity_n, down_n)
     gyro = ErrorDirection(
         "bg_d", "gyro bias about down", np.concatenate([zero, zero, zero, down_b])
     )
@@ -418,7 +428,8 @@ def name_unobservable(
     tuple of ErrorDirection
         At most 12 less the rank; in the order of ``directions``.
     """
-    unnamed, found = observability.unobservable, set()
+    unnamed = observability.unobservable
+    found = set()
     for direction in sorted(
         directions, key=lambda named: observability.response(named.scaled(prior_sd))
     ):

@@ -78,8 +78,10 @@ def run_outage(
         At the start of the window and at each missing ping. Its first innovations are those of the missing pings, none
         of which is used; NIS is by the true R.
     """
-    window, start = between_pings(timeline, *window_ns), restart(history, drift, window_ns[0])
-    events, inside = slice(*np.searchsorted(timeline.event_ns, window_ns, side="right")), []
+    window = between_pings(timeline, *window_ns)
+    start = restart(history, drift, window_ns[0])
+    events = slice(*np.searchsorted(timeline.event_ns, window_ns, side="right"))
+    inside = []
     for measurement in measurements:
         rows = timeline.rows[measurement.sensor, events]
         rows = rows[rows >= 0]
@@ -100,9 +102,8 @@ def restart(history: History, drift: GravityDrift, time_ns: int) -> Start:
     With twelve states its height is the one at which the filter takes gravity: after long times without a velocity,
     the filter's own has drifted.
     """
-    row, cov_row = (
-        int(np.searchsorted(times, time_ns)) for times in (history.time_ns, history.cov_ns)
-    )
+    row = int(np.searchsorted(history.time_ns, time_ns))
+    cov_row = int(np.searchsorted(history.cov_ns, time_ns))
     if cov_row == len(history.cov_ns) or history.cov_ns[cov_row] != time_ns:
         raise ValueError(f"the history of {history.filter} holds no P at {time_ns}")
     latitude, longitude, height_m = history.position[row]

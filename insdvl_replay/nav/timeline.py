@@ -57,7 +57,8 @@ class Gaps:
 
     def swing_cov(self, time_ns: TimeNs, lever_arm_b: Floats) -> Floats:
         """Return the covariance of ``w x l`` at times, shape (m, 3, 3): zero outside a gap, where the rate is known."""
-        inside, arm = self.overlap(time_ns, time_ns), skew(lever_arm_b)
+        inside = self.overlap(time_ns, time_ns)
+        arm = skew(lever_arm_b)
         return inside[:, None, None] * self.rate_sd_radps**2 * (arm @ arm.T)
 
     def after(self, time_ns: TimeNs) -> NDArray[np.int64]:

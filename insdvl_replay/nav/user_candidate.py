@@ -73,7 +73,8 @@ class CandidateStart(Start):
     def to_json(self) -> bytes:
         """Write what a program is given, a `StartFile`."""
         _, _, heading = rpy_from_mat(self.mat_nb)
-        level_nb, sd = mat_from_rpy(np.array([0.0, 0.0, heading])), self.sd
+        level_nb = mat_from_rpy(np.array([0.0, 0.0, heading]))
+        sd = self.sd
         level_cov = level_nb.T @ self.cov[3:6, 3:6] @ level_nb
         position_sd = np.abs(moved_position(self.position, self.position_sd_m) - self.position)
         values: dict[str, tuple[Any, Any]] = {
@@ -93,10 +94,8 @@ class CandidateStart(Start):
             "dvl_lever_arm_m": self.dvl_lever_arm_b.tolist(),
         }
         for name, (value, sigma) in values.items():
-            content[name], content[f"{name}_sd"] = (
-                np.asarray(value).tolist(),
-                np.asarray(sigma).tolist(),
-            )
+            content[name] = np.asarray(value).tolist()
+            content[f"{name}_sd"] = np.asarray(sigma).tolist()
         return (
             msgspec.json.format(msgspec.json.encode(msgspec.convert(content, StartFile)), indent=1)
             + b"\n"
@@ -106,10 +105,8 @@ class CandidateStart(Start):
     def from_json(cls, text: str | bytes) -> "CandidateStart":
         """Read what `to_json` writes."""
         given = msgspec.json.decode(text, type=StartFile)
-        rpy, rpy_sd = (
-            np.array(deg) * DEG
-            for deg in (given.roll_pitch_heading_deg, given.roll_pitch_heading_deg_sd)
-        )
+        rpy = np.array(given.roll_pitch_heading_deg) * DEG
+        rpy_sd = np.array(given.roll_pitch_heading_deg_sd) * DEG
         sd = (
             given.velocity_ned_mps_sd,
             (0.0,) * 3,

@@ -231,17 +231,16 @@ def joined(predictions: Sequence[Predict], *, compiled: bool) -> Predicts:
 def _signature() -> Any:
     from numba import types
 
-    vector, matrix = types.Array(types.float64, 1, "C"), types.Array(types.float64, 2, "C")
+    vector = types.Array(types.float64, 1, "C")
+    matrix = types.Array(types.float64, 2, "C")
     return types.void(vector, vector, matrix)
 
 
 def checked_readings(readings: UserReadings) -> UserReadings:
     """Require what the filter relies on, shapes (k,), (k, s) and (k, s); a ValueError says what is wrong."""
-    time_ns, values, sd = (
-        np.asarray(readings.time_ns),
-        _numbers("values", readings.values),
-        _numbers("sd", readings.sd),
-    )
+    time_ns = np.asarray(readings.time_ns)
+    values = _numbers("values", readings.values)
+    sd = _numbers("sd", readings.sd)
     if values.ndim == 1 and values.shape == time_ns.shape:
         values = values[:, None]
     if values.ndim != 2 or not 1 <= values.shape[1] <= 4 or time_ns.shape != values.shape[:1]:
@@ -272,7 +271,8 @@ def checked_factors(given: tuple[TimeNs, Floats]) -> NoiseFactors:
         raise ValueError(
             f"returns {type(given).__name__}, not two arrays: times and factors"
         ) from error
-    time_ns, factors = np.asarray(times), _numbers("factors", found)
+    time_ns = np.asarray(times)
+    factors = _numbers("factors", found)
     if time_ns.ndim != 1 or factors.shape not in ((len(time_ns), 2), (len(time_ns), 6)):
         shapes = f"{time_ns.shape} and {factors.shape}"
         raise ValueError(

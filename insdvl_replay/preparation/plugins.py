@@ -53,14 +53,12 @@ from insdvl_replay.preparation.filters import ResolvedFilter, silence_notes
 Outage = tuple[int, int]  # times of the last ping before it, and of the last ping in it, ns
 SHOWN: Final = "example: docs/own_filter.md"
 NO_END: Final = int(np.iinfo(np.int64).max)
-APART_NS: Final = (
-    60 * NS_PER_S
-)  # between two outages of one call: user code mostly looks back less
+# between two outages of one call: user code mostly looks back less
+APART_NS: Final = 60 * NS_PER_S
 # outages that are asked for one by one; more take four calls, if the user's code allows
 ONE_BY_ONE: Final = 4
-ALIKE: Final = (
-    1e-3  # in the noise of a reading: a network rounds otherwise with more pings at once
-)
+# in the noise of a reading: a network rounds otherwise with more pings at once
+ALIKE: Final = 1e-3
 # columns of H: the velocity down, and the first of the position
 DOWN = 2
 POSITION = 12

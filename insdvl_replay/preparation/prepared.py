@@ -55,12 +55,10 @@ RESIDUAL_HINT: Final = (
     "set dvl.max_beam_residual_mps to several times the noise of a beam, or leave it out"
 )
 FEWEST_PINGS: Final = 3  # with fewer, a replay is one of the IMU alone
-LEAST_COVERED: Final = (
-    0.5  # of the time of the IMU by the DVL, from its first to its last velocity
-)
-MOST_OUTSIDE: Final = (
-    0.2  # of the pings: sensors that do not start and stop together explain fewer
-)
+# of the time of the IMU by the DVL, from its first to its last velocity
+LEAST_COVERED: Final = 0.5
+# of the pings: sensors that do not start and stop together explain fewer
+MOST_OUTSIDE: Final = 0.2
 LONGEST_BRIDGE_S: Final = 3600.0  # longer gaps cannot be bridged
 # where an attitude may be off by more, errors no longer add up
 WIDEST_ATTITUDE_RAD: Final = np.pi / 2.0

@@ -56,9 +56,8 @@ class UserProcesses:
     """The processes of one filter of the user's, and what they have printed."""
 
     def __init__(self, settings: Filter, folder: Path) -> None:
-        # the folder is for its files
         self.settings = settings
-        self.folder = folder
+        self.folder = folder  # for its files
         self.input = "class"
         if settings.program is not None:
             self.input = settings.input or "clean"
@@ -80,7 +79,7 @@ class UserProcesses:
         """
         if self.settings.candidate is not None:
             return self._run_class(
-                self.settings.candidate, run, dive_file, start, new_process=new_process
+                self.settings.candidate, dive_file, start, new_process=new_process
             )
         folder = self.folder / run
         folder.mkdir()
@@ -120,7 +119,7 @@ class UserProcesses:
             self.cpu_s = cpu_s
 
     def _run_class(
-        self, word: str, run: str, dive_file: Path, start: CandidateStart, *, new_process: bool
+        self, word: str, dive_file: Path, start: CandidateStart, *, new_process: bool
     ) -> Solution:
         """Give a run to an idle process of the class, or to a new one."""
         try:

@@ -35,9 +35,8 @@ from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
 from insdvl_replay.nav.dvl import DvlVelocities
 
-STRETCH_S: Final = (
-    300.0  # of the dive around the start, in which errors of a source are looked for
-)
+# of the dive around the start, in which errors of a source are looked for
+STRETCH_S: Final = 300.0
 FEWEST_ROWS: Final = 20  # with fewer, nothing is estimated
 LONGEST_STEP_S: Final = 5.0  # over longer steps the gyros say nothing about single attitudes
 UNEVEN: Final = 0.2  # share by which steps may differ where differences of neighbours are taken
@@ -192,9 +191,9 @@ class Turns:
 
     def _at(self, time_ns: TimeNs) -> tuple[Floats, Floats]:
         at_s = seconds(time_ns, self._origin_ns)
-        return _interpolated(at_s, self._time_s, self._turn), _interpolated(
-            at_s, self._time_s, self._swing
-        )
+        turn = _interpolated(at_s, self._time_s, self._turn)
+        swing = _interpolated(at_s, self._time_s, self._swing)
+        return turn, swing
 
 
 @dataclass(frozen=True)

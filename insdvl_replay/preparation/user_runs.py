@@ -166,8 +166,9 @@ def _with_processes(runs: Runs, name: str, processes: UserProcesses) -> Runs:
     if not math.isnan(processes.cpu_s):
         cpu_s[name] = processes.cpu_s
     printed = dict(runs.printed)
-    if processes.printed:
-        printed[name] = processes.printed
+    text = processes.printed
+    if text:
+        printed[name] = text
     return replace(runs, cpu_s=cpu_s, printed=printed)
 
 
@@ -445,7 +446,7 @@ class _Candidate:
 
         answers = dict[Change, _Answer]()
         failures = dict[Change, str]()
-        found = parallel_map(run, changes, stop=self.processes.stop)
+        found = list(parallel_map(run, changes, stop=self.processes.stop))
         for change, answer in zip(changes, found, strict=True):
             if isinstance(answer, CandidateError):
                 failures[change] = str(answer)
@@ -546,10 +547,10 @@ def _notes_of(repeats: Sequence[Repeat], digest: str, key: str, baseline: str) -
     return tuple(notes)
 
 
-def _steady(changed: Sequence[Repeat]) -> str:
+def _steady(repeats: Sequence[Repeat]) -> str:
     """Say how far the position moves by changes that do not matter; empty where that is not known."""
     moved = []
-    for repeat in changed:
+    for repeat in repeats:
         if not repeat.is_off and math.isfinite(repeat.moves_m):
             moved.append(f"{metres(repeat.moves_m)} {repeat.change}")
     if not moved:

@@ -166,9 +166,8 @@ def exact_dive(
     dvl_rate_hz: float = 1.0,  # starts at `FIRST_PING_S`
     reference_rate_hz: float = 5.0,
     reference_at_pings: bool = False,  # the reference has a row at the start and at each ping instead
-    outages: Sequence[
-        tuple[float, float]
-    ] = (),  # start and end, s, of spans with NaN in all beams
+    # Start and end, s, of spans with NaN in all beams.
+    outages: Sequence[tuple[float, float]] = (),
     lost_beams: Sequence[LostBeam] = (),
     lever_arm_m: Vector = (0.0, 0.0, 0.0),  # IMU to DVL, in b
     mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),  # the DVL's mounting rotation, d to b

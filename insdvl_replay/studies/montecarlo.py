@@ -75,9 +75,8 @@ class MonteCarloSetup:
     exact: Dive  # perfect sensors; reference and truth have a row at the start and at each ping
     imu_errors: ImuErrors  # size of the errors of each run
     dvl_errors: DvlErrors
-    config: (
-        Config  # filters and uncertainty of the start; biases, scale, span and log are not used
-    )
+    # filters and uncertainty of the start; biases, scale, span and log are not used
+    config: Config
 
 
 def make_setup(
