@@ -390,8 +390,8 @@ def held_out_row(
 
 def _first_outage(rows: Sequence[OutageRow], windows_s: Sequence[str]) -> OutageRow | None:
     """Return the row of the first length of windows that a dive has."""
-    by_window = {row.window_s: row for row in reversed(rows)}
     for window_s in windows_s:
-        if window_s in by_window:
-            return by_window[window_s]
+        for row in rows:
+            if row.window_s == window_s:
+                return row
     return None

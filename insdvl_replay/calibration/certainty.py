@@ -193,9 +193,8 @@ def autocorrelation(near: Linearised) -> Floats:
 # Sources: Cook & Stefanski, "Simulation-extrapolation estimation in parametric measurement error models", 1994; Fuller,
 # "Measurement error models", 1987.
 
-MOTION_S: Final = (
-    0.5  # most of what moves a vehicle is slower than this; white noise mostly faster
-)
+# Most of what moves a vehicle is slower than this; white noise mostly faster.
+MOTION_S: Final = 0.5
 # Share of the derivative's squares up to which it is used unchanged. It pulls the estimate to zero by this share.
 LITTLE: Final = 0.01
 MOSTLY: Final = 0.5  # share above which the derivative is mostly noise

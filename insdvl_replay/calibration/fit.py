@@ -47,11 +47,13 @@ SD_OF_DEVIATION: Final = 1.4826
 DELAY_STEP_S: Final = 0.05
 MOST_ROUNDS: Final = 12
 SETTLED: Final = 0.05  # a step below this number of standard deviations is the last
-STEEPER = 10.0
-FLATTER = 0.1
+STEEPER: Final = 10.0
+FLATTER: Final = 0.1
 LARGEST_DAMPING: Final = 1e6
 OWN: Final = len(NAMES)
 SHARED_ROWS: Final = np.array([i for i in range(OWN) if i != DELAY])
+# Places of the delays among the unknowns of a fit, behind those of the vehicle.
+_DELAYS: Final = slice(OWN - 1, None)
 
 
 @dataclass(frozen=True)
@@ -232,9 +234,6 @@ class _Problem:
     def cost(self, values: Floats, scaled: Iterable[Floats]) -> float:
         """Return the cost of residuals over their scatter, and of the distance from the configuration."""
         return float(sum(map(robust_cost, scaled)) + np.sum((values / self.prior_sd) ** 2))
-
-
-_DELAYS: Final = slice(OWN - 1, None)  # their places among the unknowns
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ LONGEST_S: Final = 2400.0  # of a dive, from which geometry and noise are fitted
 FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
 MOST_ROUNDS: Final = 4  # in which the noise is scaled
 # mean NIS/dof outside which the noise of the DVL is changed
-WELL_ABOVE = 0.6
-WELL_BELOW = 1.7
+WELL_ABOVE: Final = 0.6
+WELL_BELOW: Final = 1.7
 FITTED_NOTE: Final = "found_noise"
 TO_SET: Final = "to set it: [noise] with dvl.velocity_sd_mps, or --preset"
 

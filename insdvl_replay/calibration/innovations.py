@@ -103,15 +103,15 @@ REFERENCE_GROUPS: Final = (*ALL_GROUPS, "reference_arm", "reference_mounting", "
 DELAY: Final = NAMES.index("delay")
 SCALE: Final = NAMES.index("scale")
 HEADING: Final = NAMES.index("mounting_z")
-MOUNTING = slice(1, 4)
-ARM = slice(4, 7)
+MOUNTING: Final = slice(1, 4)
+ARM: Final = slice(4, 7)
 CLOCK: Final = len(PARAMETERS)
-REFERENCE_MOUNTING = slice(CLOCK + 1, CLOCK + 4)
-REFERENCE_ARM = slice(CLOCK + 4, CLOCK + 7)
+REFERENCE_MOUNTING: Final = slice(CLOCK + 1, CLOCK + 4)
+REFERENCE_ARM: Final = slice(CLOCK + 4, CLOCK + 7)
 SHARED_SD: Final = np.array([parameter.prior_sd for parameter in SHARED])
 SHARED_STEPS: Final = np.array([parameter.step for parameter in SHARED])
-PRIOR_SD = SHARED_SD[:CLOCK]
-STEPS = SHARED_STEPS[:CLOCK]
+PRIOR_SD: Final = SHARED_SD[:CLOCK]
+STEPS: Final = SHARED_STEPS[:CLOCK]
 
 
 def moved_pings(velocities: DvlVelocities, change: Floats) -> DvlVelocities:

@@ -387,8 +387,8 @@ def _noise_lines(row: NoiseRow) -> Iterator[str]:
 # --- The pictures.
 
 DRAWN: Final = 6  # number of dives that are drawn; the tables list all of them
-BEFORE = filter_style(1)
-AFTER = filter_style(0)
+BEFORE: Final = filter_style(1)
+AFTER: Final = filter_style(0)
 _LEGEND: Final = ((BEFORE, "before"), (AFTER, "after"))
 _PROFILE_S: Final = np.linspace(-LATEST_S, LATEST_S, 17)
 _SHARE: Final = 0.995  # share of the innovations inside a panel, without outliers

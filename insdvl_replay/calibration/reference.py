@@ -84,9 +84,9 @@ WAY_S: Final = 10.0  # between two positions: the displacement is larger than th
 LATEST_CLOCK_S: Final = 1.0
 LOST_HEADING_SD: Final = 10.0 * DEG
 # families of rows
-ATTITUDE = 0
-LEVEL = 1
-MOTION = 2
+ATTITUDE: Final = 0
+LEVEL: Final = 1
+MOTION: Final = 2
 ROUNDS: Final = 5
 # While the clock still moves. Attitudes in turns are outliers until it is right to some 10 ms, so it moves slowly
 # beside a filter whose headings are hardly noisy.

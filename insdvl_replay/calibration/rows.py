@@ -133,12 +133,12 @@ class ReferenceDiveRow(Struct, frozen=True):
     """One dive compared with its reference, before and after: remaining differences and track fit."""
 
     title: ClassVar = (
-        "Difference from the reference, before and after: velocity (or "
-        "displacement in 10 s), and track fit"
+        "Difference from the reference, before and after: "
+        "velocity (or displacement in 10 s), and track fit"
     )
     footnote: ClassVar = (
-        "Scale and turn align the filter's track with the reference's. The "
-        "turn includes the drift of the heading."
+        "Scale and turn align the filter's track with the reference's. "
+        "The turn includes the drift of the heading."
     )
 
     dive: Annotated[str, Col(head="dive")]

@@ -233,31 +233,63 @@ class AttitudeFit:
     by_axis: Floats  # (3,), correlations
 
 
+@dataclass(frozen=True)
+class _Turns:
+    """The turns of a reference from attitude to attitude, and what the gyros sum to meanwhile."""
+
+    time_ns: TimeNs  # (k,), of the attitudes
+    time_s: Floats  # (k,), since the first sample
+    mat_nb: Floats  # (k, 3, 3)
+    turned: Floats  # (k - 1, 3), rad
+    summed: Floats  # (k - 1, 3), rad
+
+    @classmethod
+    def of(cls, imu: ImuColumns, reference: ReferenceColumns) -> "_Turns | None":
+        """Compare the attitudes that lie within the samples; None where they are too few."""
+        is_known = np.isfinite(reference.mat_nb).all(axis=(1, 2))
+        rows = np.flatnonzero(is_known & lies_within(reference.time_ns, imu.time_ns))
+        if len(rows) < ENOUGH:
+            return None
+        time_ns = reference.time_ns[rows]
+        time_s = seconds(time_ns, imu.time_ns[0])
+        mat_nb = reference.mat_nb[rows]
+        turned = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:])
+        summed = np.diff(turned_by(imu, time_s), axis=0)
+        return cls(time_ns, time_s, mat_nb, turned, summed)
+
+    @property
+    def are_near(self) -> Mask:
+        """Between which attitudes little time is, (k - 1,)."""
+        return np.asarray(np.diff(self.time_s) <= LONGEST_STEP_S)
+
+    @property
+    def are_clear(self) -> Mask:
+        """Which turns between near attitudes are neither noise nor jumps, (k - 1,)."""
+        size = np.linalg.norm(self.turned, axis=1)
+        # Slower turns than 0.3 deg/s are below the noise of differences of attitudes.
+        is_seen = size > 0.3 * DEG * np.diff(self.time_s)
+        return np.asarray(self.are_near & is_seen & (size < 1.0))
+
+
 def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFit | None:
     """Compare the summed gyros with the turn between two attitudes; None where the vehicle turned too little."""
-    is_known = np.isfinite(reference.mat_nb).all(axis=(1, 2))
-    rows = np.flatnonzero(is_known & lies_within(reference.time_ns, imu.time_ns))
-    if len(rows) < ENOUGH:
+    turns = _Turns.of(imu, reference)
+    if turns is None:
         return None
-    time_s = seconds(reference.time_ns[rows], imu.time_ns[0])
-    mat_nb = reference.mat_nb[rows]
-    turned = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:])
-    step_s = np.diff(time_s)
-    size = np.linalg.norm(turned, axis=1)
-    summed = np.diff(turned_by(imu, time_s), axis=0)
-    # Slower turns than 0.3 deg/s are below the noise of differences of attitudes.
-    good = (size > 0.3 * DEG * step_s) & (step_s <= LONGEST_STEP_S) & (size < 1.0)
-    ends_ns = reference.time_ns[rows]
-    good &= ~in_pauses(ends_ns[:-1], ends_ns[1:], imu.time_ns, nanoseconds(LONGEST_STEP_S))
+    longest_ns = nanoseconds(LONGEST_STEP_S)
+    paused = in_pauses(turns.time_ns[:-1], turns.time_ns[1:], imu.time_ns, longest_ns)
+    good = turns.are_clear & ~paused
     if np.count_nonzero(good) < ENOUGH:
         return None
-    product = np.sum(summed[good] * turned[good], axis=0)
-    power = np.sum(turned[good] * turned[good], axis=0)
-    summed_power = np.sum(summed[good] * summed[good], axis=0)
+    turned = turns.turned[good]
+    summed = turns.summed[good]
+    product = np.sum(summed * turned, axis=0)
+    power = np.sum(turned * turned, axis=0)
+    summed_power = np.sum(summed * summed, axis=0)
     return AttitudeFit(
         scale=float(product.sum() / power.sum()),
         correlation=float(_correlation(product.sum(), power.sum() * summed_power.sum())),
-        excursion=np.ptp(np.cumsum(turned, axis=0), axis=0),
+        excursion=np.ptp(np.cumsum(turns.turned, axis=0), axis=0),
         by_axis=_correlation(product, power * summed_power),
     )
 
@@ -272,23 +304,18 @@ def turn_to_reference(
     Source: Wahba, "A least squares estimate of satellite attitude", 1965; solved by Markley, "Attitude determination
     using vector observations and the singular value decomposition", 1988.
     """
-    is_known = np.isfinite(reference.mat_nb).all(axis=(1, 2))
-    rows = np.flatnonzero(is_known & lies_within(reference.time_ns, imu.time_ns))
-    if len(rows) < ENOUGH:
+    turns = _Turns.of(imu, reference)
+    if turns is None:
         return None
-    time_s = seconds(reference.time_ns[rows], imu.time_ns[0])
-    mat_nb = reference.mat_nb[rows]
-    step_s = np.diff(time_s)
-    turned = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:])
-    summed = np.diff(turned_by(imu, time_s), axis=0)
-    size = np.linalg.norm(turned, axis=1)
-    good = (step_s <= LONGEST_STEP_S) & (size > 0.3 * DEG * step_s) & (size < 1.0)
     sample_s = seconds(imu.time_ns, imu.time_ns[0])
-    columns = [integrated(sample_s, force, time_s) for force in imu.specific_force_b.T]
-    pushed = np.column_stack(columns)
-    force = np.diff(pushed, axis=0)[step_s <= LONGEST_STEP_S]
-    up = -0.5 * (mat_nb[1:, 2] + mat_nb[:-1, 2])[step_s <= LONGEST_STEP_S]
-    pairs = [(summed[good], turned[good]), (force, up), velocities]
+    columns = [integrated(sample_s, force, turns.time_s) for force in imu.specific_force_b.T]
+    force = np.diff(np.column_stack(columns), axis=0)
+    down_b = turns.mat_nb[:, 2]
+    up = -0.5 * (down_b[1:] + down_b[:-1])
+    near = turns.are_near
+    clear = turns.are_clear
+    gyros = (turns.summed[clear], turns.turned[clear])
+    pairs = [gyros, (force[near], up[near]), velocities]
     total = np.zeros((3, 3))
     for ours, theirs in pairs:
         if len(ours) < ENOUGH:

@@ -43,6 +43,7 @@ from insdvl_replay.inspection.proposal import propose_settings
 from insdvl_replay.inspection.roles import UNKNOWN_LATITUDE_DEG, read_roles, with_roles
 from insdvl_replay.inspection.settings import Setting, settings_toml
 from insdvl_replay.inspection.trials import CONSISTENT
+from insdvl_replay.logs.formats.log_file import joined_bounds
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.preparation.prepared import (
     raise_if_span_is_empty,
@@ -178,8 +179,7 @@ def _is_short(paths: Paths) -> bool:
     known_ns = [part.span_ns for part in parts if part.span_ns]
     if not known_ns:
         return True
-    begin_ns = min(first_ns for first_ns, _ in known_ns)
-    end_ns = max(last_ns for _, last_ns in known_ns)
+    begin_ns, end_ns = joined_bounds(known_ns)
     return end_ns - begin_ns < SHORT_S * NS_PER_S
 
 

@@ -119,9 +119,8 @@ class Inventory:
     # by topic: keys that its type settles
     conventions: dict[str, dict[str, Any]] = field(default_factory=dict)
     clocks: tuple[Clock, ...] = ()
-    pings: PingFacts | None = (
-        None  # this and the reference only where the messages were read whole
-    )
+    # This and the reference only where the messages were read whole.
+    pings: PingFacts | None = None
     reference: ReferenceFacts | None = None
     blockers: tuple[Blocker, ...] = ()  # empty where nothing was found that would stop a replay
     notes: tuple[Note, ...] = field(default=())
@@ -404,9 +403,8 @@ def _parent(topic: TopicFacts) -> str:
 
 def _row_of_topic(topic: TopicFacts) -> tuple[CellText, ...]:
     kind = topic.encoding or "no encoding"
-    if (
-        topic.type_name != topic.topic
-    ):  # some recorders name a topic after its type; once is enough
+    # Some recorders name a topic after its type; once is enough.
+    if topic.type_name != topic.topic:
         kind = f"{topic.type_name or 'no type'}, {kind}"
     return (
         (topic.topic, f"  {kind}"),

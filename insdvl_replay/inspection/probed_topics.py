@@ -63,10 +63,7 @@ _WORDS: Final = {
     "beam_valid": re.compile(r"(\[\*\]|beam|trans).*(valid|lock|good)"),
 }
 # a specific force is known by its size
-AS_GRAVITY_MPS2: Final = (
-    0.9 * GRAVITY_MPS2,
-    1.1 * GRAVITY_MPS2,
-)
+AS_GRAVITY_MPS2: Final = (0.9 * GRAVITY_MPS2, 1.1 * GRAVITY_MPS2)
 
 
 def fitting_units(
@@ -175,8 +172,9 @@ class FieldMatch:
         """The unit in which the vector has the size of gravity; empty if in none."""
         if self.is_beams:
             return ""
-        for unit in fitting_units(self.size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2):
-            return unit
+        units = fitting_units(self.size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
+        if units:
+            return units[0]
         return ""
 
     def __str__(self) -> str:

@@ -235,7 +235,10 @@ def _dvl_topics(
     reference: ReferenceColumns | None,
     left_out: _LeftOut,
 ) -> list[_DvlTopic]:
-    """Read the topics that could be the DVL; those that cannot are left out, and the first error is that of all."""
+    """Read the topics that could be the DVL; those that cannot are left out.
+
+    Where none is left, the error of the first is raised.
+    """
     dvls = []
     for source in sources:
         try:
@@ -468,7 +471,10 @@ def _rate_unit(best: Hypothesis) -> tuple[str, float]:
 def _imu_topics(
     log: Recording, sources: Sequence[Source], draft: Config, left_out: _LeftOut
 ) -> list[_ImuTopic]:
-    """Read the topics that could be the IMU; those that cannot are left out, and the first error is that of all."""
+    """Read the topics that could be the IMU; those that cannot are left out.
+
+    Where none is left, the error of the first is raised.
+    """
     imus = []
     for source in sources:
         try:

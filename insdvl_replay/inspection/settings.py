@@ -5,9 +5,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
-import msgspec
-
-from insdvl_replay.calibration.found import comment_lines
+from insdvl_replay.calibration.found import comment_lines, with_values
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import visible
@@ -46,11 +44,7 @@ class Setting:
 def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
     """Set what has a value."""
     for setting in settings:
-        if setting.value is not None:
-            section = msgspec.structs.replace(
-                getattr(config, setting.section), **{setting.name: setting.value}
-            )
-            config = msgspec.structs.replace(config, **{setting.section: section})
+        config = with_values(config, setting.section, **{setting.name: setting.value})
     return config
 
 

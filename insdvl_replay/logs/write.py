@@ -209,18 +209,19 @@ def copy_log(path: Path, logs: Sequence[Path], held_back: Mapping[str, TimeNs | 
     """Copy the messages of a log to MCAP, without those at some log times, or with None all, of some topics."""
     log = open_recording(logs, allow_damaged=True)
     kept: dict[int, LogChannel] = {}
+    absent_ns: dict[int, TimeNs] = {}
     for channel in log.channels:
-        if held_back.get(channel.topic, NEVER) is not None:
+        held_back_ns = held_back.get(channel.topic, NEVER)
+        if held_back_ns is not None:
             kept[channel.id] = channel
+            absent_ns[channel.id] = held_back_ns
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE)
         writer.start(_profile_of(kept.values()), LIBRARY)
         ids = _register(writer, kept)
         for block in log.blocks(kept):
-            absent = held_back.get(kept[block.channel_id].topic, NEVER)
-            if absent is None:
-                continue
-            present = block.part(np.flatnonzero(~np.isin(block.log_time, absent)))
+            is_absent = np.isin(block.log_time, absent_ns[block.channel_id])
+            present = block.part(np.flatnonzero(~is_absent))
             places = zip(present.offsets.tolist(), present.sizes.tolist(), strict=True)
             times = zip(present.log_time.tolist(), present.publish_time.tolist(), strict=True)
             for (offset, size), (log_ns, publish_ns) in zip(places, times, strict=True):

@@ -335,8 +335,8 @@ def settings_in(hint: str) -> dict[str, str]:
 # --- Topics that nobody has seen before.
 
 STRAPDOWN = (
-    "std_msgs/Header header\nfloat64 ax\nfloat64 ay\nfloat64 "
-    "az\nacme_msgs/Triple turning\nfloat32 temperature\n"
+    "std_msgs/Header header\nfloat64 ax\nfloat64 ay\nfloat64 az\n"
+    "acme_msgs/Triple turning\nfloat32 temperature\n"
 )
 STRAPDOWN += f"{'=' * 80}\nMSG: acme_msgs/Triple\nfloat64 x\nfloat64 y\nfloat64 z\n"
 SPEED = "float64[3] velocity_over_ground\nfloat64[9] velocity_covariance\nuint8 quality\n"

@@ -637,13 +637,8 @@ def test_a_dvl_measurement_without_a_message_type_is_written_as_innovations_alon
 
 
 def test_fix_holds_the_position(replay_messages: Decoded) -> None:
-    position = column(
-        replay_messages["/insdvl/aided/fix"], "latitude", "longitude", "altitude"
-    ) * [
-        DEG,
-        DEG,
-        1.0,
-    ]
+    fix = replay_messages["/insdvl/aided/fix"]
+    position = column(fix, "latitude", "longitude", "altitude") * [DEG, DEG, 1.0]
     np.testing.assert_allclose(position, HISTORIES[1].position, rtol=1e-15)
 
 

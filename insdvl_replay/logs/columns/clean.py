@@ -21,7 +21,6 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.errors import LogError, Note, counted_clause
-from insdvl_replay.core.units import TIME_UNITS_NS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.tables import (
     RECORDER_STAMPS,
@@ -31,6 +30,7 @@ from insdvl_replay.logs.columns.tables import (
     find_order,
     repeated_rows,
 )
+from insdvl_replay.logs.formats.recorder_clock import CLOCK_SET_NS
 
 _MARKS: Final = 2  # different numbers by which one instrument marks that it has no reading
 
@@ -107,7 +107,7 @@ class Cleaner:
 
     def kept(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Return the rows of values that stay, in the order of time; the same array where all stay in place."""
-        # no row is dropped or moved without a note
+        # No row is dropped or moved without a note.
         if self.notes:
             return values[self.rows]
         return values
@@ -374,8 +374,8 @@ def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
         severity = Severity.WARNING
         hint = f"to allow longer gaps: {cleaner.role}.max_gap_s"
     cleaner.note("gaps", text, gaps.size, severity, hint, cleaner.rows[gaps])
-    # No recorder waits for a day in the middle of a dive; one without a clock of its own begins in 1970.
-    steps = np.flatnonzero(pauses_ns > TIME_UNITS_NS["d"])
+    # A recorder without a clock of its own begins in 1970.
+    steps = np.flatnonzero(pauses_ns > CLOCK_SET_NS)
     if steps.size:
         around_ns = cleaner.times[steps[0] : steps[0] + 2]
         before, after = around_ns.astype("M8[ns]").astype("M8[s]")

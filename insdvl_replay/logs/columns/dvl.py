@@ -41,8 +41,8 @@ from insdvl_replay.logs.formats.fields import split_paths
 Rule = tuple[str, Callable[[Floats], Mask], str, str]
 _MOVING_MPS: Final = 0.05
 # columns that no message holds as such
-_SPEEDS = "velocities along the beams"
-_AXES = "axes of the beams"
+_SPEEDS: Final = "velocities along the beams"
+_AXES: Final = "axes of the beams"
 _VALID_HINT: Final = 'to read a flag of valid pings: dvl.valid = "field.path", or dvl.beam_valid'
 _BEAM_HINT: Final = "set dvl.beam_tilt_deg and dvl.beam_azimuth_deg from the data sheet"
 

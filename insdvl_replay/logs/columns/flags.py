@@ -27,8 +27,8 @@ _OF_OTHERS: Final = re.compile(
 _FEWEST: Final = 3  # pings that show what a flag means
 _ENOUGH: Final = 8  # pings of each kind, of which the scatter is compared
 # Share of the pings that have no velocity.
-_MOSTLY = 0.5
-_HARDLY = 0.05
+_MOSTLY: Final = 0.5
+_HARDLY: Final = 0.05
 _SCATTERS: Final = 3.0  # times as much as the others
 _OUTLIER: Final = 10.0  # times the usual speed: a number that stands for none
 _CODES: Final = 8  # values of a status at most; a quantity has more

@@ -52,9 +52,9 @@ from insdvl_replay.logs.columns.tables import Table, rows_among
 from insdvl_replay.logs.columns.topics import BOW_DOWN
 
 # PX4's frames, and that of the messages before 1.13.
-_NED = 1
-_BODY = 3
-_OLD_NED = 0
+_NED: Final = 1
+_BODY: Final = 3
+_OLD_NED: Final = 0
 # Which frame of a pose is north-east-down.
 _NORTHS: Final = (("pose_frame", _NED), ("local_frame", _OLD_NED))
 SIZE: Final = 9  # velocity error, misalignment and position error
@@ -138,7 +138,7 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
         _clear_zero(cleaner, position)
     no_fix = "positions have no fix"
     cleaner.keep_where("fix_status", lambda status: status >= 0.0, "no_fix", no_fix)
-    # Of two dimensions.
+    # From 2 on, a fix has two dimensions or three.
     cleaner.keep_where("fix_type", lambda kind: kind >= 2, "no_fix", no_fix)
     if position is not None and "sensor_id" in table:
         cleaner.keep(np.isfinite(position[:, 0]), "no_fix", "positions are without satellites")

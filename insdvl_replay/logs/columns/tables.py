@@ -61,9 +61,8 @@ _RATE: Final = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?) ?Hz")
 # As a stamp: a field, and the unit of its numbers.
 _WITH_UNIT: Final = re.compile(rf"(.+?) ?\[({'|'.join(TIME_UNITS_NS)})\]")
 _UNDER_WAY: Final = 1000  # messages at most that are under way from a sensor to the recorder
-_HOPELESS: Final = (
-    1000  # where so many messages cannot be read, and fewer can, the schema is wrong
-)
+# Where so many messages cannot be read, and fewer can, the schema is wrong.
+_HOPELESS: Final = 1000
 
 
 def stamp_path(stamp: str) -> str:
@@ -89,9 +88,8 @@ class Table:
     # Log times of messages that are left out because they do not fit their schema.
     unreadable_ns: tuple[int, ...] = ()
     fault: LogError | None = None  # what is wrong with the first of these
-    duplicates: int = (
-        0  # messages that are left out because another channel or file holds them too
-    )
+    # Messages that are left out because another channel or file holds them too.
+    duplicates: int = 0
     # Every path that the messages have, with the type of what is there.
     known: Kinds = field(default_factory=dict)
     files: Rows | None = None  # (k,), the file of each message, where they are from several
@@ -613,7 +611,7 @@ def _apart_note(place: str, imu: Clock, other: Clock, max_disagreement_s: float)
     pairs = product(_both_ways(other), _both_ways(imu))
     jitter_s = min(other.spread_s, LARGEST_JITTER_S) + min(imu.spread_s, LARGEST_JITTER_S)
     apart_s = min(abs(theirs_s - ours_s) for theirs_s, ours_s in pairs) - jitter_s
-    if not apart_s > min(max_disagreement_s, SAME_CLOCK_S):
+    if apart_s <= min(max_disagreement_s, SAME_CLOCK_S):
         return None
     both = f"{imu.topic} and {other.topic}"
     if imu.topic == other.topic:

@@ -287,9 +287,8 @@ def _protobuf_shape(descriptor: Any, above: tuple[str, ...], numbers: Iterator[i
 # --- JSON.
 
 _EXAMPLES: Final = 100  # messages from which the fields are learnt that no schema names
-_MOST_FAILURES: Final = (
-    20  # searches in vain before one message is taken for all that come with it
-)
+# Searches in vain before one message is taken for all that come with it.
+_MOST_FAILURES: Final = 20
 _DEEPEST: Final = 32  # levels of structures within structures that are looked at
 # Of members, which have no order, these come last, in this one.
 _LAST: Final = ("sec", "nsec", "nanosec", "x", "y", "z", "w")

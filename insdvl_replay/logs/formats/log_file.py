@@ -38,6 +38,11 @@ _MOST_COMPRESSED: Final = 256
 _SHOWN: Final = 3  # damaged places that a note lists
 
 
+def joined_bounds(bounds: Sequence[Span]) -> Span:
+    """Return the first and the last of several."""
+    return min(first for first, _ in bounds), max(last for _, last in bounds)
+
+
 @dataclass(frozen=True)
 class LogChannel:
     """One channel of a log; a topic may have several."""
@@ -51,9 +56,8 @@ class LogChannel:
     schema_data: bytes = b""  # may be empty; protobuf's is no text
     metadata: Mapping[str, str] = field(default_factory=dict)
     time_column: str = ""  # of a table: the column of its log times
-    untimed: str = (
-        ""  # of a table: why its times cannot be read, so that its rows are only counted
-    )
+    # Of a table: why its times cannot be read, so that its rows are only counted.
+    untimed: str = ""
 
     @cached_property
     def schema_text(self) -> str:

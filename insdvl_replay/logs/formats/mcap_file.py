@@ -60,8 +60,8 @@ MESSAGE: Final = np.dtype(
 _MESSAGE_FIELDS: Final = MESSAGE.itemsize - HEADER_SIZE
 _ENTRY: Final = np.dtype([("log", "<i8"), ("start", "<i8")])  # of a message index
 # Bytes that the walk looks at at a time: among chunks, among messages.
-_WINDOW = 4 << 10
-_LARGE_WINDOW = 1 << 20
+_WINDOW: Final = 4 << 10
+_LARGE_WINDOW: Final = 1 << 20
 _END_OF_TIME_NS: Final = 2**63  # times are signed in numpy as in ROS, and unsigned in the format
 _CUT: Final = "the closing bytes are missing; the file was cut or is still being written"
 _SUMMARY_ONLY: Final = (

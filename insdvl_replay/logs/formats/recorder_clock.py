@@ -12,7 +12,8 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.units import TIME_UNITS_NS
 from insdvl_replay.core.words import Severity
 
-_LONGEST_PAUSE_NS: Final = TIME_UNITS_NS["d"]  # no recorder waits longer in the middle of a dive
+# No recorder waits for longer in the middle of a dive: after a larger step its clock was set.
+CLOCK_SET_NS: Final = TIME_UNITS_NS["d"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class OneClock:
 
 def spans_a_step(first_ns: int, last_ns: int) -> bool:
     """Return whether log times span so much that the clock may have been set."""
-    return last_ns - first_ns > _LONGEST_PAUSE_NS
+    return last_ns - first_ns > CLOCK_SET_NS
 
 
 def one_clock(log_times: Sequence[TimeNs]) -> OneClock | None:
@@ -58,7 +59,7 @@ def one_clock(log_times: Sequence[TimeNs]) -> OneClock | None:
     if not known:
         return None
     ordered = np.sort(np.concatenate(known))
-    steps = np.flatnonzero(_between_ns(ordered[:-1], ordered[1:]) > _LONGEST_PAUSE_NS)
+    steps = np.flatnonzero(_between_ns(ordered[:-1], ordered[1:]) > CLOCK_SET_NS)
     if not steps.size:
         return None
     firsts = ordered[np.append(0, steps + 1)]

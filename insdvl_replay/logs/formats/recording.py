@@ -36,6 +36,7 @@ from insdvl_replay.logs.formats.log_file import (
     Span,
     UnusableFileError,
     damaged_file_error,
+    joined_bounds,
 )
 from insdvl_replay.logs.formats.mcap_file import MAGIC, McapFile
 from insdvl_replay.logs.formats.recorder_clock import OneClock, one_clock, spans_a_step
@@ -288,7 +289,7 @@ class _OpenTable(NamedTuple):
 def _align_times_of_day(parts: Sequence[LogFile]) -> None:
     """Shift tables without date or hour so that they overlap the others the most: those with a date, else the first."""
     from insdvl_replay.logs.formats.table_file import TableFile
-    from insdvl_replay.logs.formats.table_times import joined_bounds, shift_ns
+    from insdvl_replay.logs.formats.table_times import shift_ns
 
     fixed: list[Span] = []
     open_ones: list[_OpenTable] = []

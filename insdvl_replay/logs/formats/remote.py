@@ -151,7 +151,6 @@ class _Kept:
 class _Offer:
     """A log on its server."""
 
-    url: str
     system: Any  # of files
     path: str
 
@@ -187,7 +186,7 @@ def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: 
         text = "is not kept from an earlier command, and offline nothing is fetched"
         raise LogError(text, _ONLINE, shown_url(url))
     limits = _limits()
-    offer = _Offer(url, *_file_system(url))
+    offer = _Offer(*_file_system(url))
     try:
         with _refused(url):
             state = offer.state()

@@ -1,7 +1,6 @@
 """Times of tables: numbers in a unit, days of a calendar, dates, and times of day without a date or an hour."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Any, Final
@@ -11,6 +10,7 @@ import pandas as pd
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Array, Floats, Mask, TimeNs
 from insdvl_replay.core.units import TIME_UNITS_NS
+from insdvl_replay.logs.formats.log_file import Span
 
 TIME_NAME: Final = re.compile(
     r"(^|[_.])(time|times|timestamp|stamp|t|utc|epoch|clock|tow|datetime|datenum|time_?of_?day|hms)([_.]?(s|sec|ms|us|ns))?$"
@@ -23,8 +23,8 @@ _RATES_HZ: Final = (0.2, 4000.0)  # of a sensor: they tell the unit of times tha
 _SLOWEST_HZ: Final = 1.0 / 3600.0  # of fixes, where nothing else fits
 _SINCE_1970_S: Final = (1e9, 4e9)  # times of a clock that counts from then, from 2001 to 2096
 # 2000 to 2050, days since 1970
-_FIRST_DAY = 10_957
-_LAST_DAY = 29_220
+_FIRST_DAY: Final = 10_957
+_LAST_DAY: Final = 29_220
 _FEW: Final = 0.05  # share of the cells that may be no times
 _COARSE: Final = 0.1  # share of the usual step by which rounded times may be wrong
 _MOST_DIGITS: Final = 12
@@ -237,10 +237,8 @@ def unwrapped(time_ns: TimeNs, known: Mask, period_ns: int) -> TimeNs:
 
 # --- Tables of one dive, of which some have no date or no hour.
 
-Bounds = tuple[int, int]  # first and last time, ns
 
-
-def shift_ns(times: Bounds, period_ns: int, others: Bounds) -> int | None:
+def shift_ns(times: Span, period_ns: int, others: Span) -> int | None:
     """Return by how many periods times are to be shifted to overlap others the most, in ns.
 
     None where another shift is as good.
@@ -256,8 +254,3 @@ def shift_ns(times: Bounds, period_ns: int, others: Bounds) -> int | None:
     if overlap_ns(second) > 0 and overlap_ns(second) > 0.98 * overlap_ns(best):
         return None
     return best
-
-
-def joined_bounds(bounds: Sequence[Bounds]) -> Bounds:
-    """Return the first and the last of several."""
-    return min(first for first, _ in bounds), max(last for _, last in bounds)
