@@ -17,6 +17,7 @@ from msgspec.structs import replace
 from insdvl_replay.changes.cells import RowPair, is_number, paired_rows
 from insdvl_replay.changes.matching import Pair
 from insdvl_replay.core.distinct import distinct_dives
+from insdvl_replay.core.of_reference import is_independent
 from insdvl_replay.core.quantities import (
     CONSISTENCY,
     DRIFT_QUANTITIES,
@@ -238,8 +239,9 @@ def _paired_evidence(name: str, dive: Pair) -> Iterator[EvidenceRow]:
     """
     report = dive.new.report
     rows = list(paired_rows(dive.old.report, report, _TABLES))
-    is_independent = report.config.get("reference", {}).get("independent") is not False
-    may_vote = partial(role_alone, independent=is_independent, delay=report.reference_delay)
+    may_vote = partial(
+        role_alone, independent=is_independent(report.config), delay=report.reference_delay
+    )
     if any(map(_is_evidence, rows)):
         is_baseline = name == report.baseline
         cells = _cells_of_evidence(rows, "" if is_baseline else name, may_vote)

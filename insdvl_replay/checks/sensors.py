@@ -24,6 +24,7 @@ from insdvl_replay.core.dive_columns import (
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.notes import note
+from insdvl_replay.core.of_reference import sensor_is_reference, solution_is_reference
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
@@ -82,7 +83,7 @@ def sensor_notes(
             same = _are_shared(name, columns.values[ours], reference, theirs)
         count = int(same.sum())
         if count > _SHARED * all_count:
-            shared.append(note(f"{name}_is_reference", count, name=name, readings=all_count))
+            shared.append(note(sensor_is_reference(name), count, name=name, readings=all_count))
     return (*stuck, *shared)
 
 
@@ -143,7 +144,7 @@ def solution_notes(
         all_count = len(solution.motion.time_ns)
         if count > max(_SHARED * all_count, 10):
             known = {"name": name, "rows": all_count, "quantity": quantity}
-            notes.append(note(f"solution_{name}_is_reference solution", count, **known))
+            notes.append(note(f"{solution_is_reference(name)} solution", count, **known))
     return tuple(notes)
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from insdvl_replay.core.held_out import HeldOut
 from insdvl_replay.core.states import AIDING, BY_SENSOR, MORE_STATES, SENSORS
 
 Vector = tuple[float, float, float]
@@ -738,9 +739,14 @@ class Config(Section, frozen=True):
         return tuple(words)
 
     @property
+    def held_out(self) -> HeldOut:
+        """What no filter is told, so that it judges them."""
+        return HeldOut(self.evaluation.held_out)
+
+    @property
     def sensors(self) -> tuple[str, ...]:
         """The sensors that a replay reads: those that aid filters, that they start from, or that are held out."""
-        asked = {*self.evaluation.held_out}
+        asked = {*self.held_out.sensors}
         for filter_ in self.filters.values():
             asked.update(filter_.aiding)
         if BY_SENSOR in (self.initial.source, self.initial.heading_deg):

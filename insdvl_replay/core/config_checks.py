@@ -7,6 +7,7 @@ from typing import Final
 from insdvl_replay.core.config import TOPIC_KEYS, Config, Filter, spelled_out
 from insdvl_replay.core.config_limits import impossible_values
 from insdvl_replay.core.errors import hint_for
+from insdvl_replay.core.held_out import HeldOut
 from insdvl_replay.core.quantities import DECIDERS
 from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
 
@@ -94,7 +95,7 @@ def _filter_problems(name: str, filter_: Filter, config: Config) -> Iterator[Pro
     if candidate_keys(filter_):
         remarks = _candidate_remarks(filter_, key, is_baseline=name == config.baseline)
     else:
-        remarks = _filter_remarks(filter_, config.evaluation.held_out, key)
+        remarks = _filter_remarks(filter_, config.held_out, key)
     for what, hint in remarks:
         yield path, what, hint
 
@@ -202,7 +203,7 @@ def _program_remarks(program: Sequence[str], key: str) -> Iterator[Remark]:
         yield f"{key}.program has no argument with {' and '.join(lacking)}", _PROGRAM
 
 
-def _filter_remarks(filter_: Filter, held_out: Sequence[str], key: str) -> Iterator[Remark]:
+def _filter_remarks(filter_: Filter, held_out: HeldOut, key: str) -> Iterator[Remark]:
     """Check that the aiding, the states and the other keys of one of the tool's own filters belong together."""
     aiding = set(filter_.aiding)
     if not aiding:
@@ -233,11 +234,11 @@ def _filter_remarks(filter_: Filter, held_out: Sequence[str], key: str) -> Itera
             )
 
 
-def _unmeasured_states(filter_: Filter, held_out: Sequence[str], key: str) -> Iterator[Remark]:
+def _unmeasured_states(filter_: Filter, held_out: HeldOut, key: str) -> Iterator[Remark]:
     for state, measured_by in _MEASURED_BY.items():
         if state not in filter_.states:
             continue
-        if not {*measured_by} & {*filter_.aiding, *held_out}:
+        if held_out.met(filter_.aiding).isdisjoint(measured_by):
             yield (
                 f"{key} estimates {state}, but none of its sensors measures it",
                 f"add {' or '.join(measured_by)} to {key}.aiding, or remove {state} from {key}.states",

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, Mask, ReferenceColumns, TimeNs
+from insdvl_replay.core.held_out import held_out_sensor, is_never_used
 from insdvl_replay.core.states import POSITION, STATES, State
 
 
@@ -25,7 +26,8 @@ class Innovations:
     nis: Floats  # (m,) z' S^-1 z
     used: Mask  # (m,) false where the gate rejected it
     log_det: Floats  # (m,) logarithm of the determinant of S, for the likelihood
-    gate: float  # largest NIS that was used; infinite where none was rejected; negative of a held-out sensor
+    # largest NIS that was used; infinite where none was rejected; `NOTHING_PASSES` of what is held out
+    gate: float
     # rejections in a row after which the velocity's uncertainty was opened; 0: never
     reopen_after: int
     # (m,) used in spite of the gate, after so many rejections in a row; NIS and standard deviations are those before
@@ -55,7 +57,12 @@ class Innovations:
     @property
     def is_held_out(self) -> bool:
         """Whether the filter got none of them."""
-        return self.gate < 0.0
+        return is_never_used(self.gate)
+
+    @property
+    def held_out_sensor(self) -> str:
+        """The sensor that settings hold out; empty of all others."""
+        return held_out_sensor(self.measurement)
 
     @property
     def standardised(self) -> Floats:

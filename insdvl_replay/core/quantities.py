@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from insdvl_replay.core.held_out import held_out_name, held_out_sensor
 from insdvl_replay.core.states import AIDING, AXES_N, BA, BG, DV, PHI, POSITION, SENSORS, STATES
 from insdvl_replay.core.words import Consistency, Verdict
 
@@ -69,17 +70,12 @@ def is_whole(measurement: str) -> bool:
 # How the four beams of a ping agree: noise that is measured without a filter.
 PARITY: Final = "parity"
 _BEAM: Final = "beam_"
-# So begins the name of a sensor of whose readings no filter is told.
-HELD_OUT: Final = "held_out_"
-
-
-# So ends the code of the note, behind a sensor's name, that its readings are the reference's own.
-IS_REFERENCE: Final = "_is_reference"
 
 
 def is_used(measurement: str) -> bool:
     """Distinguish a whole measurement that a filter predicts and uses, by which it is judged honest or not."""
-    return is_whole(measurement) and measurement != PARITY and not measurement.startswith(HELD_OUT)
+    is_compared_only = measurement == PARITY or held_out_sensor(measurement) != ""
+    return is_whole(measurement) and not is_compared_only
 
 
 def beam_name(number: int) -> str:
@@ -99,13 +95,13 @@ MEASUREMENTS: Final[dict[str, tuple[str, ...]]] = {
     **{beam_name(number): () for number in range(1, 5)},
     PARITY: (),
     **{name: sensor.components for name, sensor in SENSORS.items()},
-    **{f"{HELD_OUT}{name}": sensor.components for name, sensor in SENSORS.items()},
+    **{held_out_name(name): sensor.components for name, sensor in SENSORS.items()},
 }
 
 
 def is_reserved(measurement: str) -> bool:
     """Return whether the tool gives this name to measurements of its own, which nobody else's may have."""
-    of_a_kind = is_beam(measurement) or measurement.startswith(HELD_OUT)
+    of_a_kind = is_beam(measurement) or held_out_sensor(measurement) != ""
     return of_a_kind or measurement in MEASUREMENTS or measurement in AIDING
 
 
@@ -132,7 +128,7 @@ _OUTAGE: Final = tuple(f"outage_{window}s" for window in OUTAGE_WINDOWS_S)
 CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_d"}
 _CONVERGENCE: Final = tuple(f"convergence_{name}" for name in CONVERGED)
 # Differences from sensors that are withheld.
-HELD_OUT_QUANTITIES: Final = tuple(f"{HELD_OUT}{name}" for name in SENSORS)
+HELD_OUT_QUANTITIES: Final = tuple(held_out_name(name) for name in SENSORS)
 # How well a filter predicts the DVL, by its log score.
 PREDICTION: Final = "prediction"
 # Evidence whether innovations and errors are as large as a filter says; it neither decides nor warns.
@@ -154,9 +150,9 @@ DECIDERS: Final = (*TRACK, *_OUTAGE, *ACCURACY, *HELD_OUT_QUANTITIES)
 # Quantities that can warn, by kind; the first of a kind that the dives have stands for it.
 SECONDARIES: Final = {
     "outage": ("outage_60s", "outage_30s"),
-    "drift": ("drift_60s", f"{HELD_OUT}position"),
+    "drift": ("drift_60s", held_out_name("position")),
     "level": ("level",),
-    "heading": ("heading", f"{HELD_OUT}heading"),
+    "heading": ("heading", held_out_name("heading")),
     "velocity along": ("velocity_along",),
     "velocity across": ("velocity_across",),
 }

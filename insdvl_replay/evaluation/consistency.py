@@ -13,7 +13,7 @@ from scipy.special import betainc, chdtr, chdtri
 
 from insdvl_replay.core.dive_columns import Floats, Mask
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.quantities import HELD_OUT, axis_of, is_reserved
+from insdvl_replay.core.quantities import axis_of, is_reserved
 from insdvl_replay.core.states import MORE_STATES, SENSORS
 from insdvl_replay.core.tables import ConsistencyRow
 from insdvl_replay.core.words import Consistency, Reason, Whiteness
@@ -154,7 +154,7 @@ def _rows_of_measurement(
             mean = _nis_verdict(nis * innovations.weight[met], dof, lasting)
         if mean.verdict == Consistency.CONSERVATIVE:
             if innovations.is_held_out:
-                sd = sensor_sd[measurement.removeprefix(HELD_OUT)]
+                sd = sensor_sd[innovations.held_out_sensor]
                 may_last = not _is_below_noise((innovations.innovation / sd)[:, components])
             else:
                 may_last = measurement in SENSORS and repeats(correlation, limit)
@@ -185,7 +185,7 @@ def _has_states(history: History, innovations: Innovations) -> bool:
     if not innovations.is_held_out:
         return True
     states = {state.id for state in history.states}
-    for block in SENSORS[innovations.measurement.removeprefix(HELD_OUT)].states:
+    for block in SENSORS[innovations.held_out_sensor].states:
         if any(state.id not in states for state in MORE_STATES[block]):
             return False
     return True

@@ -30,7 +30,6 @@ from insdvl_replay.core.quantities import (
     CONSISTENCY,
     CONVERGED,
     DRAWN_HEADING,
-    HELD_OUT,
     PREDICTION,
     PRIMARIES,
     SECONDARIES,
@@ -197,9 +196,7 @@ def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[st
     """
     found = {}
     for met in history.innovations:
-        if not met.is_held_out:
-            continue
-        sensor = met.measurement.removeprefix(HELD_OUT)
+        sensor = met.held_out_sensor
         if sensor == "heading":
             sd_deg = float(noise_sd[sensor][0]) / DEG
             found[met.measurement] = ErrorSeries("deg", met.innovation / DEG, sd_deg)
@@ -260,8 +257,8 @@ def held_out_track(history: History, noise_sd: Mapping[str, Floats]) -> dict[str
     start_ns = int(history.time_ns[0])
     end_ns = int(history.time_ns[-1])
     for met in history.innovations:
-        sensor = met.measurement.removeprefix(HELD_OUT)
-        if not met.is_held_out or sensor not in ALONG or len(met.time_ns) < 2:
+        sensor = met.held_out_sensor
+        if sensor not in ALONG or len(met.time_ns) < 2:
             continue
         known = np.asarray(np.isfinite(met.innovation).all(axis=1))
         if covered_share(met.time_ns, known, start_ns, end_ns) < WELL_COVERED:

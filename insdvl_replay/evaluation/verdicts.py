@@ -15,9 +15,9 @@ from scipy.special import chdtrc
 from insdvl_replay.core.dive_columns import NS_PER_S, Mask, TimeNs, in_pauses
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.of_reference import OfReference
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
-    IS_REFERENCE,
     VERDICTS_BEST_FIRST,
     WITHOUT_VERDICT,
     is_beam,
@@ -152,19 +152,17 @@ def _invalid_filters(histories: Sequence[History], notes: Sequence[Note]) -> dic
     They mean nothing for filters that are aided by the reference's own readings. Depth is an exception: it neither
     decides nor warns, and the rest of the reference is still valid.
     """
-    shared = {
-        note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)
-    }
+    of_reference = OfReference.noted(notes)
     invalid = {}
     for history in histories:
         name = history.filter
         if history.failure:
             invalid[name] = history.failure
-        if f"solution_{name}" in shared:
+        if name in of_reference.solutions:
             invalid[name] = f"{name} is the reference, or may have used it"
         for met in history.innovations:
             sensor = met.measurement
-            if sensor in shared and sensor != "depth":
+            if sensor in of_reference.sensors and sensor != "depth":
                 invalid[name] = f"{name} is aided by the {sensor} of the reference"
     return invalid
 
@@ -411,7 +409,7 @@ def evaluated_candidates(
 
 def _aided_by_its_depth(histories: Sequence[History], notes: Sequence[Note]) -> set[str]:
     """Return the filters that are aided by the depth that the reference is made of: it is no evidence on them."""
-    if not any(note.code == f"depth{IS_REFERENCE}" for note in notes):
+    if "depth" not in OfReference.noted(notes).sensors:
         return set()
     found = set()
     for history in histories:

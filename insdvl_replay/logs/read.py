@@ -23,7 +23,8 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.dive_record import Channel, Clock, dive_name
 from insdvl_replay.core.errors import LogError, Note, counted_clause, error_context
-from insdvl_replay.core.quantities import IS_REFERENCE
+from insdvl_replay.core.held_out import Span, Why
+from insdvl_replay.core.of_reference import solution_is_reference
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import SENSORS
 from insdvl_replay.core.words import Severity
@@ -124,7 +125,7 @@ def _stored_channel(topic: str, channels: Sequence[LogChannel], role: str) -> Ch
 
 
 def held_back_messages(
-    paths: Sequence[Path], config: Config, outages: Sequence[tuple[int, int]]
+    paths: Sequence[Path], config: Config, outages: Sequence[Span]
 ) -> dict[str, TimeNs | None]:
     """Return the log times of the messages that judge a filter, by topic; None stands for all of a topic.
 
@@ -132,20 +133,21 @@ def held_back_messages(
     its times of validity, without their starts.
     """
     log = open_recording(paths, allow_damaged=True)
+    held_out = config.held_out.in_outages(outages).with_judges()
     found: dict[str, TimeNs | None] = {}
     of_dvl: list[Source] = []
     own_config = config.of_dive(dive_name(log.path))
     for source in sources_of(find_roles(str(log.path), log.channels, own_config)):
         topic = config.topics.get(source.role.removeprefix(LOG_TOPIC))
         role = (topic and topic.sensor) or source.role
-        is_judge = role.startswith(("reference", "truth", "filters."))
-        if is_judge or role in config.evaluation.held_out:
-            found[source.topic] = None
-        elif role == "dvl" and outages:
+        why = held_out.why(role)
+        if why == Why.OUTAGE:
             of_dvl.append(source)
+        elif why is not None:
+            found[source.topic] = None
     for table in read_tables(log, of_dvl):
         time_ns = table.time_ns()
-        absent = in_spans(time_ns, outages)
+        absent = in_spans(time_ns, held_out.outages)
         found.setdefault(table.source.topic, table.columns["log_time"][absent, 0])
     return found
 
@@ -197,7 +199,7 @@ def source_notes(sources: Sequence[Source]) -> Iterator[Note]:
         if name is not None and source.topic in of_reference:
             text = f"{source.role} and the reference are both from {source.topic}, so they may not be independent"
             hint = "to judge it by another reference: reference.topic and reference.fix"
-            yield Note(f"solution_{name}{IS_REFERENCE}", text, 1, Severity.WARNING, hint)
+            yield Note(solution_is_reference(name), text, 1, Severity.WARNING, hint)
 
 
 def loss_notes(tables: Iterable[Table]) -> list[Note]:

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs
+from insdvl_replay.core.held_out import NOTHING_PASSES
 from insdvl_replay.core.runtime import inlined
 from insdvl_replay.nav.algebra import (
     Vector,
@@ -56,8 +57,6 @@ VELOCITY, PUBLISHED, WINDOWED, BEAM, DEPTH, HEADING, FIX, USER = range(8)
 IDENTITY: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 NO_WINDOW: Final = np.zeros((0, 0))
-NOTHING_PASSES: Final = -1.0
-"""A gate below any NIS."""
 NEVER_REOPENED: Final = 0
 """A rejected acceleration locks nothing out: the velocity brings the INS back."""
 

@@ -11,8 +11,8 @@ from msgspec.structs import asdict
 from insdvl_replay.core.config import Acceleration, Config, Filter, InertialNoise
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns, TimeNs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note
+from insdvl_replay.core.held_out import HeldOut, held_out_name
 from insdvl_replay.core.notes import note
-from insdvl_replay.core.quantities import HELD_OUT
 from insdvl_replay.core.states import DEG, FASTEST_MPS, MORE_STATES, SENSORS, states_for
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import DvlMounting, north_east_m
@@ -88,8 +88,8 @@ class ResolvedFilter:
     gate_reopen_after: int
     acceleration: Acceleration
     states: tuple[str, ...]  # names in `states.MORE_STATES`, beside the twelve
-    # sensors that are held out: the filter is compared with them and not aided by them
-    held_out: tuple[str, ...]
+    # the filter is compared with it and not aided by it
+    held_out: HeldOut
     measurement_noise: int  # how R of velocity and beams is taken, see `nav.kalman`
     more_sd: Floats  # (n - 12,) sd of the states beside the twelve at the start, SI units
     more_density: Floats  # (n - 12,) density of their process noise
@@ -102,6 +102,11 @@ class ResolvedFilter:
         from insdvl_replay.evaluation.consistency import chi_square_quantile
 
         return chi_square_quantile(self.gate_probability, size)
+
+    @property
+    def used_aiding(self) -> tuple[str, ...]:
+        """The part of its aiding that is not held out."""
+        return self.held_out.told(self.aiding)
 
     @property
     def constants(self) -> int:
@@ -141,9 +146,7 @@ class ResolvedFilter:
             velocities.time_ns, mounting.lever_arm_b
         )
         found = list[Measurement]()
-        for aid in self.aiding:
-            if aid in self.held_out:
-                continue
+        for aid in self.used_aiding:
             if aid == "velocity":
                 found.append(self._as_set(velocity_measurement(velocities, cov_b)))
             elif aid == "beams":
@@ -154,9 +157,10 @@ class ResolvedFilter:
                 found.append(sensors[aid])
         used = [replace(measurement, gate=self.gate(measurement.size)) for measurement in found]
         held_out = list[Measurement]()
-        for aid in self.held_out:
-            name = f"{HELD_OUT}{sensors[aid].name}"
-            held_out.append(replace(sensors[aid], name=name).held_out())
+        for sensor in self.held_out.sensors:
+            measurement = sensors[sensor]
+            name = held_out_name(measurement.name)
+            held_out.append(replace(measurement, name=name).held_out())
         return (*used, *held_out)
 
     def _as_set(self, measurement: Measurement) -> Measurement:
@@ -207,8 +211,8 @@ class ResolvedFilter:
 
 def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter:
     """Resolve what a filter takes from the sections that all filters share."""
-    held_out = config.evaluation.held_out
-    needed = {*filter_.states, *states_for(aid for aid in filter_.aiding if aid not in held_out)}
+    held_out = config.held_out
+    needed = {*filter_.states, *states_for(held_out.told(filter_.aiding))}
     states = tuple(block for block in MORE_STATES if block in needed)
     more_sd = list[float]()
     fading = list[bool]()
@@ -353,7 +357,7 @@ def silence_notes(sensor: str, time_ns: TimeNs, start_ns: int, end_ns: int) -> l
 def held_out_notes(config: Config) -> list[Note]:
     """Name the filters that a held-out sensor would aid."""
     notes = []
-    for sensor in config.evaluation.held_out:
+    for sensor in config.held_out.sensors:
         names = [name for name, filter_ in config.computed.items() if sensor in filter_.aiding]
         if names:
             notes.append(note(f"{sensor}_held_out", sensor=sensor, filters=", ".join(names)))

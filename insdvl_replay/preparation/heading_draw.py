@@ -73,7 +73,7 @@ def depends_on_heading(filter_: ResolvedFilter, config: Config) -> bool:
 
     Measurements of the user's own may be of any kind. A depth brings states of the position that it does not measure.
     """
-    used = {aid for aid in filter_.aiding if aid not in filter_.held_out}
+    used = {*filter_.used_aiding}
     is_aided = not used.isdisjoint(("heading", "position")) or not used <= {*AIDING}
     return is_aided or not {*config.filters[filter_.name].states}.isdisjoint(
         ("heading_bias", "position")
@@ -94,7 +94,7 @@ def turned_start(start: Start, error: float, sd: float) -> Start:
 
 def _has_positions(dive: Dive, config: Config) -> bool:
     is_located = dive.reference is not None and dive.reference.has_position
-    return is_located or "position" in config.evaluation.held_out
+    return is_located or "position" in config.held_out.sensors
 
 
 def _seeds(dive: Dive, prepared: Prepared, seed: int) -> tuple[int, ...]:

@@ -7,7 +7,7 @@ becomes a sentence; compiled code neither raises nor checks that a column of H e
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -24,12 +24,14 @@ from insdvl_replay.core.dive_columns import (
     in_spans,
 )
 from insdvl_replay.core.errors import ConfigError, Note, UserError, error_context, listed
+from insdvl_replay.core.held_out import NOTHING, Span, Why
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.quantities import COMPONENTS
 from insdvl_replay.core.runtime import is_compiled, plain
 from insdvl_replay.core.states import states_with
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import skew
+from insdvl_replay.logs.columns.topics import solution_role
 from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.measurements import USER, Measurement, sensor_measurement
 from insdvl_replay.nav.timeline import FIRST_OTHER
@@ -50,7 +52,7 @@ from insdvl_replay.nav.user_measurement import (
 )
 from insdvl_replay.preparation.filters import ResolvedFilter, silence_notes
 
-Outage = tuple[int, int]  # times of the last ping before it, and of the last ping in it, ns
+Outage = Span  # from the last ping before it to the last ping in it
 SHOWN: Final = "example: docs/own_filter.md"
 NO_END: Final = int(np.iinfo(np.int64).max)
 # between two outages of one call: user code mostly looks back less
@@ -235,8 +237,9 @@ def _topics_hint(given: Dive, config: Config) -> str:
     if given.topics:
         topics = f"dive.topics has {listed(sorted(given.topics))}"
     hint = f"{topics}; to add a topic, write a section [topics.NAME]"
-    if held_out := config.evaluation.held_out:
-        hint += f"; evaluation.held_out removes {listed(held_out)}, and topics and solutions that contain it"
+    sensors = config.held_out.sensors
+    if sensors:
+        hint += f"; evaluation.held_out removes {listed(sensors)}, and topics and solutions that contain it"
     return hint
 
 
@@ -409,42 +412,41 @@ def given_dive(
     The reference and solutions may be made of either, and are absent with it. So are topics that carry it. Outages are
     in the order of time and do not overlap.
     """
-    held_out = config.evaluation.held_out
-    if not (held_out or outages):
+    held_out = config.held_out.in_outages(outages)
+    if held_out == NOTHING:
         return dive
 
-    def in_time(time_ns: TimeNs) -> Mask:
-        return time_ns <= end_ns
+    def is_told(role: str) -> bool:
+        return held_out.why(role) in (None, Why.OUTAGE)
 
-    def known(time_ns: TimeNs) -> Mask:
-        return np.asarray(in_time(time_ns) & ~in_spans(time_ns, outages))
+    def rows(role: str, time_ns: TimeNs) -> Mask:
+        told = np.asarray(time_ns <= end_ns)
+        if held_out.why(role) == Why.OUTAGE:
+            told &= ~in_spans(time_ns, held_out.outages)
+        return told
 
     reference = None
+    if dive.reference is not None and is_told("reference"):
+        reference = dive.reference.rows(rows("reference", dive.reference.time_ns))
     solutions = dict[str, SolutionColumns]()
-    if not held_out:
-        solutions = {name: columns.where(known) for name, columns in dive.solutions.items()}
-        if dive.reference is not None:
-            reference = dive.reference.rows(known(dive.reference.time_ns))
-    sensors = {
-        name: columns.rows(in_time(columns.time_ns))
-        for name, columns in dive.sensors.items()
-        if name not in held_out
-    }
+    for name, solution in dive.solutions.items():
+        role = solution_role(name)
+        if is_told(role):
+            solutions[name] = solution.where(partial(rows, role))
+    sensors = dict[str, SensorColumns]()
+    for name, columns in dive.sensors.items():
+        if is_told(name):
+            sensors[name] = columns.rows(rows(name, columns.time_ns))
     topics = dict[str, SensorColumns]()
     carried = _carried_roles(dive, config)
     for name, columns in dive.topics.items():
         role = carried.get(name, "")
-        is_mixed = role.startswith(("reference", "filters."))
-        if held_out and (is_mixed or role in held_out):
-            continue
-        rows = in_time(columns.time_ns)
-        if is_mixed or role == "dvl":
-            rows = known(columns.time_ns)
-        topics[name] = columns.rows(rows)
+        if is_told(role):
+            topics[name] = columns.rows(rows(role, columns.time_ns))
     return replace(
         dive,
         imu=dive.imu.within(int(dive.imu.time_ns[0]), end_ns),
-        dvl=dive.dvl.rows(known(dive.dvl.time_ns)),
+        dvl=dive.dvl.rows(rows("dvl", dive.dvl.time_ns)),
         reference=reference,
         sensors=sensors,
         solutions=solutions,

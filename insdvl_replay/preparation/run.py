@@ -27,6 +27,7 @@ from insdvl_replay.core.dive_columns import (
     nanoseconds,
 )
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
+from insdvl_replay.core.held_out import NOTHING
 from insdvl_replay.core.history import History
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
@@ -290,7 +291,9 @@ def run_outages(
     def outages(filter_: ResolvedFilter, history: History) -> tuple[OutageRun, ...]:
         found = dict[tuple[int, int], OutageRun]()
         drift = gravity_drift(history)
-        (velocity,) = replace(filter_, aiding=("velocity",), held_out=()).measurements(*measured)
+        (velocity,) = replace(filter_, aiding=("velocity",), held_out=NOTHING).measurements(
+            *measured
+        )
         for windows, part, line in groups:
             aiding = filter_.measurements(*measured, part.sensors, prepared.beams)
             others = (measurement for measurement in aiding if measurement.sensor >= FIRST_OTHER)

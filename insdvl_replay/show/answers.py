@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.errors import counted
+from insdvl_replay.core.of_reference import is_independent
 from insdvl_replay.core.quantities import (
     CONSISTENCY,
     DRAWN_HEADING,
@@ -347,7 +348,6 @@ def against_control(reports: Sequence[Report], name: str) -> CandidateAnswer | N
 def _rows_against_control(report: Report, name: str) -> list[EvidenceRow]:
     """Return the rows of a candidate with the control's values for those of the baseline."""
     control = {row.quantity: row for row in of_filter(CONTROL, report.tables.evidence)}
-    is_independent = report.config.get("reference", {}).get("independent") is not False
     found = []
     for row in of_filter(name, report.tables.evidence):
         before = control.get(row.quantity)
@@ -355,7 +355,10 @@ def _rows_against_control(report: Report, name: str) -> list[EvidenceRow]:
             continue
         ratio = finite(row.value) / finite(before.value)
         role = role_alone(
-            row.quantity, row.samples, independent=is_independent, delay=report.reference_delay
+            row.quantity,
+            row.samples,
+            independent=is_independent(report.config),
+            delay=report.reference_delay,
         )
         changed = {
             "baseline": before.value,

@@ -8,7 +8,8 @@ from pathlib import Path
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.errors import visible
-from insdvl_replay.core.quantities import HELD_OUT, is_whole
+from insdvl_replay.core.held_out import held_out_sensor
+from insdvl_replay.core.quantities import is_whole
 from insdvl_replay.core.report import (
     Report,
     as_json,
@@ -127,8 +128,8 @@ def run_log(report: Report) -> str:
         f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock"
     )
     for row in report.tables.consistency:
-        if row.measurement.startswith(HELD_OUT):
-            sensor = row.measurement.removeprefix(HELD_OUT)
+        sensor = held_out_sensor(row.measurement)
+        if sensor:
             lines.append(
                 f"filter {row.filter}: {row.rejected} readings of {sensor} held out, used only for comparison"
             )
