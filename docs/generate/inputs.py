@@ -7,7 +7,7 @@ from written import PROJECT, markdown_table, renewed
 from insdvl_replay.core.states import SENSORS
 from insdvl_replay.logs.columns.topics import LOG_TIME, ROLES, TYPES, KnownType, Types
 from insdvl_replay.logs.formats.fields import ENCODINGS
-from insdvl_replay.logs.formats.recording import OTHER_FORMATS
+from insdvl_replay.logs.formats.known_formats import FORMATS, OTHER_FORMATS, Format
 
 PAGE = PROJECT / "docs" / "inputs.md"
 
@@ -71,6 +71,13 @@ def _other(endings: tuple[str, ...]) -> str:
     return ", ".join(f"`{ending}`" for ending in endings)
 
 
+def _command(known: Format) -> str:
+    """The one command from a file to the verdict; an IMU that the file lacks is a table beside it."""
+    if "IMU" in known.lacks:
+        return f"`insdvl-replay run --one-dive {known.example} imu.csv`"
+    return f"`insdvl-replay run {known.example}`"
+
+
 PARTS = {
     "encodings": lambda: markdown_table(
         ("messages", "schemas"),
@@ -85,6 +92,20 @@ PARTS = {
         "nav_solution", "odometry", "fix", "extended_fix", "poses", "truth"
     ),
     "sensors": _sensors,
+    "instruments": lambda: markdown_table(
+        ("instrument", "endings", "command", "what it has", "what it lacks"),
+        [
+            (
+                known.name,
+                _other(known.endings),
+                _command(known),
+                known.holds,
+                known.lacks or "nothing",
+            )
+            for known in FORMATS
+            if known.name
+        ],
+    ),
     "others": lambda: markdown_table(
         ("file", "endings", "what to do"),
         [

@@ -19,6 +19,8 @@ MANIFEST_SUFFIX: Final = ".toml"
 """Ending of a file that lists dives with their digests."""
 BAG_METADATA: Final = "metadata.yaml"
 """The file by which a bag is known. Names do not show it: dives of an archive are numbered like the parts of a bag."""
+INSTRUMENT_SUFFIXES: Final = frozenset({".json", ".jsonl", ".txt", ".log"})
+"""Endings under which files of instruments are looked for, by their bytes: those of `known_formats.toml`."""
 
 _LONGEST_LINE: Final = 4096  # letters of a path
 # Raised of a path that is too long, has a NUL in it, or has links in a circle.
@@ -58,8 +60,9 @@ def find_dives(
 
     A name is one of these:
 
-    - a log, .mcap, .db3 or .bag, a table, or a bag folder;
-    - a folder, which stands for every log and bag below it; tables in a folder without logs are one dive;
+    - a log, .mcap, .db3 or .bag, a table, a file of an instrument or an autopilot, or a bag folder;
+    - a folder, which stands for every log and bag below it; tables and files of instruments in a folder without logs
+      are one dive;
     - a pattern with ``*``, ``?`` or ``**``;
     - a .txt file that names one of these on each line, seen from its own folder; ``#`` begins a comment; where no
       line can be a path, it is a file like any other;
@@ -129,7 +132,7 @@ def _require_no_result(path: Path) -> None:
 
 def _listed(path: Path) -> list[str] | None:
     """Return the names that a list has, line by line; None where the file is no list, but data or a log."""
-    if path.suffix != LIST_SUFFIX or not path.is_file():
+    if path.suffix != LIST_SUFFIX or not path.is_file() or _is_of_instrument(path):
         return None
     try:
         lines = [line.strip() for line in read_text(path).splitlines()]
@@ -169,7 +172,7 @@ def _local(path: Path, *, results: bool) -> list[Path]:
     for match in _once_each(sorted(set(_globbed(path)), key=_natural)):
         if match.is_dir():
             found += _in_folder(match, seen, results=results)
-        elif match.suffix in LOG_SUFFIXES + TABLE_SUFFIXES:
+        elif match.suffix in LOG_SUFFIXES + TABLE_SUFFIXES or _is_of_instrument(match):
             found.append(match)
     return found
 
@@ -208,6 +211,7 @@ def _has_dives(folder: Path) -> bool:
         if (
             path.suffix in LOG_SUFFIXES
             or path.name == BAG_METADATA
+            or _is_vehicles_log(path)
             or (path.is_dir() and is_result(path))
         ):
             return True
@@ -249,7 +253,29 @@ def _logs_in(folder: Path) -> list[Path]:
         for path in folder.glob(f"*{suffix}"):
             if path.is_file():
                 logs.append(path)
+    logs += filter(_is_vehicles_log, folder.iterdir())
     return logs
+
+
+def _is_of_instrument(path: Path, *, is_dive: bool | None = None) -> bool:
+    """Return whether a file is what an instrument or an autopilot wrote, or such a file that is a dive of its own."""
+    if path.suffix.lower() not in INSTRUMENT_SUFFIXES:
+        return False
+    # It is loaded late, since it takes longer than the look at a folder.
+    from insdvl_replay.logs.formats.known_formats import instrument_format
+
+    known = instrument_format(path)
+    return known is not None and is_dive in (None, known.is_dive)
+
+
+def _is_vehicles_log(path: Path) -> bool:
+    """Return whether a file is what an autopilot recorded of a dive."""
+    return _is_of_instrument(path, is_dive=True)
+
+
+def _is_part_of_dive(path: Path) -> bool:
+    """Return whether a file is a table, or what an instrument wrote."""
+    return path.suffix.lower() in TABLE_SUFFIXES or _is_of_instrument(path)
 
 
 def _folders_in(folder: Path) -> list[Path]:
@@ -263,7 +289,7 @@ def _folders_in(folder: Path) -> list[Path]:
 
 
 def _is_of_tables(folder: Path, logs: Sequence[Path], folders: Sequence[Path]) -> bool:
-    """Return whether a folder is a dive of tables. In an archive a table lies beside the dives."""
-    if logs or not any(path.suffix.lower() in TABLE_SUFFIXES for path in folder.iterdir()):
+    """Return whether a folder is a dive of tables or of instruments. In an archive such files lie beside the dives."""
+    if logs or not any(map(_is_part_of_dive, folder.iterdir())):
         return False
     return not any(map(_has_dives, folders))

@@ -16,7 +16,7 @@ from insdvl_replay.core.config import Config, Dvl, Imu
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.topics import TYPES
-from insdvl_replay.logs.formats.recording import OTHER_FORMATS, OtherFormat, other_format
+from insdvl_replay.logs.formats.known_formats import OTHER_FORMATS, OtherFormat, other_format
 
 PAGE = inputs.PAGE.read_text("utf-8")
 GROUPS = [types for name, types in TYPES.items() if name not in ("onboard", "solution")]

@@ -4,6 +4,7 @@ The message types that are known by name are in `known_types.toml`, by the group
 """
 
 import re
+import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
@@ -524,6 +525,8 @@ class Topics:
             lack = f"has no {role.name.upper()}"
         if not self._channels:
             return LogError(f"{lack}: it has no messages at all", self._nothing_recorded)
+        if all(_is_of_instrument(channels) for channels in self._channels.values()):
+            return self._error_for_instruments(role, lack)
         if all(_is_table(channels) for channels in self._channels.values()):
             topics = listed(sorted(self._channels))
             what = f"{lack}: no setting names a table for it; it has {topics}"
@@ -541,6 +544,17 @@ class Topics:
             what += f"; {listed(sorted(empty))} has a known type, but no messages"
         return LogError(what, role.how_to_name())
 
+    def _error_for_instruments(self, role: TopicRole, lack: str) -> LogError:
+        """Return the error for a role that no file of an instrument plays, such as the IMU beside a DVL alone."""
+        what = f"{lack}: it has {listed(sorted(self._channels))} of an instrument"
+        name = shlex.quote(Path(self.place).name)
+        other = "imu.csv" if role.name == "imu" else f"{role.name}.csv"
+        hint = (
+            f"add the file that has it: `insdvl-replay run --one-dive {name} {other}`, or put both into one folder "
+            "and give the folder"
+        )
+        return LogError(what, hint)
+
     def _types(self) -> list[str]:
         """Name the types of the messages; of those without type, their topics."""
         names: set[str] = set()
@@ -551,6 +565,11 @@ class Topics:
 
 def _is_table(channels: Sequence[LogChannel]) -> bool:
     return all(channel.encoding == TABLE for channel in channels)
+
+
+def _is_of_instrument(channels: Sequence[LogChannel]) -> bool:
+    """Return whether a topic is decoded from what an instrument wrote; a table that a user made has no type."""
+    return _is_table(channels) and channels[0].type_name != TABLE
 
 
 def _hint_for_tables(role: TopicRole) -> str:

@@ -53,7 +53,7 @@ def channel_paths(channel: LogChannel) -> Kinds:
 
 def column_of(channel: LogChannel, path: str) -> str:
     """Return the name of a column of a table by a path: its name, title or number."""
-    from insdvl_replay.logs.formats.table_file import RowReader
+    from insdvl_replay.logs.formats.table_rows import RowReader
 
     return RowReader(channel, [path]).names[path]
 
@@ -64,7 +64,7 @@ def open_reader(
     """Make the reader of some fields of a readable channel; a LogError names a field that its schema does not know."""
     # What reads an encoding is not loaded before a log has it: protobuf's takes longer than to read a short log.
     if channel.encoding == TABLE:
-        from insdvl_replay.logs.formats.table_file import RowReader
+        from insdvl_replay.logs.formats.table_rows import RowReader
 
         return RowReader(channel, paths)
     if channel.encoding in ("protobuf", "json"):

@@ -12,8 +12,6 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
-import msgspec
-
 from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
 from insdvl_replay.core.errors import (
@@ -27,6 +25,12 @@ from insdvl_replay.core.errors import (
 )
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.fields import TABLE
+from insdvl_replay.logs.formats.known_formats import (
+    START,
+    instrument_format,
+    known_format,
+    other_format,
+)
 from insdvl_replay.logs.formats.log_file import (
     COPY_AGAIN,
     Block,
@@ -50,20 +54,14 @@ Step = TypeVar("Step")
 
 
 def open_log_file(path: Path) -> LogFile:
-    """Open a file. Its first bytes determine the format, not its name."""
+    """Open a file. Its first bytes determine the format; a table as text is known by its name."""
     file = FileBytes(path)
-    start = bytes(file.read(0, 16))
-    if start == b"SQLite format 3\0":
-        from insdvl_replay.logs.formats.sqlite_bag import SqliteFile
-
-        return SqliteFile(file)
-    if start.startswith(b"#ROSBAG V2.0\n"):
-        from insdvl_replay.logs.formats.ros1_bag import BagFile
-
-        return BagFile(file)
-    if start.startswith(MAGIC):
-        return McapFile(file)
-    other = other_format(path, start)
+    start = bytes(file.read(0, START))
+    known = known_format(start)
+    if known is not None:
+        opened: LogFile = known.open(file)
+        return opened
+    other = other_format(path, start[:16])
     is_other = other is not None and other.any_name
     if path.suffix.lower() in TABLE_SUFFIXES and not is_other:
         from insdvl_replay.logs.formats.table_file import TableFile
@@ -388,11 +386,16 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
             hint = f"unpack it: `zstd -d {packed}`"
             raise LogError("is compressed as a whole with zstd", hint, packed)
     if not parts:
-        parts = [file for file in sorted(path.iterdir()) if file.suffix.lower() in TABLE_SUFFIXES]
+        parts = [file for file in sorted(path.iterdir()) if _is_part_of_dive(file)]
     if not parts:
         what = f"is a folder without {' or '.join(LOG_SUFFIXES)} files, and without tables"
         raise LogError(what, "give a log, or a folder with the parts of one", path)
     return tuple(parts)
+
+
+def _is_part_of_dive(file: Path) -> bool:
+    """Return whether a file of a folder without logs is a table, or what an instrument wrote."""
+    return file.suffix.lower() in TABLE_SUFFIXES or instrument_format(file) is not None
 
 
 def _listed_parts(metadata: Path, by_name: str) -> list[Path]:
@@ -454,60 +457,3 @@ def _unquoted(name: str) -> str:
     if name[:1] == name[-1:] == '"' and len(name) > 1:
         return re.sub(r"\\(.)", r"\1", name[1:-1])
     return name
-
-
-# --- Files of other formats: what they are, by their first bytes, and the step that makes a log of them.
-
-
-class OtherFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A format that is not read; `other_formats.toml` says what each entry means."""
-
-    name: str
-    starts: tuple[str, ...]
-    endings: tuple[str, ...]
-    step: str
-    any_name: bool = False
-    is_text: bool = False
-
-
-OTHER_FORMATS: Final = msgspec.toml.decode(
-    Path(__file__).with_name("other_formats.toml").read_text("utf-8"),
-    type=dict[str, list[OtherFormat]],
-)["format"]
-
-
-def other_format(path: Path, start: bytes) -> OtherFormat | None:
-    """Return the format of a file by its first 16 bytes, of several by the ending of its name too; else by this."""
-    ending = path.suffix.lower()
-    alike = [known for known in OTHER_FORMATS if _begins_as(known, start)]
-    for known in alike:
-        if ending in known.endings:
-            return known
-    if alike:
-        return alike[-1]
-    if _is_telemetry(start):
-        ending = ".tlog"
-    for known in OTHER_FORMATS:
-        # An ending that belongs to bytes which are not there tells nothing.
-        if known.starts or ending not in known.endings:
-            continue
-        if not known.is_text or _is_text(start):
-            return known
-    return None
-
-
-def _begins_as(known: OtherFormat, start: bytes) -> bool:
-    return start.startswith(tuple(map(bytes.fromhex, known.starts)))
-
-
-def _is_telemetry(start: bytes) -> bool:
-    """Return whether bytes begin with a message of MAVLink behind its time, as ground stations record them."""
-    if len(start) <= 8 or start[8] not in (0xFD, 0xFE):
-        return False
-    # In microseconds, from 2001 to 2096, the larger bytes first.
-    return 10**15 < int.from_bytes(start[:8]) < 4 * 10**15
-
-
-def _is_text(start: bytes) -> bool:
-    """Return whether bytes hold no control characters but those between words and lines."""
-    return all(byte >= 0x20 or byte in b"\t\n\r" for byte in start)

@@ -8,19 +8,18 @@ what is not a number is missing, rows that do not fit are left out, and each los
 
 import csv
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 import pandas as pd
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Array, Floats, Mask, TimeNs
 from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, listed
 from insdvl_replay.core.extras import install_hint
-from insdvl_replay.core.units import TIME_UNITS_NS, spelled, title_without_unit, unit_of
+from insdvl_replay.core.units import TIME_UNITS_NS, spelled, unit_of
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.array_files import (
     MOST_COLUMNS,
@@ -31,15 +30,12 @@ from insdvl_replay.logs.formats.array_files import (
     read_numpy,
     require_room,
 )
-from insdvl_replay.logs.formats.fields import NUMBER, ROW, TABLE, Columns, Kinds, check_path
 from insdvl_replay.logs.formats.log_file import (
-    Block,
     FileBytes,
-    LogChannel,
-    LogFile,
     UnusableFileError,
 )
 from insdvl_replay.logs.formats.table_header import ColumnNames, Header, find_header
+from insdvl_replay.logs.formats.table_rows import RowsFile, clean_name, clear_missing
 from insdvl_replay.logs.formats.table_text import (
     TextLines,
     as_utf8,
@@ -131,16 +127,8 @@ class _Times:
     unread: str = ""  # why the rows are only counted
 
 
-def clean_name(title: str) -> str:
-    """Return the name by which a column is known."""
-    return re.sub(r"[^\w.]+", "_", title_without_unit(title).lower()).strip("_.")
-
-
-class TableFile(LogFile):
+class TableFile(RowsFile):
     """A file of tables. All of it is in memory, as float64."""
-
-    has_summary = True
-    compression = ("none",)
 
     def __init__(self, file: FileBytes) -> None:
         super().__init__(file)
@@ -148,9 +136,6 @@ class TableFile(LogFile):
         self._reasons: list[str] = []  # the sentences of the notes, without the name of the file
         self._is_text = True
         self._commas = 0  # numbers with a decimal comma in the table that is read
-        # Of each channel, (k, 1 + n): number of the row, then the columns.
-        self._rows: list[Floats] = []
-        self._time_ns: list[TimeNs] = []
         # Of channels whose times are those of an unknown day or hour.
         self.periods_ns: dict[int, int] = {}
         with self.watched():
@@ -167,58 +152,30 @@ class TableFile(LogFile):
         """Make a channel of a table, whose columns are let go of."""
         times = self._times(table)
         kept = times.known
-        names = list(table.widths().items())
+        widths = table.widths()
         rows = _rows_of(table, kept)
-        missing = _clear_missing(rows)
+        missing = clear_missing(rows)
         if missing:
             what = "cells are empty, NaN or too large and count as missing"
             clause = counted_clause(missing, what)
             self._note("table_missing", table.topic, clause, missing, warn=False)
-        self._rows.append(rows)
-        self._time_ns.append(times.time_ns[kept])
-        channel = LogChannel(
-            id=len(self.channels),
-            topic=table.topic,
-            type_name="table",
-            encoding=TABLE,
-            schema_encoding="columns",
-            messages=int(np.count_nonzero(kept)),
-            schema_data=msgspec.json.encode(names),
+        channel = self.add_channel(
+            table.topic,
+            "table",
+            widths,
+            rows,
+            times.time_ns[kept],
             metadata=table.units,
             time_column=times.column,
             untimed=times.unread,
         )
         if times.period_ns:
             self.periods_ns[channel.id] = times.period_ns
-        self.channels = (*self.channels, channel)
 
     @property
     def notes(self) -> tuple[Note, ...]:
         """What was found wrong, and what was assumed."""
         return tuple(self._notes)
-
-    def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
-        """Go through the rows of some tables, thousands at a time."""
-        for channel_id in sorted(channel_ids):
-            rows = self._rows[channel_id]
-            time_ns = self._time_ns[channel_id]
-            size = rows.strides[0]
-            for start in range(0, len(rows), _ROWS):
-                part = np.ascontiguousarray(rows[start : start + _ROWS])
-                offsets = size * np.arange(len(part))
-                log_ns = time_ns[start : start + _ROWS]
-                yield Block(
-                    channel_id,
-                    part.data.cast("B"),
-                    offsets,
-                    np.full_like(offsets, size),
-                    log_ns,
-                    log_ns,
-                )
-
-    def log_times(self) -> dict[int, TimeNs]:
-        """Return the times of all rows by channel, (k,) ns."""
-        return dict(enumerate(self._time_ns))
 
     def shift(self, channel_id: int, shift_ns: int, why: str) -> None:
         """Shift the times of a table, which had no date or no hour."""
@@ -717,72 +674,6 @@ def _rows_of(table: _Table, kept: Mask) -> Floats:
         rows[:, place : place + columns.shape[1]] = columns
         place += columns.shape[1]
     return rows
-
-
-def _clear_missing(rows: Floats) -> int:
-    """Set cells that are no finite number to NaN; return how many there are in columns that have others."""
-    some = 0
-    for column in rows.T:
-        missing = ~(np.abs(column) < _LARGEST)
-        count = int(np.count_nonzero(missing))
-        if count:
-            column[missing] = np.nan
-        if count < len(column):
-            some += count
-    return some
-
-
-class RowReader:
-    """Reads some columns of the rows of a table."""
-
-    def __init__(self, channel: LogChannel, paths: Sequence[str]) -> None:
-        widths: dict[str, int] = dict(msgspec.json.decode(channel.schema_data))
-        known: dict[str, str] = {}
-        places = {ROW: [0]}
-        self._size = 1
-        for name, width in widths.items():
-            known[name] = NUMBER
-            places[name] = list(range(self._size, self._size + width))
-            if width > 1:
-                known[f"{name}[*]"] = NUMBER
-                places[f"{name}[*]"] = places[name]
-                for i, place in enumerate(places[name]):
-                    places[f"{name}[{i}]"] = [place]
-            self._size += width
-        self.known: Kinds = known
-        self._places: dict[str, list[int]] = {}
-        self.names: dict[str, str] = {}  # of the columns, by path
-        for path in paths:
-            name = _name_of_column(path, list(widths))
-            if name not in places:  # it may be the title of a column, with its unit
-                name = _name_by_title(name)
-            if name not in places:
-                check_path(name, known, channel.topic)
-                hint = f"'{name}' is behind the last number of its list"
-                raise LogError(f"{channel.topic} has no '{path}'", hint)
-            self._places[path] = places[name]
-            self.names[path] = name.partition("[")[0]
-
-    def columns(self, block: Block) -> Columns:
-        """Return the columns of all rows of a block, (k, n)."""
-        table = np.frombuffer(block.buffer, np.float64).reshape(-1, self._size)
-        rows = table[block.offsets // (8 * self._size)]
-        return {path: rows[:, places] for path, places in self._places.items()}
-
-
-def _name_of_column(path: str, names: Sequence[str]) -> str:
-    """Return the name of the column that a path counts from 1; a path that is no number as it is."""
-    if path.isdecimal() and 0 < int(path) <= len(names):
-        return names[int(path) - 1]
-    return path
-
-
-def _name_by_title(path: str) -> str:
-    """Return the name of the column with a title, with the element of a list that is behind it."""
-    element = re.search(r"\[(\d+|\*)\]$", path)
-    if element:
-        return clean_name(path.removesuffix(element[0])) + element[0]
-    return clean_name(path)
 
 
 def _unquoted(cells: Array) -> Any:
