@@ -13,7 +13,7 @@ import numpy as np
 
 from insdvl_replay import replay_log
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, TimeNs
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns, TimeNs
 from insdvl_replay.geometry.frames import beam_vectors, solve_beams
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.sim.dive import simulate_dive
@@ -48,13 +48,28 @@ class Told:
         dive = replace(self.dive, dvl=dvl)
         return Told(dive, dvl.time_ns, velocity_d, self.beams_mps[known])
 
-    def rounded(self, step_mps: float) -> "Told":
-        """The same with speeds in whole steps, as a format writes them."""
-        return replace(
-            self,
-            velocity_d=np.round(self.velocity_d / step_mps) * step_mps,
-            beams_mps=np.round(self.beams_mps / step_mps) * step_mps,
+    @property
+    def is_valid(self) -> list[bool]:
+        """Whether each ping has a velocity."""
+        found: list[bool] = np.isfinite(self.velocity_d).all(axis=1).tolist()
+        return found
+
+    def single(self) -> "Told":
+        """The same with velocities and an IMU of 32 bits."""
+        imu = self.dive.imu
+        single = ImuColumns(
+            imu.time_ns, _single(imu.specific_force_b), _single(imu.angular_rate_b)
         )
+        velocity_d = _single(self.velocity_d)
+        dvl = DvlColumns(self.time_ns, velocity_d=velocity_d)
+        return Told(
+            replace(self.dive, imu=single, dvl=dvl), self.time_ns, velocity_d, self.beams_mps
+        )
+
+
+def _single(values: Floats) -> Floats:
+    """Return numbers as 32 bits hold them."""
+    return values.astype(np.float32).astype(np.float64)
 
 
 @cache
@@ -77,7 +92,7 @@ def told(
         beams[20::37, 1] = np.nan
     beams[30::41, :] = np.nan
     velocity_d[30::41] = np.nan
-    time_ns = dive.dvl.time_ns // 1000 * 1000
+    time_ns = dive.dvl.time_ns // 100_000 * 100_000
     dvl = DvlColumns(time_ns, beam_velocity_mps=beams, beam_vectors_d=vectors)
     return Told(replace(dive, dvl=dvl), time_ns, velocity_d, beams)
 
@@ -90,10 +105,13 @@ def write_whole(folder: Path, dive: Dive) -> Path:
     return path
 
 
-def write_rest(folder: Path, dive: Dive) -> Path:
-    """Write the MCAP of a dive without its DVL."""
+def write_rest(folder: Path, dive: Dive, *, imu: bool = True) -> Path:
+    """Write the MCAP of a dive without its DVL, or without its IMU, too."""
     path = folder / "rest" / "rest.mcap"
     path.parent.mkdir(parents=True, exist_ok=True)
+    if not imu:
+        none = np.empty((0, 3))
+        dive = replace(dive, imu=ImuColumns(np.empty(0, np.int64), none, none))
     write_dive(
         path, replace(dive, dvl=DvlColumns(np.empty(0, np.int64), velocity_d=np.empty((0, 3))))
     )

@@ -19,7 +19,9 @@ MANIFEST_SUFFIX: Final = ".toml"
 """Ending of a file that lists dives with their digests."""
 BAG_METADATA: Final = "metadata.yaml"
 """The file by which a bag is known. Names do not show it: dives of an archive are numbered like the parts of a bag."""
-INSTRUMENT_SUFFIXES: Final = frozenset({".json", ".jsonl", ".txt", ".log"})
+INSTRUMENT_SUFFIXES: Final = frozenset(
+    {".csv", ".dat", ".json", ".jsonl", ".log", ".nmea", ".txt"}
+)
 """Endings under which files of instruments are looked for, by their bytes: those of `known_formats.toml`."""
 
 _LONGEST_LINE: Final = 4096  # letters of a path

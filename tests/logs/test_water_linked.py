@@ -3,63 +3,20 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import instrument_logs
 import msgspec
 import numpy as np
 import pytest
 from instrument_logs import Told, told
+from instrument_writers import Report, as_lines, velocity_reports
 from made_tables import settings, tables_of, write_tables
 
-from insdvl_replay.batch.dive_paths import INSTRUMENT_SUFFIXES, find_dives
+from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.core.config import Config, Dvl
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.formats.known_formats import FORMATS
 from insdvl_replay.logs.formats.recording import open_recording
-
-Report = dict[str, Any]
-
-
-def velocity_reports(dive: Told) -> list[Report]:
-    """What the DVL says, as format json_v3.1 has it, key by key."""
-    reports = []
-    for time_ns, velocity, beams in zip(
-        dive.time_ns, dive.velocity_d, dive.beams_mps, strict=True
-    ):
-        is_valid = bool(np.isfinite(velocity).all())
-        speeds = np.nan_to_num(velocity)
-        transducers = [
-            {
-                "id": number,
-                "velocity": float(np.nan_to_num(speed)),
-                "distance": 12.5 if np.isfinite(speed) else -1.0,
-                "rssi": -30.49,
-                "nsd": -88.73,
-                "beam_valid": bool(np.isfinite(speed)),
-            }
-            for number, speed in enumerate(beams)
-        ]
-        reports.append(
-            {
-                "time": 106.39,
-                "vx": float(speeds[0]),
-                "vy": float(speeds[1]),
-                "vz": float(speeds[2]),
-                "fom": 0.0016,
-                "covariance": [[1e-6, 0.0, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, 1e-6]],
-                "altitude": 11.5 if is_valid else -1.0,
-                "transducers": transducers,
-                "velocity_valid": is_valid,
-                "status": 0,
-                "format": "json_v3.1",
-                "type": "velocity",
-                "time_of_validity": int(time_ns) // 1000,
-                "time_of_transmission": int(time_ns) // 1000 + 9000,
-            }
-        )
-    return reports
 
 
 def position_report(time_s: float) -> Report:
@@ -67,10 +24,6 @@ def position_report(time_s: float) -> Report:
         "ts": time_s, "x": 1.0, "y": 2.0, "z": 3.0, "std": 0.1, "roll": 0.6, "pitch": 0.7, "yaw": 8.0,
         "type": "position_local", "status": 0, "format": "json_v3.1",
     }  # fmt: skip
-
-
-def as_lines(reports: list[Report]) -> str:
-    return "".join(json.dumps(report) + "\r\n" for report in reports)
 
 
 def with_times(reports: list[Report]) -> str:
@@ -124,16 +77,6 @@ def test_every_form_of_the_reports_has_the_pings_of_the_mcap(
     found = read_dive(write(tmp_path, dive, form, name), Config())
     whole = read_dive(instrument_logs.write_whole(tmp_path, dive.dive), Config())
     instrument_logs.assert_same_dvl(found, whole, 1e-12)
-
-
-def test_replay_is_that_of_the_mcap(tmp_path: Path) -> None:
-    dive = told()
-    paths = write(tmp_path, dive, as_lines, "dvl.json")
-    apart_mps, apart_m = instrument_logs.compare(
-        paths, dive.dive, tmp_path, atol_mps=1e-12, atol_m=1e-5
-    )
-    assert apart_mps < 1e-12
-    assert apart_m < 1e-5
 
 
 def test_folder_of_an_imu_as_table_and_reports_is_one_dive(tmp_path: Path) -> None:
@@ -226,7 +169,3 @@ def test_a_broken_clock_in_a_report_is_noted(tmp_path: Path) -> None:
     log = open_recording(tmp_path / "dvl.json")
     assert [note.code for note in log.notes] == ["clock_set"]
     assert log.channels[0].messages == len(reports) - 1
-
-
-def test_folders_are_searched_for_the_endings_of_all_formats() -> None:
-    assert {ending for known in FORMATS for ending in known.endings} == INSTRUMENT_SUFFIXES

@@ -13,18 +13,36 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.dive_columns import Array, Floats, Mask, TimeNs
-from insdvl_replay.core.errors import LogError, Note, counted_clause, listed
+from insdvl_replay.core.dive_columns import (
+    Array,
+    Floats,
+    Mask,
+    TimeNs,
+)
+from insdvl_replay.core.errors import (
+    LogError,
+    Note,
+    counted_clause,
+    listed,
+)
 from insdvl_replay.core.notes import note
-from insdvl_replay.logs.formats.log_file import Damage, FileBytes, UnusableFileError, damage_note
+from insdvl_replay.logs.formats.log_file import (
+    Damage,
+    FileBytes,
+    UnusableFileError,
+    damage_note,
+)
 from insdvl_replay.logs.formats.recorder_clock import one_clock
-from insdvl_replay.logs.formats.table_rows import RowsFile, clear_missing
+from insdvl_replay.logs.formats.table_rows import (
+    RowsFile,
+    clear_missing,
+)
 
 LARGEST_FILE: Final = 1 << 31  # bytes; more than any instrument writes of a dive
 LONGEST_RECORD: Final = 1 << 20  # bytes; in more without an end there is no record
 MOST_NUMBERS: Final = 1 << 28  # that tables hold together: two gigabytes
-LATEST_NS: Final = 4 * 10**18  # differences of times must be whole numbers of 64 bits, too
-_PIECE: Final = 1 << 22  # bytes that are decoded at a time
+LATEST_S: Final = 4e9  # differences of times in ns must be whole numbers of 64 bits, too
+_PIECE: Final = 1 << 20  # bytes that are decoded at a time
 _FEW: Final = 0.05  # share of the records that may be damaged; of more the file is refused
 _KEPT: Final = 100  # damaged places that are remembered
 _KINDS: Final = 20  # kinds of other records that are told apart
@@ -84,11 +102,18 @@ class InstrumentFile(RowsFile):
         if len(self._lost) < _KEPT:
             self._lost.append(Damage(offset, found))
 
-    def pass_over(self, kind: str) -> None:
-        """Leave out a sound record of a kind that a replay has no use for."""
+    def pass_over(self, kind: str, count: int = 1) -> None:
+        """Leave out sound records of a kind that a replay has no use for."""
         if kind not in self._others and len(self._others) >= _KINDS:
             kind = "others"
-        self._others[kind] += 1
+        self._others[kind] += count
+
+    def with_times(self, offsets: Floats, time_s: Floats) -> Mask:
+        """Return which records have a time that can be, (k,); the others are lost, by their places in the file."""
+        known = (time_s >= 0.0) & (time_s < LATEST_S)
+        for offset in offsets[~known]:
+            self.lose(int(offset), "a record has no time")
+        return np.asarray(known)
 
     def add_note(self, one: Note) -> None:
         """Report something that was assumed."""

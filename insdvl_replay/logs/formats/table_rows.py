@@ -10,11 +10,26 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.core.dive_columns import Floats, TimeNs
+from insdvl_replay.core.dive_columns import (
+    Floats,
+    TimeNs,
+)
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.units import title_without_unit
-from insdvl_replay.logs.formats.fields import NUMBER, ROW, TABLE, Columns, Kinds, check_path
-from insdvl_replay.logs.formats.log_file import Block, FileBytes, LogChannel, LogFile
+from insdvl_replay.logs.formats.fields import (
+    NUMBER,
+    ROW,
+    TABLE,
+    Columns,
+    Kinds,
+    check_path,
+)
+from insdvl_replay.logs.formats.log_file import (
+    Block,
+    FileBytes,
+    LogChannel,
+    LogFile,
+)
 
 _ROWS: Final = 1 << 16  # rows of a block
 _LARGEST: Final = 1e100  # larger numbers are not finite, or their squares are not

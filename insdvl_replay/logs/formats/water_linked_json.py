@@ -12,11 +12,14 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.core.dive_columns import Array, Floats
+from insdvl_replay.core.dive_columns import (
+    Array,
+    Floats,
+)
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.notes import note
 from insdvl_replay.logs.formats.instrument_file import (
-    LATEST_NS,
+    LATEST_S,
     InstrumentFile,
     InstrumentTable,
     Record,
@@ -158,7 +161,7 @@ class WaterLinkedJson(InstrumentFile):
                 velocities.append(row)
         elif kind == "position_local":
             position = _LOCAL.decode(text)
-            if 0.0 <= position.ts < LATEST_NS * 1e-9:
+            if 0.0 <= position.ts < LATEST_S:
                 numbers = [_number(getattr(position, name)) for name in _OF_A_POSITION]
                 positions.append([position.ts, *numbers])
             else:
@@ -183,9 +186,7 @@ class WaterLinkedJson(InstrumentFile):
             self.add_note(
                 note("times_summed", len(rows), file=self.path.name, records=self.records)
             )
-        known = (time_us >= 0.0) & (time_us < LATEST_NS / 1000)
-        for offset in offsets[~known]:
-            self.lose(int(offset), "a report has no time of validity")
+        known = self.with_times(offsets, time_us * 1e-6)
         kept = {name: values[known] for name, values in columns.items()}
         time_ns = np.rint(time_us[known]).astype(np.int64) * 1000
         return InstrumentTable("dvl/velocity", "waterlinked.velocity", time_ns, kept)

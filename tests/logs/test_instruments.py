@@ -1,0 +1,205 @@
+"""Files of instruments in their published layouts replay as the MCAP of the same dive, to the steps of the format."""
+
+from pathlib import Path
+from random import Random
+
+import instrument_logs
+import numpy as np
+import pytest
+from instrument_logs import Told, told
+from instrument_writers import FORMATS, Written, as_table, nmea, nucleus, packets, wl, wru, wrz
+
+from insdvl_replay.batch.dive_paths import INSTRUMENT_SUFFIXES
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.formats import known_formats
+from insdvl_replay.logs.formats.recording import open_recording
+
+KINDS = pytest.mark.parametrize("kind", FORMATS)
+
+
+def written(folder: Path, kind: str) -> tuple[Written, Told, list[Path]]:
+    """Write a file, and the MCAP of what it lacks; return what the dive says with the numbers of the format."""
+    known = FORMATS[kind]
+    dive = known.said(told())
+    path = folder / known.name
+    source = dive if known.has_imu else told()
+    path.write_bytes(known.write(source))
+    return (
+        known,
+        dive,
+        [path, instrument_logs.write_rest(folder, dive.dive, imu=not known.has_imu)],
+    )
+
+
+@KINDS
+def test_replay_is_that_of_the_mcap(kind: str, tmp_path: Path) -> None:
+    known, dive, paths = written(tmp_path, kind)
+    apart_mps, apart_m = instrument_logs.compare(
+        paths, dive.dive, tmp_path, atol_mps=known.atol_mps, atol_m=0.02
+    )
+    assert apart_mps <= known.atol_mps
+    assert apart_m <= max(0.1, 10.0 * known.atol_mps)
+
+
+@KINDS
+def test_any_name_will_do(kind: str, tmp_path: Path) -> None:
+    """Bytes decide, not endings."""
+    known, _, paths = written(tmp_path, kind)
+    expected = open_recording(paths[0])
+    for name in ("dive.mcap", "dive.BIN", "dive.csv", "dive"):
+        (tmp_path / name).write_bytes(paths[0].read_bytes())
+        found = open_recording(tmp_path / name)
+        assert [channel.messages for channel in found.channels] == [
+            channel.messages for channel in expected.channels
+        ], known.name
+
+
+@KINDS
+def test_a_file_without_its_end_is_noted(kind: str, tmp_path: Path) -> None:
+    _, _, paths = written(tmp_path, kind)
+    whole = open_recording(paths[0])
+    assert not whole.notes
+    content = paths[0].read_bytes()
+    paths[0].write_bytes(content[:-20])
+    log = open_recording(paths[0])
+    assert "log_damaged" in {note.code for note in log.notes}
+
+
+@KINDS
+def test_a_changed_byte_changes_no_number_unnoticed(kind: str, tmp_path: Path) -> None:
+    """With a checksum every change is noted; without one those that leave another number are not."""
+    known, _, paths = written(tmp_path, kind)
+    if not known.is_protected:
+        pytest.skip("the format has no checksums")
+    content = paths[0].read_bytes()
+    clean = [channel.messages for channel in open_recording(paths[0]).channels]
+    for seed in range(40):
+        rng = Random(seed)
+        place = rng.randrange(len(content))
+        changed = bytes([content[place] ^ 1 << rng.randrange(8)])
+        paths[0].write_bytes(content[:place] + changed + content[place + 1 :])
+        log = open_recording(paths[0])
+        assert log.notes or clean == [channel.messages for channel in log.channels], seed
+
+
+@KINDS
+def test_a_dvl_alone_says_how_to_add_the_imu(kind: str, tmp_path: Path) -> None:
+    known, _, paths = written(tmp_path, kind)
+    if known.has_imu:
+        assert len(read_dive(paths[0], Config()).imu.time_ns) > 1000
+        return
+    with pytest.raises(LogError, match="has no IMU: it has dvl/") as raised:
+        read_dive(paths[0], Config())
+    assert f"insdvl-replay run --one-dive {known.name} imu.csv" in raised.value.hint
+
+
+def test_folders_are_searched_for_the_endings_of_all_formats() -> None:
+    endings: set[str] = set()
+    for known in known_formats.FORMATS:
+        endings.update(known.endings)
+    assert endings == INSTRUMENT_SUFFIXES
+
+
+def test_transducers_in_front_of_their_velocity_are_found(tmp_path: Path) -> None:
+    dive = told()
+    pings = range(len(dive.time_ns))
+    rest = instrument_logs.write_rest(tmp_path, dive.dive)
+    whole = read_dive(instrument_logs.write_whole(tmp_path, dive.dive), Config())
+    (tmp_path / "dvl.txt").write_bytes(b"".join(wru(dive, n) + wrz(dive, n) for n in pings))
+    found = read_dive([tmp_path / "dvl.txt", rest], Config())
+    instrument_logs.assert_same_dvl(found, whole, 0.000501)
+
+
+def test_examples_of_the_makers_have_their_checksums() -> None:
+    assert wl("wru,0,0.070,1.10,-40,-95") == b"wru,0,0.070,1.10,-40,-95*9c\r\n"
+    example = (
+        "PNORBT7,1452244916.7508,1.234,-1.234,0.1234,0.1234,0.1234,12.34,23.45,23.45,23.45,23.45"
+    )
+    assert nmea(example).endswith(b",23.45*39\r\n")
+
+
+def test_early_velocities_count_from_0_and_give_way_to_later_ones(tmp_path: Path) -> None:
+    early = [wl(f"wrx,200.00,0.{n:03d},0.010,0.006,0.000,0.93,y,0") for n in range(100, 160)]
+    (tmp_path / "dvl.txt").write_bytes(b"".join(early))
+    log = open_recording(tmp_path / "dvl.txt")
+    assert [note.code for note in log.notes] == ["times_summed"]
+    np.testing.assert_array_equal(log.log_times()[0], 200_000_000 * np.arange(1, 61))
+
+    dive = told()
+    both = b"".join(early[n % 60] + wrz(dive, n) for n in range(len(dive.time_ns)))
+    (tmp_path / "dvl.txt").write_bytes(both)
+    log = open_recording(tmp_path / "dvl.txt")
+    assert [note.code for note in log.notes] == ["other_records"]
+    np.testing.assert_array_equal(log.log_times()[0], dive.time_ns)
+
+
+def test_sentences_of_nortek_with_names_and_status(tmp_path: Path) -> None:
+    """Those of an even number name their cells; a status without its velocity bits marks a ping as invalid."""
+    lines = []
+    for n in range(60):
+        status = "0x0000000F" if n % 10 == 5 else "0x0000700F"
+        cells = f"TIME={1452244916 + n}.7508,DT1=1.2,DT2=-1.2,VX={1 + n * 0.01:.4f},VY=0.1,VZ=0.1,FM=0.1"
+        lines.append(
+            nmea(
+                f"PNORBT8,{cells},D1=2,D2=2,D3=2,D4=2,BV=23.4,SS=1567.8,P=1.2,T=12.3,STAT={status}"
+            )
+        )
+        lines.append(nmea("PNORBT4,1.234,-1.234,1.234,23.4,12.34567,12.3"))
+    (tmp_path / "dvl.nmea").write_bytes(b"".join(lines))
+    log = open_recording(tmp_path / "dvl.nmea")
+    assert log.channels[0].messages == 60
+    assert [note.text for note in log.notes] == [
+        "dvl.nmea: 60 sentences are of other kinds and are left out: PNORBT4 (60)"
+    ]
+
+
+def test_sentences_without_velocities_are_refused_with_what_there_is(tmp_path: Path) -> None:
+    line = nmea("PNORBT7,1452244916.7508,1.2,-1.2,a,b,c,0.1,2,2,2,2")
+    other = nmea("PNORBT4,1.234,-1.234,1.234,23.4,12.34567,12.3")
+    (tmp_path / "dvl.nmea").write_bytes(line + 3 * other)
+    with pytest.raises(LogError, match="has no sentences that can be used") as raised:
+        read_dive(tmp_path / "dvl.nmea", Config())
+    assert "cells of PNORBT7 are not as they should" in raised.value.message
+    assert "PNORBT4" in raised.value.message
+
+
+def test_displacements_are_valid_in_the_middle_of_their_interval(tmp_path: Path) -> None:
+    _, dive, paths = written(tmp_path, "cerulean")
+    found = read_dive(paths, Config())
+    np.testing.assert_array_equal(found.dvl.time_ns, dive.time_ns)
+
+
+def test_rows_of_a_nucleus_that_are_damaged_and_texts_between_them(tmp_path: Path) -> None:
+    dive = told().single()
+    rows = packets(dive)
+    rows.insert(40, {**rows[40], "id": 160, "string": 'SETDVL,"a"\r\nOK\r\n'})
+    lines = as_table(rows).split(b"\r\n")
+    lines[100] += b","
+    lines[200] = lines[200][:20] + b"x" + lines[200][20:]
+    path = tmp_path / "nucleus_log.csv"
+    path.write_bytes(b"\r\n".join(lines))
+    log = open_recording(path)
+    counts = {note.code: note.count for note in log.notes}
+    assert counts["log_damaged"] == 2
+    assert counts["other_records"] >= 2
+    whole = len(dive.dive.imu.time_ns) + len(dive.time_ns)
+    assert sum(channel.messages for channel in log.channels) == whole - 2
+
+
+def test_water_track_and_broken_samples_of_a_nucleus_are_left_out(tmp_path: Path) -> None:
+    dive = told().single()
+    rows = packets(dive)
+    for row in rows[::50]:
+        if row["id"] == 130:
+            row["status.isValid"] = False
+    pings = [row for row in rows if row["id"] == 180]
+    for row in pings[:20]:
+        row["id"] = 190
+    (tmp_path / "nucleus_log.csv").write_bytes(as_table(rows))
+    found = read_dive(tmp_path / "nucleus_log.csv", Config())
+    counts = {note.code: note.count for note in found.notes}
+    assert counts["dvl_water_track"] == 20
+    assert counts["imu_not_finite"] > 40
+    assert nucleus(dive).startswith(b"sizeHeader,id,")
