@@ -20,6 +20,7 @@ from insdvl_replay.batch.found import FoundDive
 from insdvl_replay.core.config import FREE, Config, flattened
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.report import (
     Report,
     StoredReport,
@@ -28,7 +29,6 @@ from insdvl_replay.core.report import (
 )
 from insdvl_replay.core.runtime import parallel_map, sources_digest
 from insdvl_replay.core.version import __version__
-from insdvl_replay.core.words import Severity
 from insdvl_replay.results.folder import (
     COMPLETE,
     MAPS,
@@ -235,8 +235,11 @@ def known_report(job: ReplayJob) -> Report | Note | None:
     except (OSError, *NOT_JSON, UserError):
         return None  # a log that is no longer whole is reported by its replay
     if damaged:
-        text = f"{job.target}: not as its replay wrote it: {listed(damaged)}"
-        return Note(DAMAGED_RESULT, text, len(damaged), Severity.WARNING)
+        return note(
+            DAMAGED_RESULT,
+            len(damaged),
+            files=listed(damaged),
+        ).about(job.target)
     return report
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from insdvl_replay.core.config import Config, Filter
 from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns
 from insdvl_replay.core.errors import ConfigError, Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import report_stage
-from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.evaluation.notes import (
     CLASSES,
@@ -32,10 +32,6 @@ from insdvl_replay.preparation.run import prepare_with_heading, prepared_timelin
 
 NAME = "tuned"
 INERTIAL: Final = ("accel_white_mps_rts", "gyro_white_rad_rts")
-GEOMETRY_FIRST: Final = (
-    "what is wrong in geometry and time ends in the noise: check dvl.lever_arm_m, dvl.mounting_rpy_deg, dvl.scale and "
-    "dvl.latency_s before you compare with the control"
-)
 FIT_S = 1800.0
 """The fit reads this much of a dive from its first ping on, which on the way down of a deep one may be long in coming;
 noise does not change so much that more would say more."""
@@ -105,7 +101,6 @@ def _require_tunable(baseline: Filter, config: Config) -> None:
 def _fitted_note(values: Mapping[str, float], before: Mapping[str, float]) -> Note:
     """Say what was fitted, and of which class that is."""
     pasted = ", ".join(f"{key} = {value:.4g}" for key, value in values.items())
-    text = f"noise of the control, fitted to the baseline's innovations: [filters.{NAME}] {pasted}"
     edges = []
     for key, value in values.items():
         lowest = 1.01 * LOWEST * before[key]
@@ -117,11 +112,20 @@ def _fitted_note(values: Mapping[str, float], before: Mapping[str, float]) -> No
         if key not in edges:
             classes[CLASSES[key].name] = sensor_class(key, values[key])
     named = [f"{sensors} of class {best}" for sensors, best in classes.items() if best]
+    classes_words = ""
     if named:
-        text += f" ({', '.join(named)})"
+        classes_words = f" ({', '.join(named)})"
+    code = "control_fitted"
     if edges:
-        text += f"; at the edge of what is looked at, where the innovations tell no more: {', '.join(edges)}"
-    return Note("control_fitted", text, len(values))
+        code = "control_fitted edge"
+    return note(
+        code,
+        len(values),
+        filter=NAME,
+        values=pasted,
+        classes=classes_words,
+        edges=", ".join(edges),
+    )
 
 
 def _out_of_class_notes(values: Mapping[str, float], imu: ImuColumns) -> Iterator[Note]:
@@ -135,8 +139,11 @@ def _out_of_class_notes(values: Mapping[str, float], imu: ImuColumns) -> Iterato
         if reason:
             found.append(f"{key} = {value:.4g} is {reason}")
     if found:
-        text = f"the control has fitted noise that cannot be the sensors': {'; '.join(found)}"
-        yield Note("control_out_of_class", text, len(found), Severity.WARNING, GEOMETRY_FIRST)
+        yield note(
+            "control_out_of_class",
+            len(found),
+            reasons="; ".join(found),
+        )
 
 
 def _fitted(

@@ -17,9 +17,9 @@ from insdvl_replay.batch.runs import replay_jobs
 from insdvl_replay.batch.workers import Pool, WorkerLostError, cluster_pool, local_pool
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note, TargetError, UserError
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.settings_layers import SettingsLayers
-from insdvl_replay.core.words import Severity
 from insdvl_replay.results.folder import add_to_lake, require_lake
 
 if TYPE_CHECKING:
@@ -244,9 +244,14 @@ def _outcomes_without_search(
     from insdvl_replay.preparation.run import MisfitError
 
     if isinstance(first.result, MisfitError):
-        text = f"no settings were found: {error.message}. The default settings are used, which nobody has chosen"
-        note = Note(FOUND_NOTHING, text, 1, Severity.WARNING, error.hint)
-        planned = [_with_settings(dive, dive.options.config, (note,)) for dive in dives]
+        notes = (
+            note(
+                FOUND_NOTHING,
+                why=error.message,
+                hint=error.hint,
+            ),
+        )
+        planned = [_with_settings(dive, dive.options.config, notes) for dive in dives]
         yield from outcomes_as_planned(planned, how)
         return
     yield replace(first, result=error)

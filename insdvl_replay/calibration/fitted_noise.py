@@ -14,13 +14,14 @@ import numpy as np
 
 from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.dives import answer_of, calibrate_dives
-from insdvl_replay.calibration.found import FoundSettings, Given, as_given, found_note, with_values
+from insdvl_replay.calibration.found import FoundSettings, Given, as_given, with_values
 from insdvl_replay.calibration.innovations import NOISE, ReadDive
 from insdvl_replay.calibration.noise import DVL, GRADES, INERTIAL, imu_class, noise_class
 from insdvl_replay.core.config import FREE, Config, Initial, flattened
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive
 from insdvl_replay.core.errors import LogError, Note, UserError
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter
 from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
@@ -34,7 +35,6 @@ MOST_ROUNDS: Final = 4  # in which the noise is scaled
 WELL_ABOVE: Final = 0.6
 WELL_BELOW: Final = 1.7
 FITTED_NOTE: Final = "found_noise"
-TO_SET: Final = "to set it: [noise] with dvl.velocity_sd_mps, or --preset"
 
 
 def fit_noise_of_logs(
@@ -265,11 +265,17 @@ def levelled_to_dives(
         config, _ = levelling.scaled(_as_quiet_as_readings(config, dives), *both)
         config, preset = with_biases_of_class(config, given, preset)
         config, size = levelling.scaled(config, *both)
-    text = f"{_noise_sentence(config, given, key, preset)}; NIS/dof of the baseline {size:.2g}"
-    is_fitting = LEAST_NIS < size < MOST_NIS
-    if not is_fitting:
-        text += ", which no noise of these sensors explains"
-    notes.append(found_note(FITTED_NOTE, text, TO_SET, warn=not is_fitting))
+    code = FITTED_NOTE
+    if not LEAST_NIS < size < MOST_NIS:
+        code = f"{FITTED_NOTE} unexplained"
+    noise = _noise_sentence(config, given, key, preset)
+    notes.append(
+        note(
+            code,
+            noise=noise,
+            size=size,
+        )
+    )
     return config
 
 

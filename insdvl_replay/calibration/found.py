@@ -11,7 +11,6 @@ import msgspec
 from insdvl_replay.core.config import FREE, Config, flattened
 from insdvl_replay.core.config_file import FOUND, load_config, render_toml, toml_value
 from insdvl_replay.core.errors import Note, visible
-from insdvl_replay.core.words import Severity
 
 
 @dataclass(frozen=True)
@@ -51,11 +50,6 @@ def with_values(config: Config, section: str, **values: Any) -> Config:
     known = {key: value for key, value in values.items() if value is not None}
     changed = msgspec.structs.replace(getattr(config, section), **known)
     return msgspec.structs.replace(config, **{section: changed})
-
-
-def found_note(code: str, text: str, hint: str = "", *, warn: bool = False) -> Note:
-    """Report what was found; a warning where it is assumed."""
-    return Note(code, text, 1, Severity.WARNING if warn else Severity.INFO, hint)
 
 
 def comment_lines(text: str) -> list[str]:

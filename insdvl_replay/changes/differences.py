@@ -10,10 +10,11 @@ from msgspec import Struct
 from insdvl_replay.changes.cells import RowPair
 from insdvl_replay.changes.matching import Pair
 from insdvl_replay.core.config import flattened
-from insdvl_replay.core.errors import ConfigError, Note, counted
+from insdvl_replay.core.errors import ConfigError, Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.report import StoredReport
 from insdvl_replay.core.tables import LAYOUTS
-from insdvl_replay.core.words import ChangeVerdict, Severity
+from insdvl_replay.core.words import ChangeVerdict
 
 # What may differ outside the tables, in the order of interest.
 BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
@@ -88,7 +89,7 @@ def _facts_of_log(report: StoredReport) -> dict[str, Any]:
 
 def notes_on_names(pairs: Sequence[Pair], frames: Iterable[Sequence[RowPair]]) -> Iterator[Note]:
     """Note the candidates and tables that are on one side only, or unknown; raise if no candidate is on both sides."""
-    candidates = _Names("filter")
+    candidates = _Names()
     for old, new in pairs:
         candidates.add(old.report.filters.keys(), new.report.filters.keys())
     theirs = sorted(candidates.ever_old)
@@ -98,25 +99,24 @@ def notes_on_names(pairs: Sequence[Pair], frames: Iterable[Sequence[RowPair]]) -
             f"no candidate of the old results ({', '.join(theirs)}) is in the new ones ({', '.join(ours)})",
             f"match them by name: --pair {theirs[0]}={ours[0]}",
         )
-    hint = "its verdict against the baseline is in the results that have it"
+    code = "filter_on_one_side"
     if candidates.ever_old - candidates.ever_new and candidates.ever_new - candidates.ever_old:
-        hint = "--pair OLD=NEW compares filters with different names"
-    yield from candidates.notes(hint)
-    tables = _Names("table")
+        code = "filter_on_one_side renamed"
+    yield from candidates.notes(code)
+    tables = _Names()
     for frame in frames:
         tables.add(
             {row.layout.name for row in frame if row.old},
             {row.layout.name for row in frame if row.new},
         )
-    yield from tables.notes("")
+    yield from tables.notes("table_on_one_side")
     yield from _notes_on_unknown_tables(pairs)
 
 
 class _Names:
     """Names of one kind: on how many dives one side alone has each."""
 
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
+    def __init__(self) -> None:
         self.gone = Counter[str]()
         self.added = Counter[str]()
         self.ever_old = set[str]()
@@ -133,20 +133,24 @@ class _Names:
         self.ever_new |= ours
         self.ever_both |= theirs & ours
 
-    def notes(self, hint: str) -> Iterator[Note]:
-        """Yield a note for each name that one side lacks on some dive."""
-        yield from self._notes_of("old", self.gone, ChangeVerdict.GONE, hint)
-        yield from self._notes_of("new", self.added, ChangeVerdict.NEW, hint)
-
-    def _notes_of(
-        self, side: str, counts: Counter[str], word: ChangeVerdict, hint: str
-    ) -> Iterator[Note]:
-        for name, count in sorted(counts.items()):
-            dives = counted(count, "dive")
-            text = (
-                f"{self.kind} {name} is only in the {side} results ({dives}); its rows are {word}"
+    def notes(self, code: str) -> Iterator[Note]:
+        """Yield a note of a code for each name that one side lacks on some dive."""
+        for name, count in sorted(self.gone.items()):
+            yield note(
+                code,
+                count,
+                name=name,
+                side="old",
+                word=ChangeVerdict.GONE,
             )
-            yield Note(f"{self.kind}_on_one_side", text, count, Severity.WARNING, hint)
+        for name, count in sorted(self.added.items()):
+            yield note(
+                code,
+                count,
+                name=name,
+                side="new",
+                word=ChangeVerdict.NEW,
+            )
 
 
 def _notes_on_unknown_tables(pairs: Sequence[Pair]) -> Iterator[Note]:
@@ -155,6 +159,8 @@ def _notes_on_unknown_tables(pairs: Sequence[Pair]) -> Iterator[Note]:
         for side in (old, new):
             unknown.update(sorted(side.report.tables.keys() - _KNOWN_TABLES))
     for table, count in unknown.items():
-        text = f"table {table}: unknown to this version, and ignored"
-        hint = "compare with the version that wrote it"
-        yield Note("table_unknown", text, count, Severity.WARNING, hint)
+        yield note(
+            "table_unknown",
+            count,
+            name=table,
+        )

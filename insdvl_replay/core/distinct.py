@@ -11,7 +11,7 @@ from typing import Final, Protocol, TypeVar
 
 from insdvl_replay.core.dive_record import ImuFingerprint
 from insdvl_replay.core.errors import Note, listed
-from insdvl_replay.core.words import Severity
+from insdvl_replay.core.notes import note
 
 LEAST_EQUAL: Final = 0.5  # share of the samples of a time that both have; rounding changes a few
 LEAST_MOVED: Final = 3  # different readings at one distance in time; two may be equal by chance
@@ -151,10 +151,14 @@ def _length_ns(report: DiveReport) -> int:
 
 def _same_note(group: Sequence[DiveReport], kept: DiveReport) -> Note:
     others = [report.log.name for report in group if report is not kept]
-    are = "is" if len(others) == 1 else "are"
-    text = f"{listed(others)} {are} the same dive as {kept.log.name}, which counts once"
-    return Note(
-        "dives_same", text, len(others), Severity.WARNING, "leave copies and parts of a dive out"
+    code = "dives_same"
+    if len(others) == 1:
+        code = "dives_same one"
+    return note(
+        code,
+        len(others),
+        others=listed(others),
+        kept=kept.log.name,
     )
 
 
@@ -175,7 +179,13 @@ def _continued_notes(reports: Sequence[DiveReport]) -> list[Note]:
             is_compared = bool(set(before.at_s) & set(after.at_s))
             if pause_s <= CONTINUED_S and not is_compared:
                 when = "after" if pause_s >= 0.0 else "before"
-                text = f"{begun} begins {abs(pause_s):.1f} s {when} the end of {ended}: one dive that counts as two?"
-                hint = "replay the files of one recording together: --one-dive"
-                notes.append(Note("dives_continue", text, 1, Severity.WARNING, hint))
+                notes.append(
+                    note(
+                        "dives_continue",
+                        begun=begun,
+                        pause_s=abs(pause_s),
+                        when=when,
+                        ended=ended,
+                    )
+                )
     return notes

@@ -14,7 +14,7 @@ import stat
 import unicodedata
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
@@ -116,6 +116,10 @@ class Note:
     count: int = 1  # samples, messages or places that it concerns
     severity: Severity = Severity.INFO
     hint: str = ""
+
+    def about(self, place: object) -> "Note":
+        """Return the note with what it is about in front of its sentence."""
+        return replace(self, text=f"{place}: {self.text}")
 
     @property
     def is_finding(self) -> bool:

@@ -4,6 +4,8 @@ A note of a new code is an entry in the table and a call of `note`::
 
     notes.append(note("dvl_three_beams", count))
     notes.append(note(f"{sensor}_silent", sensor=sensor, length=length_s, since=since_s))
+
+No other module makes notes, so that the table has all of them.
 """
 
 from fnmatch import fnmatchcase
@@ -13,7 +15,7 @@ from typing import Any, Final
 
 import msgspec
 
-from insdvl_replay.core.errors import ConfigError, Note, nearest
+from insdvl_replay.core.errors import ConfigError, Note, counted_clause, nearest
 from insdvl_replay.core.states import SENSORS
 from insdvl_replay.core.words import Severity
 
@@ -22,7 +24,11 @@ SOURCES: Final = ("imu", "dvl", "reference", "truth", *SENSORS, "solution", "top
 
 
 class Sentence(msgspec.Struct, frozen=True):
-    """What a note says, with fields for values, as `str.format` has them."""
+    """What a note says, with fields for values, as `str.format` has them.
+
+    ``{count}`` is the count of the note. ``{counted:gaps are long}`` is the count and a clause about several, which is
+    written about one where the count is 1: ``1 gap is long``.
+    """
 
     severity: Severity
     text: str
@@ -49,7 +55,7 @@ def note(code: str, count: int = 1, severity: Any = None, **fields: Any) -> Note
     code : str
         As in the table; behind it, after a blank, the word of another sentence of the code: ``dvl_bad_residual most``.
     count : int
-        Samples, messages or places that it concerns; also a field of the sentence.
+        Samples, messages or places that it concerns. The sentence has it as ``count`` and ``counted``.
     severity : Severity, optional
         Instead of that in the table.
     fields
@@ -63,12 +69,20 @@ def note(code: str, count: int = 1, severity: Any = None, **fields: Any) -> Note
     name, _, word = code.partition(" ")
     said = _sentence(name, word)
     fields["count"] = count
+    fields["counted"] = _Counted(count)
     try:
         text = said.text.format(**fields)
         hint = said.hint.format(**fields)
     except KeyError as error:
         raise ValueError(f"the note {code} has no value of its field {error}") from error
     return Note(name, text, count, severity or said.severity, hint)
+
+
+class _Counted(int):
+    """A count that is written with a clause."""
+
+    def __format__(self, clause: str) -> str:
+        return counted_clause(int(self), clause)
 
 
 def _sentence(code: str, word: str) -> Sentence:

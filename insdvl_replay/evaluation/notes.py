@@ -14,6 +14,7 @@ import numpy as np
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, TimeNs, seconds
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.quantities import AXES, axis_of, is_reserved
 from insdvl_replay.core.states import DEG, PHI, SENSORS
 from insdvl_replay.core.tables import Tables, finite
@@ -49,11 +50,6 @@ CERTAIN_SDS: Final = 5.0
 LEAST = 0.2
 MOST = 5.0
 NOISE_FAR_OFF: Final = "noise_far_off"
-_CALIBRATE: Final = (
-    "`insdvl-replay calibrate` with the same settings estimates arm, "
-    "mounting, delay and scale of the DVL"
-)
-_CONTROL: Final = "`insdvl-replay run --control` adds a baseline whose noise is fitted to the dive"
 # An IMU that smooths its readings has up to this factor less noise from sample to sample than over a second.
 FILTERED: Final = 10.0
 # Vibration that comes and goes makes the scatter this many times larger than in the median block.
@@ -90,33 +86,35 @@ def _warnings_on(history: History, met: Innovations) -> list[Note]:
         _contradicting(history, met),
         _slow_heading_error(history, met),
     ]
-    return [note for note in found if note is not None]
+    return [warning for warning in found if warning is not None]
 
 
 def _without_updates(history: History, met: Innovations) -> Note:
-    text = f"filter {history.filter} received no {met.measurement}"
-    hint = ""
+    code = "aiding_without_updates"
     if met.measurement == "acceleration":
-        hint = f"filters.{history.filter}.acceleration.max_window_gap_s or window"
-    return Note("aiding_without_updates", text, 0, Severity.WARNING, hint)
+        code = "aiding_without_updates acceleration"
+    return note(
+        code,
+        0,
+        filter=history.filter,
+        measurement=met.measurement,
+    )
 
 
 def _not_finite(history: History, met: Innovations) -> Note:
     """Warn of a filter that diverged, or of a user's measurement whose prediction is not always a number."""
     lost = ~np.isfinite(met.nis)
-    count = int(lost.sum())
-    are_lost = (
-        f"{count} of {len(lost)} {met.measurement} innovations are not finite, "
-        f"from number {np.argmax(lost) + 1} on"
-    )
+    code = "filter_not_finite"
     if not is_reserved(met.measurement) and np.isfinite(history.velocity_n[-1]).all():
-        text = f"filter {history.filter} skipped some updates: {are_lost}"
-        hint = "check the arithmetic of `predict` of this measurement"
-        return Note("innovations_not_finite", text, count, Severity.WARNING, hint)
-    text = f"filter {history.filter} diverged: {are_lost}"
-    sizes = "check the units and sizes of [noise], [initial] and the aiding"
-    hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
-    return Note("filter_not_finite", text, count, Severity.WARNING, hint)
+        code = "innovations_not_finite"
+    return note(
+        code,
+        int(lost.sum()),
+        filter=history.filter,
+        measurement=met.measurement,
+        all_count=len(lost),
+        first=np.argmax(lost) + 1,
+    )
 
 
 def _many_rejected(history: History, met: Innovations) -> Note | None:
@@ -124,13 +122,13 @@ def _many_rejected(history: History, met: Innovations) -> Note | None:
     many = int(rejected(met).sum())
     if not many > MANY_REJECTED * total:
         return None
-    text = f"filter {history.filter} rejected {many} of {total} {met.measurement} innovations"
-    return Note("gate_rejects_many", text, many, Severity.WARNING, _gate_hint(history))
-
-
-def _gate_hint(history: History) -> str:
-    open_gate = f"--set filters.{history.filter}.gate_probability=1.0"
-    return f"check lever arm and mounting, raise [noise], or {open_gate}"
+    return note(
+        "gate_rejects_many",
+        many,
+        filter=history.filter,
+        measurement=met.measurement,
+        all_count=total,
+    )
 
 
 def _contradicting(history: History, met: Innovations) -> Note | None:
@@ -144,15 +142,14 @@ def _contradicting(history: History, met: Innovations) -> Note | None:
     size = float(np.median(met.nis)) / chi_square_quantile(0.5, met.dof)
     if not size > CONTRADICTED:
         return None
-    text = (
-        f"filter {history.filter} and its {kind} contradict each other: the median NIS of {kind} "
-        f"is {size:.3g} times the expected one"
+    count = len(met.used)
+    return note(
+        f"{kind}_disagrees",
+        count,
+        filter=history.filter,
+        sensor=kind,
+        size=size,
     )
-    hint = (
-        f"units, axes, stamp and delay in [{kind}], or a larger sd there"
-        f'; evaluation.held_out = ["{kind}"] only compares it'
-    )
-    return Note(f"{kind}_disagrees", text, len(met.used), Severity.WARNING, hint)
 
 
 def _slow_heading_error(history: History, met: Innovations) -> Note | None:
@@ -166,15 +163,13 @@ def _slow_heading_error(history: History, met: Innovations) -> Note | None:
     value, limit = autocorrelation(met.standardised, met.used)
     if not (value >= SLOW and repeats(value, limit)):
         return None
-    text = (
-        f"filter {history.filter} follows a slow error of the heading sensor (lag-1 correlation of "
-        f"its innovations {value:.2f}), so its heading sigma is too small"
+    count = len(met.used)
+    return note(
+        "heading_slow_error",
+        count,
+        filter=history.filter,
+        correlation=value,
     )
-    hint = (
-        f'filters.{history.filter}.states = ["heading_bias"], with heading.bias_sd_deg and '
-        "bias_time_s; a smaller heading.sd_deg makes it worse"
-    )
-    return Note("heading_slow_error", text, len(met.used), Severity.WARNING, hint)
 
 
 def _reopened(history: History) -> Note:
@@ -182,11 +177,12 @@ def _reopened(history: History) -> Note:
     count = len(history.reopened_ns)
     first_ns = min(int(met.time_ns[0]) for met in history.innovations if len(met.time_ns))
     first_s = (int(history.reopened_ns[0]) - first_ns) / NS_PER_S
-    text = (
-        f"filter {history.filter} was set to the DVL again after runs of rejected velocities "
-        f"({count} in all, the first {first_s:.1f} s after the first reading)"
+    return note(
+        "gate_reopened",
+        count,
+        filter=history.filter,
+        first_s=first_s,
     )
-    return Note("gate_reopened", text, count, Severity.WARNING, _gate_hint(history))
 
 
 def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
@@ -210,11 +206,13 @@ def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
             if innovations.noise_factor != 1.0
         ]
         if found:
+            estimates = "; ".join(found)
             notes.append(
-                Note(
+                note(
                     "constants_estimated",
-                    f"{history.filter} estimates: {'; '.join(found)}",
                     len(found),
+                    filter=history.filter,
+                    estimates=estimates,
                 )
             )
     return tuple(notes)
@@ -234,7 +232,7 @@ def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
     found = [_hint_on_axes(name, sizes), _hint_on_track(tables, baseline)]
     if is_noise_far_off(tables, name):
         found.append(_hint_on_noise(name, sizes["velocity"]))
-    return tuple(note for note in found if note is not None)
+    return tuple(hint for hint in found if hint is not None)
 
 
 def _hint_on_axes(name: str, sizes: Mapping[str, float]) -> Note | None:
@@ -256,12 +254,15 @@ def _hint_on_axes(name: str, sizes: Mapping[str, float]) -> Note | None:
     if not (by_axis[low] > 0.0 and by_axis[high] > APART * by_axis[low]):
         return None
     listed = ", ".join(f"{axis} {size:.2g}" for axis, size in by_axis.items())
-    text = (
-        f"the innovations of {name} differ between axes: mean NIS / dof {listed}. {high} is "
-        f"{by_axis[high] / by_axis[low]:.3g} times {low}. "
-        "Arm, mounting or delay of the DVL may be wrong"
+    ratio = by_axis[high] / by_axis[low]
+    return note(
+        "innovations_apart",
+        filter=name,
+        sizes=listed,
+        high=high,
+        low=low,
+        ratio=ratio,
     )
-    return Note("innovations_apart", text, 1, hint=_CALIBRATE)
 
 
 def _hint_on_track(tables: Tables, baseline: History) -> Note | None:
@@ -283,21 +284,25 @@ def _hint_on_track(tables: Tables, baseline: History) -> Note | None:
             severity = Severity.WARNING
     if not off:
         return None
-    text = (
-        f"{' and '.join(off)} would align the track of {baseline.filter} with the reference's: "
-        "dvl.scale, dvl.mounting_rpy_deg or initial.heading_deg may be wrong"
+    changes = " and ".join(off)
+    return note(
+        "track_off",
+        len(off),
+        severity,
+        filter=baseline.filter,
+        changes=changes,
     )
-    return Note("track_off", text, len(off), severity, _CALIBRATE)
 
 
 def _hint_on_noise(name: str, size: float) -> Note:
     """Hint at the noise settings of a filter whose velocities have this mean NIS / dof."""
     word = "smaller" if size < LEAST else "larger"
-    text = (
-        f"the innovations of {name} are far {word} than predicted: "
-        f"mean NIS / dof of velocity is {size:.2g}, 1 is expected"
+    return note(
+        NOISE_FAR_OFF,
+        filter=name,
+        smaller=word,
+        size=size,
     )
-    return Note(NOISE_FAR_OFF, text, 1, hint=_CONTROL)
 
 
 def is_noise_far_off(tables: Tables, baseline: str) -> bool:
@@ -409,8 +414,7 @@ def reference_notes(
         return ()
     notes = []
     if not independent:
-        text = "the reference shares sensors with the filters, so common errors cannot be seen"
-        notes.append(Note("reference_not_independent", text))
+        notes.append(note("reference_not_independent"))
     known = {quantity: rows for quantity, rows in reference.known.items() if rows.any()}
     notes += _coverage_notes("reference", reference.time_ns, known, start_ns, end_ns)
     if truth is not None:
@@ -421,11 +425,13 @@ def reference_notes(
         notes += _coverage_notes("truth", truth.time_ns, known, start_ns, end_ns)
     count = int(np.sum((reference.time_ns >= start_ns) & (reference.time_ns <= end_ns)))
     if left_out := count - len(evaluated_ns):
-        text = (
-            f"credibility is evaluated at {len(evaluated_ns)} of the {count} times of the reference, evenly chosen, "
-            "to save memory"
+        thinned = note(
+            "credibility_thinned",
+            left_out,
+            evaluated=len(evaluated_ns),
+            all_count=count,
         )
-        notes.append(Note("credibility_thinned", text, left_out))
+        notes.append(thinned)
     return (*notes, *reference_rate_notes(history, reference.time_ns))
 
 
@@ -442,13 +448,14 @@ def _coverage_notes(
     for percent, quantities in by_percent.items():
         *others, last = quantities
         joined = f"{', '.join(others)} and {last}" if others else last
-        text = (
-            f"{joined} of the {source} cover {percent} % of the replay; errors "
-            "against them are from this part only"
-        )
         count = min(int(np.sum(known[quantity] & inside)) for quantity in quantities)
-        hint = "choose this part with --start and --end"
-        yield Note(f"{source}_coverage", text, count, Severity.WARNING, hint)
+        yield note(
+            f"{source}_coverage",
+            count,
+            quantities=joined,
+            source=source,
+            percent=percent,
+        )
 
 
 def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, ...]:
@@ -476,12 +483,15 @@ def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, 
             reference_ns[np.searchsorted(reference_ns, since[worst], side="right")], since[worst]
         )
     )
-    text = (
-        f"the reference is slow: between two samples, {apart_s:.2g} s apart, the vehicle turns by up to "
-        f"{turn[worst] / DEG:.0f} deg and changes its velocity by up to {change_mps.max():.2f} m/s. Errors in "
-        "between cannot be seen"
-    )
-    hint = f"a reference of {turn[worst] / SMALL_TURN / apart_s:.2g} Hz would be fast enough"
     count = len(np.unique(since[turning]))
     severity = Severity.WARNING if turn[worst] > LARGE_TURN else Severity.INFO
-    return (Note("reference_slow", text, count, severity, hint),)
+    slow = note(
+        "reference_slow",
+        count,
+        severity,
+        apart_s=apart_s,
+        turn_deg=turn[worst] / DEG,
+        change_mps=change_mps.max(),
+        enough_hz=turn[worst] / SMALL_TURN / apart_s,
+    )
+    return (slow,)

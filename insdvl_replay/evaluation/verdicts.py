@@ -15,6 +15,7 @@ from scipy.special import chdtrc
 from insdvl_replay.core.dive_columns import NS_PER_S, Mask, TimeNs, in_pauses
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.of_reference import OfReference
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
@@ -31,7 +32,7 @@ from insdvl_replay.core.tables import (
     Tables,
     finite,
 )
-from insdvl_replay.core.words import Consistency, ReferenceStatus, Role, Severity
+from insdvl_replay.core.words import Consistency, ReferenceStatus, Role
 from insdvl_replay.evaluation.answers import median_of, pooled_candidate, primary_of
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejected
 from insdvl_replay.evaluation.convergence import (
@@ -474,12 +475,16 @@ def verdicts(
 
 def not_evaluated_notes(verdicts: Mapping[str, CandidateVerdict]) -> tuple[Note, ...]:
     """Note the candidates without a verdict, so that a replay that may have no warnings fails."""
-    hint = "settle the reason, which is in the sentence on the filter"
     notes = []
     for name, found in verdicts.items():
         if found.verdict in WITHOUT_VERDICT:
-            text = f"there is no verdict on {name}, which is {found.verdict}"
-            notes.append(Note("not_evaluated", text, 1, Severity.WARNING, hint))
+            notes.append(
+                note(
+                    "not_evaluated",
+                    filter=name,
+                    verdict=found.verdict,
+                )
+            )
     return tuple(notes)
 
 

@@ -24,7 +24,6 @@ from insdvl_replay.calibration.found import (
     Given,
     as_given,
     comment_lines,
-    found_note,
     with_values,
 )
 from insdvl_replay.calibration.free_mounting import angle_between
@@ -34,6 +33,7 @@ from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import given_keys_in, load_config, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ReferenceColumns, nanoseconds
 from insdvl_replay.core.errors import LogError, Note, UserError, counted, listed
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
@@ -73,11 +73,12 @@ Paths = Sequence[Path]
 def settings_of_one(found: FoundSettings, name: str, common: Config) -> FoundSettings:
     """Return the settings of a dive that contradicts the common ones of its vehicle, with a note why."""
     differences = "; ".join(_differences(found.config, common)) or "another start and noise"
-    hint = "if the vehicle was not changed between its dives, look at the sensor that differs"
-    note = found_note(
-        "found_own", f"{name} has settings of its own: {differences}", hint, warn=True
+    own = note(
+        "found_own",
+        dive=name,
+        differences=differences,
     )
-    return replace(found, notes=(note, *found.notes))
+    return replace(found, notes=(own, *found.notes))
 
 
 def find_settings(
@@ -119,10 +120,15 @@ def find_settings(
     config = levelled_to_dives(read[:1], config, given, started, preset, notes)
     if len(read) > 1:
         names = listed([dive.name for dive in read])
-        text = f"settings of one vehicle, found from {len(read)} dives together: {names}"
-        notes.append(found_note("found_dives", text))
+        notes.append(
+            note(
+                "found_dives",
+                dives=len(read),
+                names=names,
+            )
+        )
     if whole.keys:
-        notes.append(found_note("found_given", f"as given: {listed(whole.keys)}"))
+        notes.append(note("found_given", keys=listed(whole.keys)))
     return FoundSettings(
         as_given(config, whole),
         tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING)),
@@ -193,8 +199,13 @@ def _without_short(read: Sequence[Dive], notes: list[Note]) -> list[Dive]:
         if length_s >= SHORT_S:
             kept.append(dive)
             continue
-        text = f"{dive.name} is not used to find the settings: IMU and DVL have {length_s:.1f} s together"
-        notes.append(found_note("found_left_out", f"{text}, and {SHORT_S:g} s are needed"))
+        left_out = note(
+            "found_left_out short",
+            dive=dive.name,
+            length_s=length_s,
+            least_s=SHORT_S,
+        )
+        notes.append(left_out)
     if kept:
         return kept
     del notes[len(notes) - len(read) :]
@@ -222,7 +233,7 @@ def _read_with_reference(
             dive = read_checked_dive(paths, without, allow_damaged=allow_damaged)
         except UserError:
             raise error from None
-        notes.append(_unused_reference(error.what))
+        notes.append(note("found_reference", why=error.what))
         return dive, without
     late_s = _late_reference_s(dive, given)
     if late_s and not config.reference.ignore:
@@ -235,7 +246,7 @@ def _read_with_reference(
     contradictions = [note for note in dive.notes if note.code in CONTRADICTIONS]
     if not contradictions or not is_free:
         return dive, config
-    notes.append(_unused_reference(contradictions[0].text))
+    notes.append(note("found_reference", why=contradictions[0].text))
     config = with_values(config, "reference", ignore=True)
     if (
         config.initial.latitude_deg is None and dive.reference is not None
@@ -278,10 +289,16 @@ def _with_reference_latency(
         return list(dives), config
     latency_s = round(first_s + rest_s, LATENCY_DIGITS)
     config = with_values(config, "reference", latency_s=latency_s)
-    by = f"by its turns and accelerations on {counted(len(known), 'dive')}"
     sd_s = float(np.sum(weights)) ** -0.5
-    text = f"the reference is {latency_s:+.3f} +- {sd_s:.3f} s later than the IMU, {by}"
-    notes.append(found_note("found_reference_delay", text, "to set it: reference.latency_s"))
+    dives_known = counted(len(known), "dive")
+    notes.append(
+        note(
+            "found_reference_delay",
+            latency_s=latency_s,
+            sd_s=sd_s,
+            dives=dives_known,
+        )
+    )
     return [_reference_later(dive, config, latency_s - first_s) for dive in dives], config
 
 
@@ -292,11 +309,6 @@ def _reference_later(dive: Dive, config: Config, latency_s: float) -> Dive:
     reference = replace(dive.reference, time_ns=dive.reference.time_ns - nanoseconds(latency_s))
     notes = tuple(note for note in dive.notes if note.code != "reference_late")
     return with_reference_delay(replace(dive, reference=reference, notes=notes), config)
-
-
-def _unused_reference(reason: str) -> Note:
-    text = f"the reference is not used: {reason}, while IMU and DVL agree"
-    return found_note("found_reference", text, "to use it: reference.ignore = false", warn=True)
 
 
 @dataclass(frozen=True)
@@ -409,11 +421,7 @@ def _with_latitude(
         reference is not None and reference.has_position
     ):
         return config
-    text = (
-        f"latitude {UNKNOWN_LATITUDE_DEG:g} deg, since the log has none: this costs up to 11 deg of heading in an hour "
-        "(26 deg south of the equator)"
-    )
-    notes.append(found_note("found_latitude", text, "to set it: initial.latitude_deg", warn=True))
+    notes.append(note("found_latitude", latitude_deg=UNKNOWN_LATITUDE_DEG))
     return with_values(config, "initial", latitude_deg=UNKNOWN_LATITUDE_DEG)
 
 
@@ -439,16 +447,11 @@ def _with_heading(
     for dive in dives:
         with suppress(UserError):  # a dive that moves too little says nothing of the others
             fitted = fitted_start(dive, config)
-            text = (
-                f"start heading {fitted.heading_deg:.1f} +- {fitted.heading_sd_deg:.2g} deg, fitted to the positions "
-                "of the reference in each dive"
-            )
-            notes.append(found_note("found_heading", text, "to set it: initial.heading_deg"))
+            notes.append(note("found_heading", fitted=fitted))
             bias_degph = (*config.initial.gyro_bias_degph[:2], fitted.gyro_bias_degph)
             started = with_values(
                 config, "initial", heading_deg=fitted.heading_deg, gyro_bias_degph=bias_degph
             ).initial
             return with_values(config, "initial", heading_deg=FIT), started
-    text = "start heading 0, since nothing in the log gives it: tracks and headings are relative to the start"
-    notes.append(found_note("found_heading", text, "to set it: initial.heading_deg", warn=True))
+    notes.append(note("found_heading unknown"))
     return config, config.initial

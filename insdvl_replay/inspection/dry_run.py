@@ -23,6 +23,7 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.words import Severity
 from insdvl_replay.inspection.inventory import Blocker, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
@@ -38,7 +39,6 @@ from insdvl_replay.logs.read import Finding, RoleColumns, loss_notes, source_not
 _ENOUGH: Final = 1000  # messages of a topic that show its clock and its units
 _ENOUGH_OF_OTHERS: Final = 10
 _LOOK_DEEPER: Final = "to measure the value on all messages: `inspect --deep`"
-_LOOK_FURTHER: Final = "to check all messages: `inspect --deep`"
 
 OnError = Callable[[UserError], None]  # what is done about an error that would end a replay
 
@@ -105,7 +105,7 @@ class DryRun:
             try:
                 self.clocks.append(read_sample(self.log, source, _ENOUGH_OF_OTHERS).clock())
             except UserError as error:
-                self.notes.append(Note("other_clock", error.message))
+                self.notes.append(note("other_clock", why=error.message))
 
     def _examine_role(self, finding: Finding) -> list[Clock]:
         """Look at the topics that play a role; return their clocks, or none where one cannot be read."""
@@ -196,15 +196,14 @@ class DryRun:
             elif said.code.startswith("imu"):
                 if said.severity == Severity.WARNING:
                     self.warned.add(topic)
-                self._remark([replace(said, text=f"{topic}: {said.text}", hint=hint)])
+                self._remark([replace(said.about(topic), hint=hint)])
 
     def _not_decoded(self, role: str, error: UserError) -> None:
         if self.deep or role == "imu" or isinstance(error, ConfigError):
             self._add_blocker(error)
             return
         # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
-        text = f"the first messages would stop a replay: {error.inside(self.log.path)}"
-        self.notes.append(Note("first_messages", text, 1, Severity.WARNING, _LOOK_FURTHER))
+        self.notes.append(note("first_messages", why=error.inside(self.log.path)))
 
     def _remarks(self, imu: ImuColumns) -> Iterator[Remark]:
         return plausibility_remarks(
@@ -224,10 +223,16 @@ class DryRun:
     def _warn_of(self, topic: str, error: UserError, hint: str | None = None) -> None:
         """Note what is wrong with one of several topics; the hint is that of the error if no other is given."""
         self.warned.add(topic)
-        self.refused.setdefault(topic, error.inside(self.log.path, topic))
-        text = f"{topic}: {error.inside(self.log.path, topic)}"
+        why = error.inside(self.log.path, topic)
+        self.refused.setdefault(topic, why)
         given = error.hint if hint is None else hint
-        self.notes.append(Note("candidate", text, 1, Severity.WARNING, given))
+        self.notes.append(
+            note(
+                "candidate",
+                why=why,
+                hint=given,
+            ).about(topic)
+        )
 
     def _add_blocker(self, error: UserError) -> None:
         self.blockers.append(Blocker(error.message, error.hint))
@@ -236,9 +241,9 @@ class DryRun:
 def _ping_facts(dvl: DvlColumns, messages: int, notes: Iterable[Note]) -> PingFacts:
     """Count the pings of a DVL, by the messages that were read and the notes on them."""
     repeats = 0
-    for note in notes:
-        if note.code in ("dvl_repeats", "dvl_same_values"):
-            repeats += note.count
+    for found in notes:
+        if found.code in ("dvl_repeats", "dvl_same_values"):
+            repeats += found.count
     rate_hz = None
     steps_s = np.diff(seconds(dvl.time_ns, int(dvl.time_ns[0])))
     if steps_s.size:

@@ -9,11 +9,12 @@ import numpy as np
 from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.dives import Answer, answer_of, calibrate_dives
 from insdvl_replay.calibration.fitted_noise import halves, middle, with_noise
-from insdvl_replay.calibration.found import Given, found_note
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, nanoseconds
 from insdvl_replay.core.errors import Note, UserError
+from insdvl_replay.core.notes import note
 
 # What a calibration finds, by the settings that it replaces.
 GROUPS: Final = {
@@ -40,8 +41,7 @@ def calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list[
             halves(read), config, groups, hold_out=_HELD_OUT, windows_s=windows_s
         ).found
     except UserError as error:
-        text = f"the geometry of the DVL was not calibrated: {error.what}"
-        notes.append(found_note("found_calibration", text, warn=True))
+        notes.append(note("found_calibration failed", why=error.what))
         return config
     better = _with_geometry(found, read, config, groups, notes)
     if better is not None:
@@ -65,8 +65,7 @@ def _with_geometry(
     found, answer = _decided(found, read, config, groups)
     tested = _drift_sentence(found)
     if answer.keeps_geometry:
-        text = f"calibration of the DVL not applied: {tested}"
-        notes.append(found_note("found_calibration", text, warn=True))
+        notes.append(note("found_calibration not_applied", tested=tested))
         return None
     better = answer.applied(found)
     if found.estimated:
@@ -74,13 +73,16 @@ def _with_geometry(
         better = calibrate_dives(read, config, groups).found
     changes = _changes(better)
     if changes:
-        text = f"calibrated: {', '.join(changes)}; {tested}"
-        notes.append(found_note("found_calibration", text))
+        notes.append(
+            note(
+                "found_calibration",
+                changes=", ".join(changes),
+                tested=tested,
+            )
+        )
         return with_dvl(config, better.after.rounded())
     if groups != [NOISE]:
-        text = "the DVL's lever arm, mounting and delay cannot be determined: taken as 0"
-        hint = "a dive with turns and changes of speed shows them"
-        notes.append(found_note("found_calibration", text, hint, warn=True))
+        notes.append(note("found_calibration unknown"))
     return None
 
 

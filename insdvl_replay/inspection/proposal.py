@@ -22,6 +22,7 @@ from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import BY_SENSOR, SENSORS
 from insdvl_replay.core.units import SPECIFIC_FORCE_BY_SIZE, SPECIFIC_FORCE_UNITS
 from insdvl_replay.inspection.clock_words import apart
@@ -109,9 +110,13 @@ def propose(
     last.examine(found)
     notes = []
     if unseen:
-        text = f"too many fields: these topics were ignored for the proposal: {listed(unseen)}"
-        hint = "set the topic of each role: imu.topic, dvl.topic, reference.topic"
-        notes.append(Note("topics_not_looked_at", text, len(unseen), hint=hint))
+        notes.append(
+            note(
+                "topics_not_looked_at",
+                len(unseen),
+                topics=listed(unseen),
+            )
+        )
     return Proposal(
         tuple(settings), tuple(last.blockers), tuple(notes), tuple(clocks), tuple(seen.clocks)
     )

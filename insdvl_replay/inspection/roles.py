@@ -9,7 +9,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.calibration.found import Given, found_note, with_values
+from insdvl_replay.calibration.found import Given, with_values
 from insdvl_replay.checks.dvl import median_speed_mps
 from insdvl_replay.checks.imu import ENOUGH, length_refusal, rate_remark
 from insdvl_replay.checks.reference import is_of_dvl, says_anything
@@ -23,6 +23,7 @@ from insdvl_replay.core.dive_columns import (
     ReferenceColumns,
 )
 from insdvl_replay.core.errors import LogError, Note, UserError, counted, error_context
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2
 from insdvl_replay.core.units import (
@@ -31,6 +32,7 @@ from insdvl_replay.core.units import (
     VELOCITY_BY_SIZE,
     VELOCITY_UNITS,
 )
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
@@ -74,7 +76,6 @@ BODY_KEYS: Final = (
     "reference.mounting_rpy_deg",
 )
 UNKNOWN_LATITUDE_DEG: Final = 45.0
-_USE_REFERENCE: Final = "to use it: reference.ignore = false"
 
 
 @dataclass(frozen=True)
@@ -124,9 +125,14 @@ class _LeftOut:
         self.errors.setdefault(topic, error)
         reason = error.inside(self.place, topic)
         name = role.upper() if role in ("imu", "dvl") else role
-        hint = f'to use it: {role}.topic = "{topic}"'
         self.notes.append(
-            found_note("found_left_out", f"{topic} is not used as {name}: {reason}", hint)
+            note(
+                "found_left_out",
+                role=role,
+                name=name,
+                topic=topic,
+                why=reason,
+            )
         )
 
 
@@ -160,8 +166,7 @@ def read_roles(
     if reference is not None and not given.reference.topic:
         topic = _topic_of_reference(reference, dvls)
         if topic is not None:
-            text = f"the reference is not used: its velocities are those of {topic}, so that it is no other source"
-            left_out.notes.append(found_note("found_reference", text, _USE_REFERENCE, warn=True))
+            left_out.notes.append(note("found_reference same_velocities", topic=topic))
             reference = None
             draft = with_values(draft, "reference", ignore=True)
     is_alone = set()
@@ -291,8 +296,11 @@ def _stamp_notes(proposal: Proposal) -> Iterator[Note]:
     if not apart:
         return
     said = "; ".join(clock_words(clock) for clock in apart)
-    hint = f"to use the sensors' own times: {apart[0].role}.latency_s and .stamp"
-    yield found_note("found_clocks", f"{said}: log times used", hint, warn=True)
+    yield note(
+        "found_clocks log_times",
+        clocks=said,
+        role=apart[0].role,
+    )
 
 
 def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: Config) -> str:
@@ -364,7 +372,7 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
         times = "; ".join(
             f"{setting.key} {setting.value}, {setting.seen}" for setting in read.clocks
         )
-        notes.append(found_note("found_clocks", f"times of the tables: {times}", warn=True))
+        notes.append(note("found_clocks", times=times))
     imu = _as_configured(pair.imu, in_vehicle, given.config.imu, is_alone="imu" in read.is_alone)
     draft = msgspec.structs.replace(draft, imu=imu)
     return _with_dvl(draft, read, pair.dvl, in_vehicle), trials.cost
@@ -581,9 +589,13 @@ def _imu_note(pairs: Sequence[_Pair], best: Hypothesis, imus: Sequence[_ImuTopic
         if other is not imu:
             parts += _other_rates(imu, other)
     is_rivalled = any(ratio * CLEARLY < 1.0 for ratio in rivals.values())
-    warn = is_rivalled or _is_unusual(imu.settings, best)
-    return found_note(
-        "found_imu", "; ".join(parts), 'to use another: imu.topic = "/topic"', warn=warn
+    severity = Severity.INFO
+    if is_rivalled or _is_unusual(imu.settings, best):
+        severity = Severity.WARNING
+    return note(
+        "found_imu",
+        severity=severity,
+        findings="; ".join(parts),
     )
 
 
@@ -649,22 +661,29 @@ def _dvl_note(
     topic: str, best: Hypothesis, others_deg: Sequence[tuple[float, float, float]]
 ) -> Note:
     """Report the mounting of the DVL, and which others are as good."""
-    text = f"DVL {topic}, mounting {_rpy(best.rpy_deg)} deg"
+    rpy = _rpy(best.rpy_deg)
     if others_deg:
         fitting = " or ".join(map(_rpy, sorted(set(others_deg))))
-        text = f"the mounting of DVL {topic} cannot be determined: {_rpy(best.rpy_deg)} deg is used, {fitting} fits"
-    warn = bool(others_deg)
-    return found_note("found_dvl", text, "to change it: dvl.mounting_rpy_deg", warn=warn)
+        return note(
+            "found_dvl open",
+            topic=topic,
+            rpy=rpy,
+            others=fitting,
+        )
+    return note(
+        "found_dvl",
+        topic=topic,
+        rpy=rpy,
+    )
 
 
 def _forward_note(best: Hypothesis, other: Hypothesis) -> Note:
     """Report axes in which a vehicle goes forward or sideways, since the log has no attitude that decides."""
-    text = (
-        f"the vehicle's forward axis cannot be determined: {_built_in(best)} is used, and {_built_in(other)} fits; "
-        "in one of them the vehicle travels forward, in the other one all the time sideways or backward"
+    return note(
+        "found_forward",
+        used=_built_in(best),
+        other=_built_in(other),
     )
-    hint = "look how the IMU is built in, and set imu.axes and dvl.mounting_rpy_deg"
-    return found_note("found_forward", text, hint, warn=True)
 
 
 def _built_in(one: Hypothesis) -> str:

@@ -15,6 +15,7 @@ from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import check_start
 from insdvl_replay.core.dive_columns import TimeNs, seconds
 from insdvl_replay.core.errors import Note, UserError
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Blocker, Inventory, LogFacts, RoleFacts, TopicFacts
@@ -90,17 +91,18 @@ def _unused_sensors(log: Recording, findings: Sequence[Finding], config: Config)
     if not idle:
         return []
     sensors = "; ".join(f"{name} on {' or '.join(topics)}" for name, topics in idle.items())
-    text = f"unused sensors: {sensors}"
-    them = "them"
+    names = ", ".join(f'"{name}"' for name in idle)
+    code = "sensors_unused"
     if len(idle) == 1:
-        text = f"unused sensor: {sensors}"
-        them = "it"
-    held_out = ", ".join(f'"{name}"' for name in idle)
-    hint = (
-        f'to use {them}: aiding = ["velocity", {held_out}]; '
-        f"to judge by {them}: evaluation.held_out = [{held_out}]"
-    )
-    return [Note("sensors_unused", text, len(idle), hint=hint)]
+        code = "sensors_unused one"
+    return [
+        note(
+            code,
+            len(idle),
+            sensors=sensors,
+            names=names,
+        )
+    ]
 
 
 def _check_start(roles: Sequence[RoleFacts], initial: Initial) -> None:

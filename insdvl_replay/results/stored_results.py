@@ -8,12 +8,12 @@ from typing import NoReturn, TypeVar
 
 import msgspec
 
-from insdvl_replay.core.errors import ConfigError, Note, ResultError, counted, listed, looked_for
+from insdvl_replay.core.errors import ConfigError, Note, ResultError, listed, looked_for
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.path_kinds import SUMMARY, looks_like_log, replay_hint
 from insdvl_replay.core.report import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES
 from insdvl_replay.core.version import __version__
-from insdvl_replay.core.words import Severity
 from insdvl_replay.results.folder import COMPLETE, LABELS, NOT_JSON, Label, read_file
 
 _Kind = TypeVar("_Kind")
@@ -69,9 +69,7 @@ def read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind]
             f"{root}: {found}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote"
         )
     if studies:
-        notes.append(
-            Note("studies_left_out", f"{root}: ignored {studies} results of studies", studies)
-        )
+        notes.append(note("studies_left_out", studies).about(root))
     return reports, notes
 
 
@@ -88,12 +86,14 @@ def earlier_results(folder: Path, dives: Collection[str]) -> list[Note]:
 
 
 def _earlier(folder: Path, names: Sequence[str]) -> Note:
-    are = f"{counted(len(names), 'result')} of earlier runs {'is' if len(names) == 1 else 'are'}"
-    text = f"{folder}: {are} left out: {listed(names)}"
-    hint = (
-        f"name a folder of its own for each run with -o; to read one of them: {folder / names[0]}"
+    first = folder / names[0]
+    left_out = note(
+        "earlier_results",
+        len(names),
+        names=listed(names),
+        first=first,
     )
-    return Note("earlier_results", text, len(names), Severity.WARNING, hint)
+    return left_out.about(folder)
 
 
 def _of_last_runs(files: Sequence[Path]) -> tuple[list[Path], list[Note]]:

@@ -12,8 +12,8 @@ from insdvl_replay.core.config import Acceleration, Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.dive_record import dive_name
 from insdvl_replay.core.errors import ConfigError, LogError, Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import parallel_map
-from insdvl_replay.core.words import Severity
 from insdvl_replay.document.parts import (
     Curve,
     DisplayTable,
@@ -94,8 +94,13 @@ def study_window(
     for _, _, dive_notes in studied:
         notes += dive_notes
     for error in refused:
-        text = f"{error.message}; ignored"
-        notes.append(Note(LEFT_OUT, text, 1, Severity.WARNING, error.hint))
+        notes.append(
+            note(
+                LEFT_OUT,
+                why=error.message,
+                hint=error.hint,
+            )
+        )
     best = best_windows(windows)
     return Result(
         kind="window",
