@@ -3,7 +3,6 @@
 import shlex
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -361,7 +360,7 @@ def calibrate(
     if calibrated is None:
         return max(codes)
     for name, note in calibrated.notes:
-        log_notes([replace(note, text=f"{name}: {note.text}")], verbose=verbose > 0)
+        log_notes([note.about(name)], verbose=verbose > 0)
     lay_out = partial(
         calibration_result,
         calibrated.dives.found,

@@ -22,12 +22,12 @@ from insdvl_replay.core.dive_columns import (
     in_spans,
 )
 from insdvl_replay.core.dive_record import Channel, Clock, dive_name
-from insdvl_replay.core.errors import LogError, Note, counted_clause, error_context
+from insdvl_replay.core.errors import LogError, Note, error_context
 from insdvl_replay.core.held_out import Span, Why
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.of_reference import solution_is_reference
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import SENSORS
-from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.dvl import decode_dvl
 from insdvl_replay.logs.columns.imu import decode_imu, decode_truth
 from insdvl_replay.logs.columns.reference import (
@@ -48,7 +48,7 @@ from insdvl_replay.logs.columns.topics import (
     solution_role,
 )
 from insdvl_replay.logs.formats.definitions import defines_nothing, missing_types
-from insdvl_replay.logs.formats.log_file import COPY_AGAIN, LogChannel, by_topic
+from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
 from insdvl_replay.logs.formats.mcap_file import MAGIC
 from insdvl_replay.logs.formats.recording import open_recording
 
@@ -191,15 +191,13 @@ def source_notes(sources: Sequence[Source]) -> Iterator[Note]:
                 missing.update(missing_types(channel.type_name, channel.schema_text))
         lacking = ", ".join(sorted(missing))
         if lacking:
-            text = f"{source.topic}: the log has no schema of {lacking}; the definition of this tool is used"
-            yield Note("builtin_definition", text)
+            yield note("builtin_definition", types=lacking).about(source.topic)
     of_reference = {source.topic for source in sources if source.role == "reference"}
     for source in sources:
         name = solution_name(source.role)
         if name is not None and source.topic in of_reference:
-            text = f"{source.role} and the reference are both from {source.topic}, so they may not be independent"
-            hint = "to judge it by another reference: reference.topic and reference.fix"
-            yield Note(solution_is_reference(name), text, 1, Severity.WARNING, hint)
+            code = f"{solution_is_reference(name)} topic"
+            yield note(code, role=source.role, topic=source.topic)
 
 
 def loss_notes(tables: Iterable[Table]) -> list[Note]:
@@ -212,25 +210,25 @@ def loss_notes(tables: Iterable[Table]) -> list[Note]:
         announced = sum(channel.messages for channel in table.source.channels)
         found = len(table) + table.others + table.duplicates + unreadable
         if announced != found:
-            text = f"{topic}: the log announces {announced} messages, but {found} were found"
-            difference = abs(announced - found)
-            missing.append(
-                Note("messages_missing", text, difference, Severity.WARNING, COPY_AGAIN)
+            said = note(
+                "messages_missing",
+                abs(announced - found),
+                announced=announced,
+                found=found,
             )
+            missing.append(said.about(topic))
         if unreadable and table.fault is not None:
-            clause = counted_clause(unreadable, "messages are unreadable")
             behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9
-            text = (
-                f"{topic}: {clause} and left out, from {behind_s.min():.3f} s to {behind_s.max():.3f} s after the "
-                f"first readable one: {table.fault.message}"
+            said = note(
+                "messages_unreadable",
+                unreadable,
+                first_s=behind_s.min(),
+                last_s=behind_s.max(),
+                why=table.fault.message,
             )
-            left_out.append(
-                Note("messages_unreadable", text, unreadable, Severity.WARNING, COPY_AGAIN)
-            )
+            left_out.append(said.about(topic))
         if table.duplicates:
-            what = "messages are in two channels or files; each is used once"
-            text = f"{topic}: {counted_clause(table.duplicates, what)}"
-            left_out.append(Note("messages_repeated", text, table.duplicates))
+            left_out.append(note("messages_repeated", table.duplicates).about(topic))
     return [*missing, *left_out]
 
 
@@ -240,8 +238,12 @@ def stamp_notes(tables: Iterable[Table]) -> Iterator[Note]:
         numbers = table.stamp_numbers
         if numbers is not None:
             unit = stamp_unit(numbers, table.columns["log_time"][:, 0])[1]
-            text = f"{table.source.topic}: stamp '{table.source.stamp}' was read as {unit}"
-            yield Note(f"{table.source.code}_stamp_unit", text)
+            code = f"{table.source.code}_stamp_unit"
+            yield note(
+                code,
+                stamp=table.source.stamp,
+                unit=unit,
+            ).about(table.source.topic)
 
 
 @dataclass

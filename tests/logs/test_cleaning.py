@@ -64,7 +64,7 @@ def test_numbers_that_are_expected_may_be_missing_here_and_there(
 ) -> None:
     cleaner, values = small_cleaner(range(60)), np.ones((60, 1))
     values[lost] = NAN
-    cleaner.keep_finite(values, hint="look at the cable")
+    cleaner.keep_finite(values, is_expected=True)
     assert noted(cleaner) == [("imu_not_finite", len(lost), severity)]
 
 
@@ -82,12 +82,10 @@ def test_impossible_rows_are_dropped_unless_most_are_and_differ_so_that_the_unit
 ) -> None:
     readings = np.resize(value, count)
     by_row = small_cleaner(range(10))
-    by_row.keep_possible(np.arange(10) >= count, readings, "messages are impossible", "imu.unit")
+    by_row.keep_possible(np.arange(10) >= count, readings, "impossible samples")
     by_reading = small_cleaner(range(10))
     values = column(*readings, *[1.0] * (10 - count))
-    left = by_reading.without_impossible(
-        values, np.abs(values) > 20.0, "readings are impossible", "imu.unit"
-    )
+    left = by_reading.without_impossible(values, np.abs(values) > 20.0, "impossible angles")
     assert (by_row.rows.size, np.isfinite(left).sum()) == (kept, kept)
     for cleaner in (by_row, by_reading):
         assert noted(cleaner) == ([("imu_impossible", count, Severity.WARNING)] if said else [])

@@ -10,6 +10,7 @@ import pytest
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.columns.clean import note_lost_samples
 from insdvl_replay.sim.dive import simulate_dive
@@ -30,10 +31,8 @@ class Stamps:
         self.times = np.sort(self.times.astype(np.int64))
         self.rows = np.arange(self.times.size)
 
-    def note(
-        self, code: str, text: str, count: int, severity: Any, hint: str, first: np.ndarray
-    ) -> None:
-        self.notes.append(Note(code, text, count, severity, hint))
+    def note(self, code: str, count: int, first: np.ndarray, **fields: Any) -> None:
+        self.notes.append(note(f"imu_{code}", count, first=len(first), **fields))
 
 
 def told(times: np.ndarray) -> list[Note]:

@@ -21,7 +21,6 @@ from ruamel.yaml import YAML
 import insdvl_replay
 from insdvl_replay import __version__, nav, preparation
 from insdvl_replay.cli.app import app
-from insdvl_replay.core.notes import explanation
 
 PROJECT = Path(__file__).resolve().parents[2]
 CHAPTERS = sorted(
@@ -289,14 +288,6 @@ def test_python_in_the_pages_names_what_there_is(document: str) -> None:
                 found = insdvl_replay.DiveResult
                 assert hasattr(found, node.attr) or node.attr in found.__annotations__
     assert blocks or document != "docs/python.md"
-
-
-def test_notes_of_the_troubleshooting_page_exist() -> None:
-    cells = re.findall(r"^\| (`.*?) \|", text_of("docs/troubleshooting.md"), re.MULTILINE)
-    codes = [code for cell in cells for code in re.findall(r"`([a-z]+(?:_[a-z]+)+)`", cell)]
-    assert len(codes) > 50
-    for code in codes:
-        assert explanation(code).what, code
 
 
 # --- The site.

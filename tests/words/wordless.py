@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 X: Final = "x"
 PACKAGE: Final = "insdvl_replay"
@@ -158,10 +158,12 @@ def error_of_x(as_written: Callable[..., None]) -> Callable[..., None]:
 
 
 def note_of_x(as_written: Callable[..., None]) -> Callable[..., None]:
-    """Return how a note is made that says "x"; its hint is written elsewhere."""
+    """Return how a note is made that says "x": its sentences are in a table and not in the code."""
 
-    def make(note: object, code: str, text: str, *others: Any, **named: Any) -> None:
-        as_written(note, code, X if text else "", *others, **named)
+    def make(
+        note: object, code: str, text: str, count: int, severity: str, hint: str = ""
+    ) -> None:
+        as_written(note, code, X if text else "", count, severity, X if hint else "")
 
     return make
 

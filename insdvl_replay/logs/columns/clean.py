@@ -5,7 +5,7 @@ There is no such note where stamps jitter, come in bursts or have a changing rat
 """
 
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,8 @@ from insdvl_replay.core.dive_columns import (
     nanoseconds,
     seconds,
 )
-from insdvl_replay.core.errors import LogError, Note, counted_clause
+from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.tables import (
     RECORDER_STAMPS,
@@ -77,33 +78,33 @@ class Cleaner:
         self._first_ns = int(self.time_ns[order.rows[0]])
         if order.wrong.size:
             first_s = float(seconds(log_time_ns[order.wrong], log_time_ns.min()).min())
-            text = (
+            jumps = (
                 f"{order.wrong.size} of {self.time_ns.size} messages have stamps '{table.source.stamp}' that jump "
                 f"while the log time is steady; the first {first_s:.3f} s after the first message"
             )
             hint = f'{self.role}.stamp = "log_time"'
             if order.jump_s > SAME_CLOCK_S:
-                raise LogError(
-                    f"{text}; their clock was set back by {order.jump_s:.3f} s", hint, *table.where
-                )
-            if not is_few(order.wrong.size, self.time_ns.size):
+                text = f"{jumps}; their clock was set back by {order.jump_s:.3f} s"
                 raise LogError(text, hint, *table.where)
-            code = f"{table.source.code}_wrong_stamps"
-            text = f"{self.role}: {text}; dropped"
-            self.notes.append(Note(code, text, order.wrong.size, Severity.WARNING, hint))
+            if not is_few(order.wrong.size, self.time_ns.size):
+                raise LogError(jumps, hint, *table.where)
+            self.note(
+                "wrong_stamps",
+                order.wrong.size,
+                jumps=jumps,
+            )
         if order.late.size:
-            text = f"messages are out of order (by up to {order.late_s:.3f} s); sorted"
-            self.note("out_of_order", text, order.late.size, first=order.late)
+            self.note(
+                "out_of_order",
+                order.late.size,
+                order.late,
+                late_s=order.late_s,
+            )
 
     @property
     def times(self) -> TimeNs:
         """The times of the rows that stay."""
         return self.kept(self.time_ns)
-
-    @property
-    def stamp_hint(self) -> str:
-        """What helps where the stamps are times of delivery."""
-        return f'if the messages have the sensor\'s own time: {self.role}.stamp = "field.path"'
 
     def kept(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Return the rows of values that stay, in the order of time; the same array where all stay in place."""
@@ -112,33 +113,26 @@ class Cleaner:
             return values[self.rows]
         return values
 
-    def keep(
-        self,
-        good: Mask,
-        code: str,
-        reason: str,
-        severity: Severity = Severity.INFO,
-        hint: str = "",
-    ) -> None:
-        """Drop the rows that are not good; the reason says what the dropped messages are like."""
-        self._keep_rows(good[self.rows], code, reason, severity, hint)
+    def keep(self, good: Mask, code: str, severity: Any = None, **fields: Any) -> None:
+        """Drop the rows that are not good; the code, without the source, says what the dropped messages are like."""
+        self._keep_rows(good[self.rows], code, severity, **fields)
 
-    def keep_where(
-        self, quantity: str, good: Callable[[Floats], Mask], code: str, reason: str
-    ) -> None:
+    def keep_where(self, quantity: str, good: Callable[[Floats], Mask], code: str) -> None:
         """Drop the rows of which a number of a quantity is not good, if the topic holds it."""
         if quantity in self.table:
-            self.keep(np.asarray(good(self.table.values(quantity)).all(axis=1)), code, reason)
+            self.keep(np.asarray(good(self.table.values(quantity)).all(axis=1)), code)
 
     def keep_finite(
         self,
         *values: Floats,
-        hint: str = "",
-        reason: str = "messages hold a number that is not finite",
+        code: str = "not_finite",
+        is_expected: bool = False,
+        **fields: Any,
     ) -> None:
         """Drop the rows in which a number is missing.
 
-        With a hint it is a warning if rows next to each other lack it, or more than few. Without, it is if most do.
+        Where all rows are expected to have it, it is a warning if rows next to each other lack it, or more than few.
+        Else it is if most do.
         """
         # The extremes of a column of which a number is missing are missing.
         if all(np.isfinite([array.min(), array.max()]).all() for array in values if array.size):
@@ -150,19 +144,18 @@ class Cleaner:
         lost = ~finite[self.rows]
         count = int(np.count_nonzero(lost))
         is_serious = 2 * count > lost.size
-        if hint:
+        if is_expected:
             is_serious = bool(np.any(lost[1:] & lost[:-1])) or not is_few(count, lost.size)
         severity = Severity.WARNING if is_serious else Severity.INFO
-        self.keep(finite, "not_finite", reason, severity, hint)
+        self.keep(finite, code, severity, **fields)
 
-    def keep_possible(self, possible: Mask, impossible: Floats, reason: str, hint: str) -> None:
+    def keep_possible(self, possible: Mask, impossible: Floats, code: str) -> None:
         """Drop rows with impossible readings, shape (m,), unless these mean a wrong unit."""
         if not self._are_of_another_unit(~possible[self.rows], impossible):
-            reason = f"{reason} ({shown(impossible)})"
-            self.keep(possible, "impossible", reason, Severity.WARNING, hint)
+            self.keep(possible, code, values=shown(impossible))
 
     def without_impossible(
-        self, values: Floats, is_impossible: Mask, reason: str, hint: str
+        self, values: Floats, is_impossible: Mask, code: str, **fields: Any
     ) -> Floats:
         """Return values, (k, n), NaN where they cannot be, unless these mean a wrong unit."""
         impossible = values[is_impossible]
@@ -170,9 +163,12 @@ class Cleaner:
         has_any: Mask = np.asarray(~np.isnan(values).all(axis=1))
         if not impossible.size or self._are_of_another_unit(rows[has_any], impossible):
             return values
-        text = f"{reason} ({shown(impossible)}) and count as missing"
+        fields["values"] = shown(impossible)
         self.note(
-            "impossible", text, impossible.size, Severity.WARNING, hint, first=np.flatnonzero(rows)
+            code,
+            impossible.size,
+            np.flatnonzero(rows),
+            **fields,
         )
         return np.where(is_impossible, np.nan, values)
 
@@ -205,57 +201,74 @@ class Cleaner:
             reason = "messages have the time of the one before, but other values (stamped together on delivery)"
             # Without most of its messages, a topic is not the same any more.
             if count > 0.5 * times.size:
-                hint = f'{self.stamp_hint}; to use the recorder\'s time: {self.role}.stamp = "log_time"'
+                hint = (
+                    f'if the messages have the sensor\'s own time: {self.role}.stamp = "field.path"; '
+                    f'to use the recorder\'s time: {self.role}.stamp = "log_time"'
+                )
                 raise LogError(f"{count} of {times.size} {reason}", hint, *self.table.where)
             good = np.ones(times.size, np.bool_)
             good[again[differ]] = False
-            self._keep_rows(good, "same_times", reason, Severity.WARNING, self.stamp_hint)
-        self._keep_rows(
-            is_new(self.times), "repeats", "messages repeat the time of the one before"
-        )
+            self._keep_rows(good, "same_times", reason=reason)
+        self._keep_rows(is_new(self.times), "repeats")
 
     def drop_repeated_values(self, values: Floats) -> None:
         """Keep the first of consecutive rows with identical values, as a recorder writes that publishes faster."""
         ordered = values[self.rows]
         first = np.ones(len(ordered), np.bool_)
         first[1:] = ~same_rows(ordered[1:], ordered[:-1])
-        self._keep_rows(first, "same_values", "messages repeat the values of the one before")
+        self._keep_rows(first, "same_values")
 
     def note_missing(self, quantity: str, values: Floats) -> None:
         """Note the kept rows that lack a quantity (named in the plural) that other rows have."""
         missing = ~np.isfinite(self.kept(values)).all(axis=1)
         count = int(np.count_nonzero(missing))
         if 0 < count < missing.size:
-            text = f"{quantity} of {missing.size} are not finite and count as missing"
-            self.note("not_finite", text, count, first=self.rows[missing])
+            rows = self.rows[missing]
+            self.note(
+                "not_finite missing",
+                count,
+                rows,
+                quantity=quantity,
+                rows=missing.size,
+            )
 
     def note(
         self,
         code: str,
-        text: str,
         count: int,
-        severity: Severity = Severity.INFO,
-        hint: str = "",
         first: Rows | None = None,
+        severity: Any = None,
+        **fields: Any,
     ) -> None:
-        """Add a note about some of the rows, with the time of the earliest."""
+        """Add a note about some of the rows, with the time of the earliest; its code is without the source.
+
+        Its sentence has the fields ``role`` and ``first``, beside those that are given.
+        """
         first_s = 0.0
         if first is not None:
             first_s = float(seconds(self.time_ns[first].min(), self._first_ns))
-        text = f"{self.role}: {counted_clause(count, text)}; the first {first_s:.3f} s after the first message"
-        self.notes.append(Note(f"{self.table.source.code}_{code}", text, count, severity, hint))
+        fields["role"] = self.role
+        fields["first"] = f"the first {first_s:.3f} s after the first message"
+        whole_code = f"{self.table.source.code}_{code}"
+        self.notes.append(
+            note(
+                whole_code,
+                count,
+                severity,
+                **fields,
+            ).about(self.role)
+        )
 
-    def _keep_rows(
-        self,
-        good: Mask,
-        code: str,
-        reason: str,
-        severity: Severity = Severity.INFO,
-        hint: str = "",
-    ) -> None:
+    def _keep_rows(self, good: Mask, code: str, severity: Any = None, **fields: Any) -> None:
         dropped = int(np.count_nonzero(~good))
         if dropped:
-            self.note(code, f"{reason}; dropped", dropped, severity, hint, first=self.rows[~good])
+            self.note(
+                code,
+                dropped,
+                self.rows[~good],
+                severity,
+                **fields,
+            )
             self.rows = self.rows[good]
 
 
@@ -320,17 +333,17 @@ def note_lost_samples(cleaner: Cleaner) -> None:
     lost = int(np.sum(multiples[pauses & near] - 1.0))
     share = lost / (lost + cleaner.times.size)
     usual_s = float(np.median(steps_ns[stamped[~pauses & near]])) / NS_PER_S
-    text = (
-        f"samples, {100.0 * share:.2g} % of all, are missing: pauses are "
-        f"multiples of the usual step of {usual_s:.4g} s"
-    )
-    severity = Severity.INFO
-    hint = ""
+    code = "lost_samples"
     if share >= 0.05:  # more may change the results
-        hint = "check whether the recorder or the network was too slow"
-        severity = Severity.WARNING
+        code = "lost_samples many"
     first = cleaner.rows[stamped[pauses & near]]
-    cleaner.note("lost_samples", text, lost, severity, hint, first)
+    cleaner.note(
+        code,
+        lost,
+        first,
+        share_pct=100.0 * share,
+        usual_s=usual_s,
+    )
 
 
 def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
@@ -343,12 +356,14 @@ def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
     together = np.flatnonzero(steps_ns < 0.2 * usual_ns)
     if together.size <= 0.05 * steps_ns.size:  # by the jitter of stamps that are otherwise regular
         return
-    text = (
-        f"samples, {together.size / steps_ns.size:.0%} of all, are stamped in bursts (less than 0.2 of the usual step "
-        f"of {usual_ns / NS_PER_S:.4f} s apart): the stamps are times of delivery"
+    cleaner.note(
+        "bursts",
+        together.size,
+        cleaner.rows[together],
+        share=together.size / steps_ns.size,
+        usual_s=usual_ns / NS_PER_S,
+        remedy=remedy,
     )
-    hint = f"{cleaner.stamp_hint}; else raise {remedy} until NIS/dof is about 1"
-    cleaner.note("bursts", text, together.size, Severity.WARNING, hint, cleaner.rows[together])
 
 
 def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
@@ -364,24 +379,28 @@ def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
     if not gaps.size:
         return
     long = int(np.count_nonzero(pauses_ns > max_gap_ns))
-    text = (
-        f"gaps are longer than {least_ns / NS_PER_S:.3g} s: longest {pauses_ns.max() / NS_PER_S:.3f} s, total "
-        f"{pauses_ns[gaps].sum() / NS_PER_S:.3f} s; {long} longer than {max_gap_s:g} s"
-    )
-    severity = Severity.INFO
-    hint = ""
+    code = "gaps"
     if long:
-        severity = Severity.WARNING
-        hint = f"to allow longer gaps: {cleaner.role}.max_gap_s"
-    cleaner.note("gaps", text, gaps.size, severity, hint, cleaner.rows[gaps])
+        code = "gaps long"
+    cleaner.note(
+        code,
+        gaps.size,
+        cleaner.rows[gaps],
+        least_s=least_ns / NS_PER_S,
+        longest_s=pauses_ns.max() / NS_PER_S,
+        total_s=pauses_ns[gaps].sum() / NS_PER_S,
+        long=long,
+        max_gap_s=max_gap_s,
+    )
     # A recorder without a clock of its own begins in 1970.
     steps = np.flatnonzero(pauses_ns > CLOCK_SET_NS)
     if steps.size:
         around_ns = cleaner.times[steps[0] : steps[0] + 2]
         before, after = around_ns.astype("M8[ns]").astype("M8[s]")
-        text = (
-            f"steps are longer than a day, the first from {before} to {after} UTC: the clock was set during the "
-            "recording, or the log has two dives"
+        cleaner.note(
+            "clock_set",
+            steps.size,
+            cleaner.rows[steps],
+            before=before,
+            after=after,
         )
-        hint = "choose the part before or after the step with --start and --end"
-        cleaner.note("clock_set", text, steps.size, Severity.WARNING, hint, cleaner.rows[steps])

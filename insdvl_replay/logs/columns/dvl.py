@@ -15,7 +15,6 @@ from insdvl_replay.core.dive_columns import DvlColumns, Floats, Mask, find_runs,
 from insdvl_replay.core.errors import ConfigError, LogError, Note, listed
 from insdvl_replay.core.states import FASTEST_MPS
 from insdvl_replay.core.units import VELOCITY_UNITS
-from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry import frames
 from insdvl_replay.geometry.rotation import mat_from_quat
 from insdvl_replay.logs.columns.beam_directions import (
@@ -38,12 +37,11 @@ from insdvl_replay.logs.columns.tables import Table
 from insdvl_replay.logs.columns.topics import UNUSED_FLAGS
 from insdvl_replay.logs.formats.fields import split_paths
 
-Rule = tuple[str, Callable[[Floats], Mask], str, str]
+Rule = tuple[str, Callable[[Floats], Mask], str]
 _MOVING_MPS: Final = 0.05
 # columns that no message holds as such
 _SPEEDS: Final = "velocities along the beams"
 _AXES: Final = "axes of the beams"
-_VALID_HINT: Final = 'to read a flag of valid pings: dvl.valid = "field.path", or dvl.beam_valid'
 _BEAM_HINT: Final = "set dvl.beam_tilt_deg and dvl.beam_azimuth_deg from the data sheet"
 
 
@@ -96,8 +94,7 @@ def _is_by_beams(table: Table, settings: Dvl, cleaner: Cleaner, valid: Floats) -
     if "beam_velocity" not in table:
         return False
     if "velocity" in table and not np.nan_to_num(valid).any():
-        text = "pings (all) have no valid beam; the velocities of the DVL are used"
-        cleaner.note("no_beams", text, len(table))
+        cleaner.note("no_beams", len(table))
         return False
     return True
 
@@ -120,11 +117,17 @@ def _note_unused_flags(table: Table, cleaner: Cleaner) -> None:
         values, counts = np.unique(flag[np.isfinite(flag)], return_counts=True)
         often = np.argsort(-counts)[:3]
         shown = listed(f"{values[i]:g} in {counts[i]}" for i in sorted(often.tolist()))
-        text = f"pings may be marked as invalid by the column '{name}' ({shown} of {len(flag)}), which is not used"
-        hint = f'dvl.{key} = "{name}"'
+        code = "unused_flag"
         if not is_sure:
-            hint += f', or dvl.invalid = "{name}" if 0 means valid'
-        cleaner.note("unused_flag", text, count, Severity.WARNING, hint)
+            code = "unused_flag unsure"
+        cleaner.note(
+            code,
+            count,
+            key=key,
+            name=name,
+            values=shown,
+            all_count=len(flag),
+        )
 
 
 def _has_directions(settings: Dvl) -> bool:
@@ -136,13 +139,9 @@ def _decode_velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColu
     for rule in _VALID:
         cleaner.keep_where(*rule)
     # Of the instrument.
-    cleaner.keep_where(
-        "coordinates", lambda kind: kind == 1, "coordinates", "pings are in other coordinates"
-    )
+    cleaner.keep_where("coordinates", lambda kind: kind == 1, "coordinates")
     if "good_beams" in table and table.column("good_beams").any():
-        cleaner.keep_where(
-            "good_beams", lambda n: n >= 3, "invalid", "pings have fewer than three good beams"
-        )
+        cleaner.keep_where("good_beams", lambda n: n >= 3, "invalid good_beams")
     cleaner.keep_finite(velocity_d)
     _drop_repeats(cleaner, velocity_d)
     directions = _unused_directions(table, settings, cleaner)
@@ -155,13 +154,11 @@ def _decode_beams(
     table: Table, cleaner: Cleaner, beams_mps: Floats, has_beams: Mask, directions: _Directions
 ) -> DvlColumns:
     # Along the beams.
-    cleaner.keep_where(
-        "coordinates", lambda kind: kind == 0, "coordinates", "pings are in other coordinates"
-    )
+    cleaner.keep_where("coordinates", lambda kind: kind == 0, "coordinates")
     if "beam_valid" not in table and "nortek_status" not in table:
         for rule in _VALID:
             cleaner.keep_where(*rule)
-    cleaner.keep(has_beams, "invalid", "pings have no valid beam")
+    cleaner.keep(has_beams, "invalid no_beam")
     _drop_repeats(cleaner, beams_mps)
     # An infinite velocity along a beam counts as NaN.
     finite = cleaner.kept(np.where(np.isfinite(beams_mps), beams_mps, np.nan))
@@ -174,20 +171,17 @@ def _are_set(status: Floats, bits: tuple[int, ...]) -> Mask:
     return np.asarray((whole >> np.array(bits)) & 1 == 1)
 
 
-_LOST: Final = "pings have lost the bottom (status or altitude)"
-_NEGATIVE: Final = "pings have a negative variance, which means invalid"
-_BY_BITS: Final = "pings are invalid by their status bits"
-# Rules of validity: a quantity that a topic may have, which of its numbers are good, and the reason for the others.
+# Rules of validity: a quantity that a topic may have, which of its numbers are good, and the code for the others.
 _BOTTOM_TRACK: Final[tuple[Rule, ...]] = (
-    ("mode", lambda mode: mode != 2, "water_track", "pings are water track"),
-    ("water_track", lambda flag: flag == 0.0, "water_track", "pings are water track"),
-    ("status", lambda status: ~(status < 0.0), "lost", _LOST),
+    ("mode", lambda mode: mode != 2, "water_track"),
+    ("water_track", lambda flag: flag == 0.0, "water_track"),
+    ("status", lambda status: ~(status < 0.0), "lost"),
 )
 _VALID: Final[tuple[Rule, ...]] = (
-    ("valid", lambda flags: flags > 0.0, "invalid", "pings are marked as invalid"),
-    ("invalid", lambda flags: ~(flags != 0.0), "invalid", "pings are marked as invalid"),
-    ("velocity_var", lambda variance: ~(variance < 0.0), "invalid", _NEGATIVE),
-    ("nortek_status", lambda status: _are_set(status, (12, 13, 14)), "invalid", _BY_BITS),
+    ("valid", lambda flags: flags > 0.0, "invalid"),
+    ("invalid", lambda flags: ~(flags != 0.0), "invalid"),
+    ("velocity_var", lambda variance: ~(variance < 0.0), "invalid variance"),
+    ("nortek_status", lambda status: _are_set(status, (12, 13, 14)), "invalid status"),
 )
 
 
@@ -229,8 +223,11 @@ def _beam_velocity(table: Table, cleaner: Cleaner) -> Floats:
     lost = _are_lost(table, velocity)
     if lost.any():
         pings = np.flatnonzero(lost.any(axis=1))
-        text = "beams have no echo (no range, or fewer good beams than beams) and count as lost"
-        cleaner.note("lost_beams", text, int(np.count_nonzero(lost)), first=pings)
+        cleaner.note(
+            "lost_beams",
+            int(np.count_nonzero(lost)),
+            pings,
+        )
         velocity = np.where(lost, np.nan, velocity)
     return velocity
 
@@ -265,19 +262,17 @@ def _are_without_range(ranges: Floats, velocity: Floats) -> Mask:
 def _without_impossible(values_mps: Floats, cleaner: Cleaner) -> Floats:
     """Drop what no vehicle reaches, however often; most pings with different such velocities mean a wrong unit."""
     is_impossible = np.abs(values_mps) > FASTEST_MPS
-    hint = "check dvl.velocity_unit, and whether the DVL had bottom lock"
+    code = "impossible pings"
     if stand_for_none(values_mps[is_impossible]):
-        hint = _VALID_HINT
-    reason = f"readings are above {FASTEST_MPS:g} m/s"
-    return cleaner.without_impossible(values_mps, is_impossible, reason, hint)
+        code = "impossible marks"
+    return cleaner.without_impossible(values_mps, is_impossible, code, fastest_mps=FASTEST_MPS)
 
 
 def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
     """Drop pings of zero, repeated times and repeated values; refuse a DVL that has no others."""
     zero = (values == 0.0).all(axis=1)
     if not zero.all():
-        reason = "pings are exactly zero (no bottom lock)"
-        cleaner.keep(~zero, "zero", reason, Severity.WARNING, _VALID_HINT)
+        cleaner.keep(~zero, "zero dropped")
     cleaner.drop_repeated_times(values)
     # Values that stay the same for longer than any recorder repeats them: five pings and five seconds.
     times = cleaner.times
@@ -291,9 +286,13 @@ def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
             hint = "to read other fields: dvl.velocity or dvl.beam_velocity; to read another DVL: dvl.topic"
             raise LogError(text, hint, *cleaner.table.where)
         count = int(np.sum(ends[long] - starts[long]))
-        text = f"pings repeat the same values for over 5 s, longest run {lengths_s.max():.1f} s"
         first = cleaner.rows[starts[long]]
-        cleaner.note("stuck", text, count, Severity.WARNING, _VALID_HINT, first)
+        cleaner.note(
+            "stuck",
+            count,
+            first,
+            longest_s=lengths_s.max(),
+        )
     cleaner.drop_repeated_values(values)
     cleaner.require_rows()
     note_bursts(cleaner, np.diff(cleaner.times), "dvl.velocity_sd_mps")
@@ -421,7 +420,7 @@ def _used_directions(
         why = fault or _contradiction(pings, in_use)
         other = agreeing_directions(pings, reported, _slant(table, cleaner))
         if other is not None:
-            code = "beam_geometry" if fault else "beam_directions"
+            code = "beam_geometry other" if fault else "beam_directions"
             _note_other_directions(cleaner, other, code, why)
             return _Directions(other)
         if len(in_use) != beams or not pings.has_other_axes(in_use):
@@ -438,11 +437,15 @@ def _used_directions(
 
 def _note_fault(cleaner: Cleaner, fault: str, in_use: Floats, *, are_compared: bool) -> None:
     """Report directions in the messages that cannot be, and those that are used."""
-    why = "are assumed"
+    code = "beam_geometry"
     if are_compared:
-        why = "are used, which agree with the DVL's own velocity"
-    text = f"pings have impossible beam vectors ({fault}); {_words(in_use)} {why}"
-    cleaner.note("beam_geometry", text, cleaner.rows.size, Severity.WARNING, _BEAM_HINT)
+        code = "beam_geometry compared"
+    cleaner.note(
+        code,
+        cleaner.rows.size,
+        fault=fault,
+        directions=_words(in_use),
+    )
 
 
 def _note_given_contradiction(cleaner: Cleaner, pings: BeamVelocities, vectors_d: Floats) -> None:
@@ -474,19 +477,22 @@ def _directions_in_messages(
 
 def _note_other_directions(cleaner: Cleaner, vectors_d: Floats, code: str, why: str) -> None:
     """Report directions that are used instead of those in the messages."""
-    text = (
-        f"pings have beams whose directions cannot be true ({why}); {_words(vectors_d)} agree with the DVL's own "
-        "velocity and are used"
+    cleaner.note(
+        code,
+        cleaner.rows.size,
+        why=why,
+        directions=_words(vectors_d),
+        keys=_keys(vectors_d),
     )
-    hint = f"to keep these: {_keys(vectors_d)}"
-    cleaner.note(code, text, cleaner.rows.size, Severity.WARNING, hint)
 
 
 def _note_unused_beams(cleaner: Cleaner, why: str) -> None:
     """Report beams that no directions bring to the velocity of the instrument."""
-    text = f"pings have beams that contradict the DVL's own velocity ({why}); the velocity is used"
-    hint = f'{_BEAM_HINT} to use the beams; to keep the velocity: dvl.kind = "velocity"'
-    cleaner.note("beams_unused", text, cleaner.rows.size, Severity.WARNING, hint)
+    cleaner.note(
+        "beams_unused",
+        cleaner.rows.size,
+        why=why,
+    )
 
 
 def _words(vectors_d: Floats) -> str:
@@ -506,10 +512,11 @@ def _keys(vectors_d: Floats) -> str:
 def _note_look(cleaner: Cleaner, look: Floats | None) -> None:
     if look is None or frames.look_down(look):
         return
-    along = "({:.2f}, {:.2f}, {:.2f})".format(*look)
-    text = f"pings have beams that do not point down, but along {along} in the axes in use"
-    hint = 'set dvl.axes to its axes forward, starboard and down, such as "flu" or "+z-y+x"'
-    cleaner.note("beams_not_down", text, cleaner.rows.size, Severity.WARNING, hint)
+    cleaner.note(
+        "beams_not_down",
+        cleaner.rows.size,
+        along=look,
+    )
 
 
 def _compared_pings(
@@ -539,9 +546,11 @@ def _contradiction(pings: BeamVelocities, vectors_d: Floats) -> str:
 
 def _note_contradiction(cleaner: Cleaner, pings: BeamVelocities, vectors_d: Floats) -> None:
     """Note beams that are used although they do not add up to the velocity that the instrument makes of them."""
-    text = f"pings have beams that contradict the DVL's own velocity ({_contradiction(pings, vectors_d)})"
-    hint = f'{_BEAM_HINT}; to use the velocity instead: dvl.kind = "velocity"'
-    cleaner.note("beam_contradiction", text, len(pings), Severity.WARNING, hint)
+    cleaner.note(
+        "beam_contradiction",
+        len(pings),
+        why=_contradiction(pings, vectors_d),
+    )
 
 
 def _slant(table: Table, cleaner: Cleaner) -> float | None:

@@ -23,7 +23,6 @@ from insdvl_replay.core.dive_columns import (
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import DEG, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS
 from insdvl_replay.core.units import ANGULAR_RATE_UNITS, SPECIFIC_FORCE_UNITS
-from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.columns.clean import (
     Cleaner,
@@ -36,7 +35,6 @@ from insdvl_replay.logs.columns.tables import Table
 
 FRD: Final = "frd"  # the project's axes, the default
 _NAMED_AXES: Final = {FRD: "+x+y+z", "flu": "+x-y-z"}
-_LOST_HINT: Final = "to read other fields: imu.specific_force and imu.angular_rate"
 
 
 def in_frd(vectors: Floats, axes: str, key: str, unit: float = 1.0) -> Floats:
@@ -85,7 +83,8 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     dead = np.flatnonzero(specific_force_b[:, 0] == 0.0)
     possible[dead] &= specific_force_b[dead].any(axis=1) | angular_rate_b[dead].any(axis=1)
     if not possible.all():
-        cleaner.keep_finite(specific_force_b, angular_rate_b, hint=_LOST_HINT)
+        code = "not_finite expected"
+        cleaner.keep_finite(specific_force_b, angular_rate_b, code=code, is_expected=True)
         _drop_impossible(cleaner, possible, specific_force_b, angular_rate_b)
     cleaner.drop_repeated_times(specific_force_b, angular_rate_b)
     cleaner.require_rows()
@@ -143,8 +142,7 @@ def _drop_impossible(
     beyond = [force[np.abs(force) > LARGEST_FORCE_MPS2], rate[np.abs(rate) > LARGEST_RATE_RADPS]]
     if not (force.any(axis=1) | rate.any(axis=1)).all():
         beyond.append(np.zeros(1))
-    reason = "samples are above 50 g or 2000 deg/s, or zero in all six readings"
-    cleaner.keep_possible(possible, np.concatenate(beyond), reason, _LOST_HINT)
+    cleaner.keep_possible(possible, np.concatenate(beyond), "impossible samples")
 
 
 def _is_within(vectors: Floats, limit: float) -> Mask:
@@ -166,10 +164,7 @@ def _drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Flo
     if count and is_few(count, len(spikes)):
         good = np.ones(len(specific_force_b), np.bool_)
         good[cleaner.rows[spikes]] = False
-        reason = "samples have spikes of over 20 m/s^2 or 200 deg/s (20 times the usual step)"
-        cleaner.keep(
-            good, "spikes", reason, Severity.WARNING, "check the instrument and its cable"
-        )
+        cleaner.keep(good, "spikes")
 
 
 def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:

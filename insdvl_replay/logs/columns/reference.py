@@ -31,7 +31,8 @@ from insdvl_replay.core.dive_columns import (
     nothing,
     seconds,
 )
-from insdvl_replay.core.errors import LogError, Note, counted_clause, read_regular
+from insdvl_replay.core.errors import LogError, Note, read_regular
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import (
     DEG,
     DV,
@@ -43,7 +44,6 @@ from insdvl_replay.core.states import (
     PHI,
 )
 from insdvl_replay.core.units import ANGLE_UNITS
-from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, skew, wrap_angle
@@ -136,21 +136,22 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
     if position is not None:
         _drop_beyond_poles(cleaner, position[:, 0])
         _clear_zero(cleaner, position)
-    no_fix = "positions have no fix"
-    cleaner.keep_where("fix_status", lambda status: status >= 0.0, "no_fix", no_fix)
+    cleaner.keep_where("fix_status", lambda status: status >= 0.0, "no_fix")
     # From 2 on, a fix has two dimensions or three.
-    cleaner.keep_where("fix_type", lambda kind: kind >= 2, "no_fix", no_fix)
+    cleaner.keep_where("fix_type", lambda kind: kind >= 2, "no_fix")
     if position is not None and "sensor_id" in table:
-        cleaner.keep(np.isfinite(position[:, 0]), "no_fix", "positions are without satellites")
+        cleaner.keep(np.isfinite(position[:, 0]), "no_fix satellites")
         cleaner.drop_repeated_values(position)
     cleaner.drop_repeated_times()
     mat_nb = attitude(table, settings, cleaner)
     velocity_n = _velocity_n(table, settings, mat_nb)
     if velocity_n is not None:
-        hint = f'to read another field: {cleaner.role}.velocity_n = "field.path"'
-        is_impossible = np.abs(velocity_n) > FASTEST_MPS
-        reason = f"velocities are above {FASTEST_MPS:g} m/s"
-        velocity_n = cleaner.without_impossible(velocity_n, is_impossible, reason, hint)
+        velocity_n = cleaner.without_impossible(
+            velocity_n,
+            np.abs(velocity_n) > FASTEST_MPS,
+            "impossible velocities",
+            fastest_mps=FASTEST_MPS,
+        )
     found = {
         "position": _without_published_again(cleaner, "positions", position),
         "velocity_n": _without_published_again(cleaner, "velocities", velocity_n),
@@ -172,9 +173,11 @@ def _clear_zero(cleaner: Cleaner, position: Floats) -> None:
     zero = np.flatnonzero((position[:, :2] == 0.0).all(axis=1))
     if zero.size:
         position[zero] = np.nan
-        text = "positions have latitude and longitude 0 (no satellites) and are left out"
-        hint = f"to read another topic of positions: {cleaner.role}.fix"
-        cleaner.note("zero", text, zero.size, Severity.WARNING, hint, first=zero)
+        cleaner.note(
+            "zero",
+            zero.size,
+            zero,
+        )
 
 
 def _drop_beyond_poles(cleaner: Cleaner, latitude: Floats) -> None:
@@ -185,8 +188,7 @@ def _drop_beyond_poles(cleaner: Cleaner, latitude: Floats) -> None:
     count = int(np.count_nonzero(~possible))
     hint = f'{cleaner.role}.angle_unit, or another field: {cleaner.role}.latitude = "field.path"'
     impossible_deg = latitude[~possible] / DEG
-    reason = "latitudes are beyond the poles, in degrees"
-    cleaner.keep_possible(possible, impossible_deg, reason, hint)
+    cleaner.keep_possible(possible, impossible_deg, "impossible latitudes")
     if not possible[cleaner.rows].all() or not cleaner.rows.size:
         what = f"{count} of {possible.size} latitudes are beyond the poles"
         raise LogError(what, hint, *cleaner.table.where)
@@ -197,11 +199,8 @@ def heights_without_marks(cleaner: Cleaner, height_m: Floats) -> Floats:
     is_impossible = ~((height_m > LOWEST_M) & (height_m < HIGHEST_M))
     is_impossible |= np.abs(height_m) == NO_HEIGHT_M
     is_impossible &= np.isfinite(height_m)
-    hint = f'to read another field: {cleaner.role}.height or {cleaner.role}.depth = "field.path"'
-    reason = "heights are of no water on Earth, in metres"
-    return cleaner.without_impossible(height_m[:, None], is_impossible[:, None], reason, hint)[
-        :, 0
-    ]
+    code = "impossible heights"
+    return cleaner.without_impossible(height_m[:, None], is_impossible[:, None], code)[:, 0]
 
 
 def angles_without_marks(cleaner: Cleaner, angles: Floats, unit: float) -> Floats:
@@ -210,8 +209,7 @@ def angles_without_marks(cleaner: Cleaner, angles: Floats, unit: float) -> Float
     beyond = np.abs(angles) * unit > LARGEST_ANGLE_RAD
     if not beyond.any() or not stand_for_none(angles[beyond]):
         return angles
-    hint = f"to read other fields: {cleaner.role}.roll, pitch and heading, or {cleaner.role}.quaternion"
-    return cleaner.without_impossible(angles, beyond, "angles stand for none", hint)
+    return cleaner.without_impossible(angles, beyond, "impossible angles")
 
 
 def _without_published_again(
@@ -239,8 +237,15 @@ def _without_published_again(
         return columns
     columns = columns.copy()
     columns[rows[again]] = np.nan
-    text = f"{plural} of {len(rows)} repeat the row before and count as missing: they are published faster than made"
-    cleaner.note("same_values", text, count, first=rows[again])
+    first = rows[again]
+    code = "same_values published"
+    cleaner.note(
+        code,
+        count,
+        first,
+        quantity=plural,
+        rows=len(rows),
+    )
     return columns
 
 
@@ -433,12 +438,7 @@ def decode_solution(
     order, rows = rows_among(table.sampled, cleaner.rows, len(table))
     cov, wrong = _covariances(table, completed, found, order, rows)
     if wrong:
-        clause = counted_clause(
-            wrong, "covariances are not positive definite and count as missing"
-        )
-        text = f"{table.source.role}: {clause}"
-        hint = "correct the program that writes them; without covariances the consistency is not evaluated"
-        notes.append(Note("solution_covariance", text, wrong, Severity.WARNING, hint))
+        notes.append(note("solution_covariance", wrong).about(table.source.role))
     return SolutionColumns(motion, moved_n, cleaner.times[rows], cov), notes
 
 
@@ -539,13 +539,10 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
     notes = []
     back = int(np.count_nonzero(np.diff(time_ns) < 0))
     if back:
-        text = f"{role}: {back} lines have an earlier time than the line above; sorted"
-        hint = "if the file has two runs, split it into two solutions"
-        notes.append(Note("solution_out_of_order", text, back, Severity.WARNING, hint))
+        notes.append(note("solution_out_of_order lines", back).about(role))
     repeats = len(time_ns) - len(np.unique(time_ns))
     if repeats:
-        text = f"{role}: {repeats} lines repeat the time of another line; the first of each time is used"
-        notes.append(Note("solution_repeats", text, repeats))
+        notes.append(note("solution_repeats lines", repeats).about(role))
     order = np.argsort(time_ns, kind="stable")
     rows = order[is_new(time_ns[order])]
     way = numbers[rows, :3]

@@ -31,7 +31,7 @@ def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumn
     settings = table.source.completed(getattr(config, name))
     cleaner = Cleaner(table)
     values, mat_nb = _READ[name](table, settings, cleaner)
-    cleaner.keep_finite(values[:, :1], reason=f"messages have no {name}")
+    cleaner.keep_finite(values[:, :1], code="not_finite reading", quantity=name)
     if "sensor_id" in table:
         cleaner.drop_repeated_values(values)
     cleaner.drop_repeated_times(values)
@@ -128,8 +128,8 @@ def _position(table: Table, settings: Position, cleaner: Cleaner) -> Readings:
         largest = f"{furthest:.6g} {settings.angle_unit or 'deg'}"
         text = f"{count} of {known} latitudes are beyond the poles, up to {largest}"
         raise LogError(text, f'position.angle_unit = "deg" or "rad"; {hint}', *table.where)
-    reason = "latitudes are beyond the poles, in radians"
-    latitude = cleaner.without_impossible(latitude[:, None], polar[:, None], reason, hint)[:, 0]
+    code = "impossible fixes"
+    latitude = cleaner.without_impossible(latitude[:, None], polar[:, None], code)[:, 0]
     height_m = np.full(len(table), np.nan)
     if "height" in table:
         height_m = heights_without_marks(cleaner, table.column("height"))

@@ -32,8 +32,8 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, error_context, listed
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.units import TIME_UNITS_NS
-from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.topics import Source, code_of
 from insdvl_replay.logs.formats.fields import (
     ROW,
@@ -586,24 +586,28 @@ def _offset_note(clock: Clock) -> Note | None:
     """Note that stamps are not of the recorder's clock."""
     if min(map(abs, _both_ways(clock))) <= SAME_CLOCK_S + clock.spread_s:
         return None
-    text = (
-        f"{clock.topic}: log time minus stamp '{clock.stamp}' is {clock.log_minus_stamp_s:.3f} s "
-        f"(median; {clock.spread_s:.3f} s between the 5th and the 95th percentile){_latency(clock)}"
+    offset = note(
+        f"{code_of(clock.role)}_clock_offset",
+        clock.messages,
+        stamp=clock.stamp,
+        offset_s=clock.log_minus_stamp_s,
+        spread_s=clock.spread_s,
+        latency=_latency(clock),
     )
-    return Note(f"{code_of(clock.role)}_clock_offset", text, clock.messages)
+    return offset.about(clock.topic)
 
 
 def _unsteady_note(clock: Clock) -> Note | None:
     """Note that the clock of the stamps drifts or jumps."""
     if clock.spread_s <= LARGEST_JITTER_S:
         return None
-    text = (
-        f"{clock.topic}: the clock of the stamps drifts or jumps against the recorder's: log time minus stamp "
-        f"varies by {clock.spread_s:.3f} s (5th to 95th percentile)"
+    unsteady = note(
+        f"{code_of(clock.role)}_clock_unsteady",
+        clock.messages,
+        spread_s=clock.spread_s,
+        role=clock.role,
     )
-    code = f"{code_of(clock.role)}_clock_unsteady"
-    hint = f'{clock.role}.stamp = "log_time"'
-    return Note(code, text, clock.messages, Severity.WARNING, hint)
+    return unsteady.about(clock.topic)
 
 
 def _apart_note(place: str, imu: Clock, other: Clock, max_disagreement_s: float) -> Note | None:
@@ -622,12 +626,16 @@ def _apart_note(place: str, imu: Clock, other: Clock, max_disagreement_s: float)
     )
     stamped = [clock for clock in (imu, other) if clock.stamp != "log_time"]
     to_set = " ".join(f"--set {clock.role}.stamp=log_time" for clock in stamped)
-    by_recorder = f"to use the recorder's clock for both: {to_set}"
+    allowed = note(
+        "clocks_apart",
+        other.messages,
+        apart=text,
+        settings=to_set,
+    )
     if apart_s > max_disagreement_s:
-        hint = f"{by_recorder}; if the clocks are right, raise clocks.max_disagreement_s"
+        hint = f"{allowed.hint}; if the clocks are right, raise clocks.max_disagreement_s"
         raise LogError(text, hint, place)
-    text += "; allowed by clocks.max_disagreement_s"
-    return Note("clocks_apart", text, other.messages, Severity.WARNING, by_recorder)
+    return allowed
 
 
 def _both_ways(clock: Clock) -> tuple[float, float]:

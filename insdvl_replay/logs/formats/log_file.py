@@ -26,10 +26,9 @@ from zlib_ng import zlib_ng
 
 from insdvl_replay.core.dive_columns import Array, Integers, TimeNs, seconds
 from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, listed
-from insdvl_replay.core.words import Severity
+from insdvl_replay.core.notes import note
 
 Span = tuple[int, int]  # first and last log time, ns
-COPY_AGAIN: Final = "copy the log again from the recorder if it still has it"
 LARGEST_CHUNK: Final = 1 << 30  # bytes to which a chunk may open; recorders write some megabytes
 MOST_OF_A_CUT_CHUNK: Final = 1 << 26  # more of one that lacks its end is not looked at
 _USUAL_SIZE: Final = 64 << 20
@@ -159,8 +158,13 @@ def damage_note(name: str, found: Iterable[Damage], lost: str) -> Note:
     shown = [f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN]]
     if len(damages) > _SHOWN:
         shown.append(f"and {len(damages) - _SHOWN} more")
-    text = f"{name} is damaged in {counted(len(damages), 'place')}, {lost} ({'; '.join(shown)})"
-    return Note("log_damaged", text, len(damages), Severity.WARNING, COPY_AGAIN)
+    return note(
+        "log_damaged",
+        len(damages),
+        name=name,
+        lost=lost,
+        found="; ".join(shown),
+    )
 
 
 # --- Compressed bytes.

@@ -21,9 +21,8 @@ from zlib_ng import zlib_ng
 
 from insdvl_replay.core.dive_columns import Array, Integers
 from insdvl_replay.core.errors import Note, counted_clause, listed
-from insdvl_replay.core.words import Severity
+from insdvl_replay.core.notes import note
 from insdvl_replay.logs.formats.log_file import (
-    COPY_AGAIN,
     LARGEST_CHUNK,
     Chunk,
     ChunkedFile,
@@ -644,19 +643,26 @@ class McapFile(ChunkedFile):
         if self.damages:
             notes.append(damage_note(self.path.name, self.damages, self._losses()))
         elif missing:
-            text = f"the summary of {self.path.name} announces {missing:+d} messages compared with the log"
-            notes.append(Note("log_summary", text, abs(missing), Severity.WARNING, COPY_AGAIN))
+            count = abs(missing)
+            notes.append(
+                note(
+                    "log_summary",
+                    count,
+                    name=self.path.name,
+                    missing=missing,
+                )
+            )
         last_ns = max((last for _, last in spans), default=0)
         if last_ns >= _END_OF_TIME_NS:
-            text = (
-                f"the log times of {self.path.name} go on to {last_ns} ns since 1970; from 2^63 ns on, which is in the "
-                "year 2262, they are no times that can be shown or compared with stamps"
+            notes.append(
+                note(
+                    "log_times_late",
+                    name=self.path.name,
+                    last_ns=last_ns,
+                )
             )
-            hint = "the recorder's clock was wrong; the stamps in the messages are used if there are any"
-            notes.append(Note("log_times_late", text, 1, Severity.WARNING, hint))
         if self._private:
-            text = f"{self._private} records are of kinds that are not MCAP's own"
-            notes.append(Note("unknown_records", text, self._private))
+            notes.append(note("unknown_records", self._private))
         return tuple(notes)
 
 

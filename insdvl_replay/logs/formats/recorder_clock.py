@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Mask, TimeNs
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.units import TIME_UNITS_NS
-from insdvl_replay.core.words import Severity
 
 # No recorder waits for longer in the middle of a dive: after a larger step its clock was set.
 CLOCK_SET_NS: Final = TIME_UNITS_NS["d"]
@@ -37,12 +37,14 @@ class OneClock:
         before = np.datetime64(self.from_ns, "ns").astype("M8[s]")
         after = np.datetime64(self.to_ns, "ns").astype("M8[s]")
         length_s = (self.last_ns - self.first_ns) / NS_PER_S
-        text = (
-            f"the recorder's clock was set {self.set_s:.1f} s in, from {before} to {after} UTC, or the log has two "
-            f"dives: the longest side, {length_s:.1f} s, is used, and {self.unused} messages of the other are not"
+        return note(
+            "clock_set",
+            self.unused,
+            set_s=self.set_s,
+            before=before,
+            after=after,
+            length_s=length_s,
         )
-        hint = "to use the other side, cut the log at this time"
-        return Note("clock_set", text, self.unused, Severity.WARNING, hint)
 
 
 def spans_a_step(first_ns: int, last_ns: int) -> bool:

@@ -18,12 +18,11 @@ from insdvl_replay.core.errors import (
     LogError,
     Note,
     counted,
-    counted_clause,
     is_writable,
     read_text,
     visible,
 )
-from insdvl_replay.core.words import Severity
+from insdvl_replay.core.notes import note
 from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.known_formats import (
     START,
@@ -32,7 +31,6 @@ from insdvl_replay.logs.formats.known_formats import (
     other_format,
 )
 from insdvl_replay.logs.formats.log_file import (
-    COPY_AGAIN,
     Block,
     Digest,
     FileBytes,
@@ -116,12 +114,17 @@ class Recording:
         notes: list[Note] = []
         if len(self.parts) > 1:
             names = ", ".join(part.path.name for part in self.parts)
-            notes.append(Note("joined_files", f"read as one dive: {names}", len(self.parts)))
+            notes.append(
+                note(
+                    "joined_files",
+                    len(self.parts),
+                    names=names,
+                )
+            )
         for part in self.parts:
             notes += part.notes
         for error in self._unusable.values():
-            text = f"{error.message}; the whole file is lost (unknown number of messages, unknown time)"
-            notes.append(Note("log_damaged", text, 1, Severity.WARNING, COPY_AGAIN))
+            notes.append(note("log_damaged whole", why=error.message))
         if self.one_clock is not None:
             notes.append(self.one_clock.note)
         if len(self.parts) > 1:
@@ -135,14 +138,18 @@ class Recording:
             if _holds_tables(part) and part.span_ns and part.span_ns[0] == 0:
                 at_0.append(part.path.name)
         if len(at_0) > 1:
-            text = f"tables that begin at 0 s may have no common clock: {', '.join(at_0)}"
-            hint = "to shift one: dvl.latency_s or reference.latency_s"
-            yield Note("tables_from_0", text, len(at_0), hint=hint)
+            yield note(
+                "tables_from_0",
+                len(at_0),
+                names=", ".join(at_0),
+            )
         overlaps_s = _overlaps_s(self._spans_of_logs())
         if overlaps_s:
-            clause = f"files overlap with the file before, by up to {max(overlaps_s):.3f} s"
-            text = counted_clause(len(overlaps_s), clause)
-            yield Note("files_overlap", text, len(overlaps_s))
+            yield note(
+                "files_overlap",
+                len(overlaps_s),
+                longest_s=max(overlaps_s),
+            )
 
     def _logs(self) -> list[LogFile]:
         """Return the parts that a recorder wrote, with times of its clock."""
@@ -308,7 +315,7 @@ def _align_times_of_day(parts: Sequence[LogFile]) -> None:
             hint = "write them with date and hour, such as 2021-06-08T10:41:07.25"
             raise LogError(what, hint, table.file.path)
         if shift:
-            table.file.shift(table.channel_id, shift, "shifted to overlap the other tables, by")
+            table.file.shift(table.channel_id, shift)
         first_ns, last_ns = table.bounds
         fixed.append((first_ns + shift, last_ns + shift))
 

@@ -16,9 +16,8 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Array, Integers, TimeNs
 from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.words import Severity
+from insdvl_replay.core.notes import note
 from insdvl_replay.logs.formats.log_file import (
-    COPY_AGAIN,
     Chunk,
     ChunkedFile,
     DamageError,
@@ -94,8 +93,7 @@ class BagFile(ChunkedFile):
         if self.damages:
             return (damage_note(self.path.name, self.damages, self._losses()),)
         if not self.has_summary:
-            text = f"{self.path.name} was not closed by its recorder: the last messages may be missing"
-            return (Note("log_summary", text, 1, Severity.WARNING, COPY_AGAIN),)
+            return (note("log_summary open", name=self.path.name),)
         return ()
 
     def _read(self) -> None:

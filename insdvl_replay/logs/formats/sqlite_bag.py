@@ -18,9 +18,8 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Integers, TimeNs
 from insdvl_replay.core.errors import LogError, Note, counted_clause
-from insdvl_replay.core.words import Severity
+from insdvl_replay.core.notes import note
 from insdvl_replay.logs.formats.log_file import (
-    COPY_AGAIN,
     Block,
     FileBytes,
     LogChannel,
@@ -88,8 +87,14 @@ class SqliteFile(LogFile):
         announced = int(self._ids.max(initial=0))
         if announced == found:
             return ()
-        text = f"the messages of {self.path.name} are numbered up to {announced}, but {found} were found"
-        return (Note("log_summary", text, abs(announced - found), Severity.WARNING, COPY_AGAIN),)
+        missing = note(
+            "log_summary numbers",
+            abs(announced - found),
+            name=self.path.name,
+            announced=announced,
+            found=found,
+        )
+        return (missing,)
 
     def log_times(self) -> dict[int, TimeNs]:
         """Return the log times of all messages by channel, (k,) ns."""

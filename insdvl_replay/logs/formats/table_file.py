@@ -17,10 +17,10 @@ import numpy as np
 import pandas as pd
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Array, Floats, Mask, TimeNs
-from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, listed
+from insdvl_replay.core.errors import LogError, Note, counted, listed
 from insdvl_replay.core.extras import install_hint
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.units import TIME_UNITS_NS, spelled, unit_of
-from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.array_files import (
     MOST_COLUMNS,
     Arrays,
@@ -156,9 +156,7 @@ class TableFile(RowsFile):
         rows = _rows_of(table, kept)
         missing = clear_missing(rows)
         if missing:
-            what = "cells are empty, NaN or too large and count as missing"
-            clause = counted_clause(missing, what)
-            self._note("table_missing", table.topic, clause, missing, warn=False)
+            self._note("table_missing", table.topic, missing)
         channel = self.add_channel(
             table.topic,
             "table",
@@ -177,30 +175,25 @@ class TableFile(RowsFile):
         """What was found wrong, and what was assumed."""
         return tuple(self._notes)
 
-    def shift(self, channel_id: int, shift_ns: int, why: str) -> None:
-        """Shift the times of a table, which had no date or no hour."""
+    def shift(self, channel_id: int, shift_ns: int) -> None:
+        """Shift the times of a table, which had no date or no hour, so that it overlaps the others."""
         self._time_ns[channel_id] = self._time_ns[channel_id] + shift_ns
-        hours = shift_ns / TIME_UNITS_NS["h"]
-        text = f"its times of day have no {'hour' if self.periods_ns[channel_id] < DAY_NS else 'date'}: {why}"
-        hint = "write times with date and hour, such as 2021-06-08T10:41:07.25"
-        self._note(
-            "table_time_of_day", self.channels[channel_id].topic, f"{text} {hours:+g} h", 1, hint
-        )
+        lacking = "date"
+        if self.periods_ns[channel_id] < DAY_NS:
+            lacking = "hour"
+        topic = self.channels[channel_id].topic
+        shift_h = shift_ns / TIME_UNITS_NS["h"]
+        self._note("table_time_of_day", topic, lacking=lacking, shift_h=shift_h)
 
-    def _note(
-        self,
-        code: str,
-        topic: str,
-        text: str,
-        count: int = 1,
-        hint: str = "",
-        *,
-        warn: bool = True,
-    ) -> None:
-        severity = Severity.WARNING if warn else Severity.INFO
-        whole = f"{topic}: {text}"
-        self._notes.append(Note(code, whole, count, severity, hint))
-        self._reasons.append(text if topic == self.path.name else whole)
+    def _note(self, code: str, topic: str, count: int = 1, **fields: Any) -> None:
+        """Note something about a table. It is also a reason why the file has none."""
+        said = note(code, count, **fields)
+        whole = said.about(topic)
+        self._notes.append(whole)
+        if topic == self.path.name:
+            self._reasons.append(said.text)
+        else:
+            self._reasons.append(whole.text)
 
     def _unreadable(self, error: Exception) -> UnusableFileError:
         """Return the error for a file that is damaged, or asks for too much memory."""
@@ -222,10 +215,7 @@ class TableFile(RowsFile):
         self._is_text = False
         if found.ignored:
             kinds = listed(f"'{name}' is {kind}" for name, kind in found.ignored.items())
-            what = f"columns are ignored because they are no numbers: {kinds}"
-            clause = counted_clause(len(found.ignored), what)
-            hint = "write each number as a column of its own"
-            self._note("table_columns", self.path.name, clause, len(found.ignored), hint)
+            self._note("table_columns", self.path.name, len(found.ignored), kinds=kinds)
         if start.startswith(b"PAR1"):
             yield self._named(self.path.name, _popped(found.arrays))
         else:
@@ -258,8 +248,7 @@ class TableFile(RowsFile):
         content = as_utf8(content)
         text = TextLines.of(content)
         if text.is_cut:
-            what = "the last line does not end, so it may be cut; left out"
-            self._note("table_cut", name, what, hint="copy it again")
+            self._note("table_cut", name)
         separator = separator_of(text.lines)
         counts = counts_of_cells(text.lines, separator)
         names = find_header(text.lines, separator, usual(counts))
@@ -319,24 +308,11 @@ class TableFile(RowsFile):
     ) -> None:
         """Report lines above the names, and columns without names."""
         if names and names.names_at:
-            clause = counted_clause(
-                names.names_at, "lines are above the names of the columns and are left out"
-            )
-            self._note("table_header", name, clause, names.names_at, warn=False)
+            self._note("table_header", name, names.names_at)
         elif head > 1 and not names:
-            self._note(
-                "table_header",
-                name,
-                f"the first {head} lines have no numbers; the first names the columns",
-                head,
-            )
+            self._note("table_header first", name, head)
         if not titles:
-            self._note(
-                "table_header",
-                name,
-                "no line names the columns; they are column_1, column_2 ...",
-                warn=False,
-            )
+            self._note("table_header none", name)
 
     def _note_commented_rows(
         self, name: str, comments: Sequence[bytes], separator: bytes | None, width: int
@@ -346,10 +322,7 @@ class TableFile(RowsFile):
             line for line in comments if is_row(line.lstrip().lstrip(b"#% "), separator, width)
         ]
         if rows:
-            clause = counted_clause(
-                len(rows), "rows of numbers begin with # or % and are left out"
-            )
-            self._note("table_comments", name, clause, len(rows), warn=False)
+            self._note("table_comments", name, len(rows))
 
     def _require_rows(self, name: str, fits: Mask, width: int) -> None:
         """Refuse a table with many rows of another width, and report a few."""
@@ -361,15 +334,8 @@ class TableFile(RowsFile):
                 self.path,
             )
         if wrong:
-            clause = counted_clause(wrong, f"rows have other than {width} cells")
-            where = int(np.argmin(fits)) + 1
-            self._note(
-                "table_rows",
-                name,
-                f"{clause}; left out, the first is row {where}",
-                wrong,
-                "copy it again",
-            )
+            first = int(np.argmin(fits)) + 1
+            self._note("table_rows", name, wrong, width=width, row=first)
 
     def _named(self, topic: str, columns: Iterable[tuple[str, Array]]) -> _Table:
         """Make a table of columns by their titles; what is not a number in a column of numbers is missing."""
@@ -393,8 +359,7 @@ class TableFile(RowsFile):
             if unit and name not in table.units:
                 table.units[name] = unit
         if self._commas:
-            clause = counted_clause(self._commas, "numbers have a decimal comma and are read so")
-            self._note("table_decimal_comma", topic, clause, self._commas)
+            self._note("table_decimal_comma", topic, self._commas)
             self._commas = 0
         return table
 
@@ -461,10 +426,8 @@ class TableFile(RowsFile):
             hint = "numbers with a decimal point; leave the cell empty where there is none"
             raise LogError(text, hint, self.path)
         if count:
-            clause = counted_clause(count, "cells are text and count as missing")
-            where = int(np.argmax(is_text)) + 1
-            text = f"column '{title}': {clause}, the first in row {where}"
-            self._note("table_cells", topic, text, count, "copy it again")
+            first = int(np.argmax(is_text)) + 1
+            self._note("table_cells", topic, count, title=title, row=first)
 
     # --- Arrays.
 
@@ -500,8 +463,7 @@ class TableFile(RowsFile):
         known &= np.abs(np.where(known, values, zero) - zero) < _LATEST_NS / TIME_UNITS_NS[unit]
         missing = len(values) - int(np.count_nonzero(known))
         if missing:
-            clause = counted_clause(missing, "rows have no time and are left out")
-            self._note("table_no_time", table.topic, clause, missing)
+            self._note("table_no_time", table.topic, missing)
         time_ns = np.zeros(len(values), np.int64)
         time_ns[known] = in_ns(values[known], unit)
         period_ns = table.periods_ns.get(name, 0)
@@ -518,9 +480,7 @@ class TableFile(RowsFile):
             name, cell = next(iter(table.unread.items()))
             text = f"the times '{name}' of {table.topic} are not read: '{cell}' is no number, date or time of day"
             return _one_second_apart(table, text)
-        text = "no column is named as a time; its rows are taken to be 1 s apart"
-        hint = 'for a rate: imu.stamp = "100 Hz"; for a column: imu.stamp'
-        self._note("table_without_times", table.topic, text, hint=hint)
+        self._note("table_without_times", table.topic)
         return _one_second_apart(table)
 
     def _time_unit(self, table: _Table, name: str, values: Array) -> str:
@@ -541,20 +501,25 @@ class TableFile(RowsFile):
         if calendar is not None:
             self._note_days(table, name, values, calendar)
         elif unit and not stated:
-            text = f"the times '{name}' were read as {unit}"
-            self._note("table_time_unit", table.topic, text, warn=False)
+            self._note("table_time_unit", table.topic, name=name, unit=unit)
         return unit
 
     def _note_days(self, table: _Table, name: str, values: Array, calendar: Calendar) -> None:
         """Report how exact times are that are days of a calendar; rounded ones concern every row."""
-        text = (
-            f"the times '{name}' were read as {calendar.name}, exact to {exact_to_s(values):.2g} s"
-        )
+        code = "table_days"
         count = 1
         if is_coarse(values):
-            text += f", where the rows are {usual_step(values) * DAY_S:.2g} s apart"
+            code = "table_days coarse"
             count = len(values)
-        self._note("table_days", table.topic, text, count, "write seconds, or more digits")
+        self._note(
+            code,
+            table.topic,
+            count,
+            name=name,
+            calendar=calendar.name,
+            exact_s=exact_to_s(values),
+            apart_s=usual_step(values) * DAY_S,
+        )
 
 
 def _column_of_times(table: _Table) -> str:
