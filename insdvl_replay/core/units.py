@@ -28,11 +28,6 @@ LENGTH_UNITS: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "ft": _FOOT_
 TIME_UNITS_NS: Final = {
     "s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1, "min": 60 * 10**9, "h": 3600 * 10**9, "d": 86_400 * 10**9,
 }  # fmt: skip
-# Units that the size of a reading can tell from one another; the others are read where a title or a setting has them.
-SPECIFIC_FORCE_BY_SIZE: Final = {
-    unit: SPECIFIC_FORCE_UNITS[unit] for unit in ("m/s2", "g", "mg", "ug")
-}
-VELOCITY_BY_SIZE: Final = {unit: VELOCITY_UNITS[unit] for unit in ("m/s", "mm/s", "cm/s")}
 
 UNITS_BY_KIND: Final[dict[str, Mapping[str, float]]] = {
     "specific force": SPECIFIC_FORCE_UNITS,

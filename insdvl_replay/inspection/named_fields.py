@@ -9,9 +9,7 @@ from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.units import (
     ANGULAR_RATE_UNITS,
-    SPECIFIC_FORCE_BY_SIZE,
     SPECIFIC_FORCE_UNITS,
-    VELOCITY_BY_SIZE,
     VELOCITY_UNITS,
 )
 from insdvl_replay.inspection.clock_words import apart
@@ -19,10 +17,10 @@ from insdvl_replay.inspection.ping_flags import flag_senses
 from insdvl_replay.inspection.probed_topics import (
     FieldMatch,
     ProbedTopic,
-    fitting_units,
     time_paths,
 )
 from insdvl_replay.inspection.settings import Alternative, Setting
+from insdvl_replay.inspection.unit_by_size import FORCE_UNITS, SPEED_UNITS, speed_units
 from insdvl_replay.logs.columns.flags import flag_columns
 from insdvl_replay.logs.columns.tables import (
     LARGEST_JITTER_S,
@@ -183,7 +181,9 @@ def _force_unit(topic: ProbedTopic, force: FieldMatch) -> Setting:
     stated = topic.stated_unit(force.path)
     if stated in SPECIFIC_FORCE_UNITS:
         return Setting(key, stated, _STATED)
-    text = f"{', '.join(SPECIFIC_FORCE_BY_SIZE)}; gravity is 9.81, 1 or 1000, but the size is {force.size:.3g}"
+    text = (
+        f"{', '.join(FORCE_UNITS)}; gravity is 9.81, 1 or 1000, but the size is {force.size:.3g}"
+    )
     return Setting(key, "m/s2", open=text)
 
 
@@ -191,9 +191,6 @@ def _force_unit(topic: ProbedTopic, force: FieldMatch) -> Setting:
 
 _DVL_WORDS: Final = re.compile(r"dvl|doppler|bottom")
 _FLAGS: Final = re.compile(r"valid|lock|good")
-# speeds over ground of a vehicle under way
-_SLOWEST_MPS: Final = 0.1
-_QUICKEST_MPS: Final = 5.0
 
 
 def dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
@@ -244,14 +241,14 @@ def _velocity_unit(topic: ProbedTopic, field: FieldMatch) -> Setting:
     stated = topic.stated_unit(field.path)
     if stated in VELOCITY_UNITS:
         return Setting(key, stated, _STATED)
-    units = fitting_units(field.size, VELOCITY_BY_SIZE, _SLOWEST_MPS, _QUICKEST_MPS)
+    units = speed_units(field.size)
     best = units[0] if units else "m/s"
     what = "length of all beams' velocities" if field.is_beams else "speed"
     size_mps = field.size * VELOCITY_UNITS[best]
     seen = f"in this unit the median {what} is {size_mps:.3g} m/s"
     if len(units) == 1:
         return Setting(key, best, f"{seen}; in any other it is not a vehicle's")
-    return Setting(key, best, seen, f"the size fits several units: {', '.join(VELOCITY_BY_SIZE)}")
+    return Setting(key, best, seen, f"the size fits several units: {', '.join(SPEED_UNITS)}")
 
 
 def _flag_settings(log: Recording, topic: ProbedTopic, velocity: str) -> Iterator[Setting]:

@@ -1,7 +1,7 @@
 """Topics of unknown types, by their first messages: vectors and beams by name and size, and single numbers."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
@@ -11,8 +11,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.core.states import GRAVITY_MPS2
-from insdvl_replay.core.units import SPECIFIC_FORCE_BY_SIZE
+from insdvl_replay.inspection.unit_by_size import force_units
 from insdvl_replay.logs.formats.decoded import DecodedFields
 from insdvl_replay.logs.formats.definitions import PRIMITIVES
 from insdvl_replay.logs.formats.fields import (
@@ -62,15 +61,6 @@ _WORDS: Final = {
     "beam_velocity": re.compile(r"(\[\*\]|beam|trans).*(vel|[._]v$)|vel.*(beam|trans)"),
     "beam_valid": re.compile(r"(\[\*\]|beam|trans).*(valid|lock|good)"),
 }
-# a specific force is known by its size
-AS_GRAVITY_MPS2: Final = (0.9 * GRAVITY_MPS2, 1.1 * GRAVITY_MPS2)
-
-
-def fitting_units(
-    size: float, units: Mapping[str, float], least: float, most: float
-) -> tuple[str, ...]:
-    """Return the units, by their SI factors, in which a size is between two limits."""
-    return tuple(unit for unit, factor in units.items() if least < size * factor < most)
 
 
 def _numbers(known: Kinds) -> tuple[list[str], dict[str, list[str]]]:
@@ -172,7 +162,7 @@ class FieldMatch:
         """The unit in which the vector has the size of gravity; empty if in none."""
         if self.is_beams:
             return ""
-        units = fitting_units(self.size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
+        units = force_units(self.size)
         if units:
             return units[0]
         return ""

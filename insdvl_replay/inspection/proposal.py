@@ -15,7 +15,6 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.checks.imu import SPIN_RADPS
 from insdvl_replay.checks.reference import velocity_misfit
 from insdvl_replay.core.config import Config, Imu, Initial, Reference
 from insdvl_replay.core.config_file import toml_value
@@ -24,19 +23,18 @@ from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import BY_SENSOR, SENSORS
-from insdvl_replay.core.units import SPECIFIC_FORCE_BY_SIZE, SPECIFIC_FORCE_UNITS
+from insdvl_replay.core.units import SPECIFIC_FORCE_UNITS
 from insdvl_replay.inspection.clock_words import apart
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Blocker
 from insdvl_replay.inspection.named_fields import dvl_settings, imu_settings, reference_settings
 from insdvl_replay.inspection.probed_topics import (
-    AS_GRAVITY_MPS2,
     ProbedTopic,
-    fitting_units,
     probe_topics,
 )
 from insdvl_replay.inspection.settings import Alternative, Setting, not_yet_set, with_settings
 from insdvl_replay.inspection.table_clocks import table_clock_settings
+from insdvl_replay.inspection.unit_by_size import force_units, is_rate_in_degrees
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import Table, clock_notes, read_tables
 from insdvl_replay.logs.columns.topics import PROPOSED, Source
@@ -312,7 +310,7 @@ def _measured_units(imu: ImuColumns, settings: Imu) -> Iterator[Setting]:
     read_in = settings.specific_force_unit or "m/s2"
     size_mps2 = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1)))
     size = size_mps2 / SPECIFIC_FORCE_UNITS[read_in]
-    units = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
+    units = force_units(size)
     if units and read_in not in units:
         text = f"the size is {size:.3g}, which is gravity in this unit"
         yield Setting("imu.specific_force_unit", units[0], text)
@@ -321,7 +319,7 @@ def _measured_units(imu: ImuColumns, settings: Imu) -> Iterator[Setting]:
     sizes = np.linalg.norm(imu.angular_rate_b, axis=1)
     median = float(np.median(sizes))
     largest = float(sizes.max())
-    if median > SPIN_RADPS:
+    if is_rate_in_degrees(median):
         text = f"the median is {median:.3g}, too fast for a vehicle in rad/s"
         yield Setting("imu.angular_rate_unit", "deg/s", text)
     else:

@@ -27,9 +27,7 @@ from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2
 from insdvl_replay.core.units import (
-    SPECIFIC_FORCE_BY_SIZE,
     SPECIFIC_FORCE_UNITS,
-    VELOCITY_BY_SIZE,
     VELOCITY_UNITS,
 )
 from insdvl_replay.core.words import Severity
@@ -37,7 +35,6 @@ from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
 from insdvl_replay.inspection.free_turns import in_body, turn_freely
-from insdvl_replay.inspection.probed_topics import AS_GRAVITY_MPS2, fitting_units
 from insdvl_replay.inspection.proposal import Proposal, propose_settings
 from insdvl_replay.inspection.settings import Setting, with_settings
 from insdvl_replay.inspection.signed_axes import axes_text
@@ -55,6 +52,12 @@ from insdvl_replay.inspection.trials import (
     thinned,
     trial_config,
 )
+from insdvl_replay.inspection.unit_by_size import (
+    force_units,
+    is_rate_in_degrees,
+    nearest_force_unit,
+    speed_units,
+)
 from insdvl_replay.logs.columns.imu import FRD, decode_imu, in_frd, measured_vectors
 from insdvl_replay.logs.columns.tables import Table, read_tables
 from insdvl_replay.logs.columns.topics import Source
@@ -63,9 +66,7 @@ from insdvl_replay.logs.read import RoleColumns, find_roles
 
 SAME_MOTION: Final = 0.9  # correlation of the rates of two IMUs of one vehicle
 LARGEST_APART: Final = 0.05  # share by which their scales may differ
-SPEEDS_MPS: Final = (0.1, 5.0)  # over ground of a vehicle under way
 SAME_SPEED: Final = 1.5  # factor within which median speeds of DVL and reference agree
-SPINNING_RADPS: Final = 1.0
 QUARTERS_DEG: Final = frozenset({-90.0, 0.0, 90.0, 180.0})  # headings of a DVL that are tried
 _NEAR: Final = 0.1  # share by which increments of gravity over a step may be off
 # Settings with which a person has said where forward is.
@@ -310,9 +311,9 @@ def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: 
     known_mps = 0.0 if reference is None else _reference_speed_mps(reference)
     if known_mps / SAME_SPEED < speed_mps < known_mps * SAME_SPEED:
         return read_in
-    fitting = fitting_units(size, VELOCITY_BY_SIZE, known_mps / SAME_SPEED, known_mps * SAME_SPEED)
+    fitting = speed_units(size, (known_mps / SAME_SPEED, known_mps * SAME_SPEED))
     if not fitting and speed_mps > FASTEST_MPS:
-        fitting = fitting_units(size, VELOCITY_BY_SIZE, *SPEEDS_MPS)
+        fitting = speed_units(size)
     if fitting:
         return fitting[0]
     return read_in
@@ -527,7 +528,7 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     values |= _force_scale(table, size, known)
     if "increment_s" in values:
         turning /= values["increment_s"]
-    if turning > SPINNING_RADPS and known.angular_rate_unit != "deg/s":
+    if is_rate_in_degrees(turning) and known.angular_rate_unit != "deg/s":
         values["angular_rate_unit"] = "deg/s"
     settings = msgspec.structs.replace(own, **values)
     columns, _ = decode_imu(table, settings)
@@ -556,7 +557,7 @@ def _median(values: Floats) -> float:
 def _force_scale(table: Table, size: float, known: Imu) -> dict[str, Any]:
     """Return the settings by which a median size of readings is that of gravity: a unit, an increment, or a scale."""
     unit = known.specific_force_unit or "m/s2"
-    fitting = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
+    fitting = force_units(size)
     if fitting and unit not in fitting:
         return {"specific_force_unit": fitting[0]}
     step_s = _increment_s(table, size, known)
@@ -564,10 +565,7 @@ def _force_scale(table: Table, size: float, known: Imu) -> dict[str, Any]:
         return {"increment_s": step_s}
     if fitting or not size > 0.0:
         return {}
-    near = min(
-        (unit, *SPECIFIC_FORCE_BY_SIZE),
-        key=lambda name: abs(np.log(size * SPECIFIC_FORCE_UNITS[name] / GRAVITY_MPS2)),
-    )
+    near = nearest_force_unit(size, unit)
     ratio = size * SPECIFIC_FORCE_UNITS[near] / GRAVITY_MPS2
     scale = {"specific_force_scale": float(f"{ratio:.4g}")}
     if near == unit:
