@@ -1,6 +1,5 @@
 """Single faults of sensors and clocks: dropped and counted with a warning, or refused, never in the tables unsaid."""
 
-import ast
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from frames import frame
 
-from insdvl_replay import checks, logs
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns
 from insdvl_replay.core.dive_record import Clock
@@ -134,34 +132,6 @@ def test_dvl_that_never_changes_is_refused(value: float, dive: Dive, tmp_path: P
     with pytest.raises(LogError, match=r"/dvl: .* 60 .* 59\.0 s") as refused:
         read_checked_dive(tmp_path / "dive.mcap", CONFIG)
     assert "dvl.velocity" in refused.value.hint
-
-
-def warnings_in(source: str) -> list[ast.Call]:
-    """Find the calls in which a note becomes a warning; severity stands behind three other arguments, the hint next."""
-    calls = [
-        node
-        for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.Call) and len(node.args) > 3
-    ]
-    return [call for call in calls if "Severity.WARNING" in ast.unparse(call.args[3])]
-
-
-def test_every_warning_about_a_log_has_a_hint() -> None:
-    rooms = sorted(
-        path for room in (logs, checks) for path in Path(room.__path__[0]).rglob("*.py")
-    )
-    calls = {
-        f"{path.name}:{call.lineno}": call
-        for path in rooms
-        for call in warnings_in(path.read_text("utf-8"))
-    }
-    assert len(calls) > 20
-    assert [
-        place for place, call in calls.items() if len(call.args) < 5 and not call.keywords
-    ] == []
-    assert all("severity=" not in path.read_text("utf-8") for path in rooms), (
-        "by position, so that it is found here"
-    )
 
 
 def test_dvl_in_another_unit_is_refused_with_and_without_a_reference(

@@ -31,6 +31,20 @@ WRITERS = {
     "keep_finite": (None, {"count", "counted", "role", "first"}),
     "_keep_rows": (1, {"count", "counted", "role", "first"}),
 }
+# Warnings whose sentence says all, or of which what to do depends on the case: `explain` tells.
+WITHOUT_HINT = {
+    "aiding_without_updates",
+    "found_calibration failed",
+    "found_calibration not_applied",
+    "found_clocks",
+    "result_damaged",
+    "table_decimal_comma",
+    "table_header first",
+    "table_no_time",
+    "table_on_one_side",
+    "times_summed",
+    "*_silent",
+}
 NO_FIELDS = {"code", "severity", "first", "is_expected"}
 CODE = re.compile(r"[a-z_0-9*]+( [a-z_]+)?")
 
@@ -222,6 +236,17 @@ def test_a_note_that_the_table_lacks_or_a_field_without_value_is_a_programmers_m
 ) -> None:
     with pytest.raises(ValueError, match=code.partition(" ")[0]):
         note(code)
+
+
+def test_warnings_have_hints() -> None:
+    without = set()
+    for code, kind in KNOWN.items():
+        if kind.text and not kind.hint and kind.severity == Severity.WARNING:
+            without.add(code)
+        for word, said in kind.other.items():
+            if not said.hint and said.severity == Severity.WARNING:
+                without.add(f"{code} {word}")
+    assert without == WITHOUT_HINT
 
 
 def test_explanations_are_short_sentences() -> None:
