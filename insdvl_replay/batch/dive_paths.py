@@ -20,7 +20,22 @@ MANIFEST_SUFFIX: Final = ".toml"
 BAG_METADATA: Final = "metadata.yaml"
 """The file by which a bag is known. Names do not show it: dives of an archive are numbered like the parts of a bag."""
 INSTRUMENT_SUFFIXES: Final = frozenset(
-    {".csv", ".dat", ".json", ".jsonl", ".log", ".nmea", ".txt"}
+    {
+        ".000",
+        ".alog",
+        ".csv",
+        ".dat",
+        ".ens",
+        ".json",
+        ".jsonl",
+        ".log",
+        ".nmea",
+        ".pd0",
+        ".pd4",
+        ".pd5",
+        ".pd6",
+        ".txt",
+    }
 )
 """Endings under which files of instruments are looked for, by their bytes: those of `known_formats.toml`."""
 

@@ -367,7 +367,11 @@ _ANGLES: Final = (_POSITION, {"roll", "pitch", "heading"})
 _MOTION: Final = ({"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES)
 _IMU: Final = ("specific_force", "angular_rate")
 _FIXES: Final = ("fix", "extended_fix")
-_SENSOR_GROUPS: Final = {"heading": ("heading", "heading_of_imu"), "position": _FIXES}
+_SENSOR_GROUPS: Final = {
+    "depth": ("depth", "depth_of_dvl"),
+    "heading": ("heading", "heading_of_imu", "heading_of_dvl"),
+    "position": _FIXES,
+}
 
 
 def _role_of_sensor(name: str, sensor: Sensor) -> TopicRole:

@@ -26,6 +26,7 @@ from insdvl_replay.core.errors import (
     listed,
 )
 from insdvl_replay.core.notes import note
+from insdvl_replay.core.units import TIME_UNITS_NS
 from insdvl_replay.logs.formats.log_file import (
     Damage,
     FileBytes,
@@ -58,6 +59,7 @@ class InstrumentTable(NamedTuple):
     columns: Mapping[
         str, Array
     ]  # by dotted name, (k,) or (k, n); NaN where a record has no number
+    period_ns: int = 0  # after which the times repeat, where they have no date
 
 
 class Record(NamedTuple):
@@ -162,7 +164,16 @@ class InstrumentFile(RowsFile):
             rows[:, place:end] = values.reshape(len(kept), -1)[kept]
             place = end
         clear_missing(rows)
-        self.add_channel(table.topic, table.type_name, widths, rows, table.time_ns[kept])
+        channel = self.add_channel(table.topic, table.type_name, widths, rows, table.time_ns[kept])
+        if table.period_ns:
+            self.periods_ns[channel.id] = table.period_ns
+
+    def shift(self, channel_id: int, shift_ns: int) -> None:
+        """Shift the times of a table, which had no date, so that it overlaps the others."""
+        self._shift(channel_id, shift_ns)
+        days = shift_ns / TIME_UNITS_NS["d"]
+        said = note("times_without_date", days=days)
+        self.add_note(said.about(self.channels[channel_id].topic))
 
     @property
     def notes(self) -> tuple[Note, ...]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
@@ -42,9 +42,7 @@ from insdvl_replay.logs.formats.log_file import (
 )
 from insdvl_replay.logs.formats.mcap_file import MAGIC, McapFile
 from insdvl_replay.logs.formats.recorder_clock import OneClock, one_clock, spans_a_step
-
-if TYPE_CHECKING:
-    from insdvl_replay.logs.formats.table_file import TableFile
+from insdvl_replay.logs.formats.table_rows import RowsFile
 
 _COMMON_CLOCK_NS: Final = 10**17  # times after 1973 are those of a clock that counts from 1970
 CHANNELS_OF_A_PART: Final = 1 << 16  # a channel id has 16 bits
@@ -263,6 +261,9 @@ def _holds_tables(part: LogFile) -> bool:
 
 
 def _has_times_of_rows(part: LogFile) -> bool:
+    """Return whether a part has tables with times of their own, which may lack the date."""
+    if isinstance(part, RowsFile) and part.periods_ns:
+        return True
     return any(channel.time_column for channel in part.channels)
 
 
@@ -280,7 +281,7 @@ def _overlaps_s(spans: Sequence[Span]) -> list[float]:
 class _OpenTable(NamedTuple):
     """A table whose times of day have no date or no hour."""
 
-    file: "TableFile"
+    file: RowsFile
     channel_id: int
     period_ns: int  # after which they repeat
     bounds: Span
@@ -293,13 +294,12 @@ class _OpenTable(NamedTuple):
 
 def _align_times_of_day(parts: Sequence[LogFile]) -> None:
     """Shift tables without date or hour so that they overlap the others the most: those with a date, else the first."""
-    from insdvl_replay.logs.formats.table_file import TableFile
     from insdvl_replay.logs.formats.table_times import shift_ns
 
     fixed: list[Span] = []
     open_ones: list[_OpenTable] = []
     for part in parts:
-        if isinstance(part, TableFile):
+        if isinstance(part, RowsFile):
             dated, without_date = _sorted_tables(part)
             fixed += dated
             open_ones += without_date
@@ -320,12 +320,12 @@ def _align_times_of_day(parts: Sequence[LogFile]) -> None:
         fixed.append((first_ns + shift, last_ns + shift))
 
 
-def _sorted_tables(file: "TableFile") -> tuple[list[Span], list[_OpenTable]]:
+def _sorted_tables(file: RowsFile) -> tuple[list[Span], list[_OpenTable]]:
     """Return the spans of the tables of a file that have dates, and those that lack a date or an hour."""
     dated: list[Span] = []
     without_date: list[_OpenTable] = []
     for channel_id, times in file.log_times().items():
-        if not times.size or not file.channels[channel_id].time_column:
+        if not times.size or file.channels[channel_id].untimed:
             continue
         bounds = (int(times.min()), int(times.max()))
         if channel_id in file.periods_ns:

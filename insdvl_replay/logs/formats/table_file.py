@@ -136,8 +136,6 @@ class TableFile(RowsFile):
         self._reasons: list[str] = []  # the sentences of the notes, without the name of the file
         self._is_text = True
         self._commas = 0  # numbers with a decimal comma in the table that is read
-        # Of channels whose times are those of an unknown day or hour.
-        self.periods_ns: dict[int, int] = {}
         with self.watched():
             needed = 0
             for table in self._tables():
@@ -176,8 +174,8 @@ class TableFile(RowsFile):
         return tuple(self._notes)
 
     def shift(self, channel_id: int, shift_ns: int) -> None:
-        """Shift the times of a table, which had no date or no hour, so that it overlaps the others."""
-        self._time_ns[channel_id] = self._time_ns[channel_id] + shift_ns
+        """Shift the times of a table, which had no date or no hour; it overlaps the others then."""
+        self._shift(channel_id, shift_ns)
         lacking = "date"
         if self.periods_ns[channel_id] < DAY_NS:
             lacking = "hour"

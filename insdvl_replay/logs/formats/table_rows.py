@@ -4,6 +4,7 @@ Tables that users made are read so, and what instruments and autopilots write.
 """
 
 import re
+from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Final
 
@@ -46,6 +47,8 @@ class RowsFile(LogFile):
         # Of each channel, (k, 1 + n): number of the row, then the columns.
         self._rows: list[Floats] = []
         self._time_ns: list[TimeNs] = []
+        # Of channels whose times are those of an unknown day or hour.
+        self.periods_ns: dict[int, int] = {}
 
     def add_channel(
         self,
@@ -76,6 +79,13 @@ class RowsFile(LogFile):
         self._time_ns.append(time_ns)
         self.channels = (*self.channels, channel)
         return channel
+
+    @abstractmethod
+    def shift(self, channel_id: int, shift_ns: int) -> None:
+        """Shift the times of a table, which had no date or no hour, so that it overlaps the others; report it."""
+
+    def _shift(self, channel_id: int, shift_ns: int) -> None:
+        self._time_ns[channel_id] = self._time_ns[channel_id] + shift_ns
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the rows of some tables, thousands at a time."""

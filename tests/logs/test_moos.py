@@ -1,0 +1,176 @@
+"""Logs of MOOS replay as the MCAP of the same dive does, by settings that name their variables."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import instrument_logs
+import msgspec
+import numpy as np
+import pytest
+from teledyne_logs import dvl_told
+
+from insdvl_replay.core.config import Config, Dvl, Imu, Reference
+from insdvl_replay.core.dive_columns import Dive, Floats
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.geometry.rotation import rpy_from_mat
+from insdvl_replay.inspection.proposal import propose_settings
+from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.formats.moos_alog import TYPE
+from insdvl_replay.logs.formats.recording import open_recording
+
+APPLICATIONS = {"imu": "iIMU", "dvl": "iDVL", "reference": "pNavTruth"}
+VARIABLES = {
+    "imu": ("ACC_X", "ACC_Y", "ACC_Z", "GYRO_X", "GYRO_Y", "GYRO_Z"),
+    "dvl": ("VEL_X", "VEL_Y", "VEL_Z"),
+    "reference": ("LAT", "LONG", "HEIGHT", "VN", "VE", "VD", "ROLL", "PITCH", "YAW"),
+}
+PREFIXES = {"imu": "IMU", "dvl": "DVL", "reference": "NAV"}
+SETTINGS = Config(
+    imu=Imu(
+        topic="IMU",
+        specific_force="IMU_ACC_X, IMU_ACC_Y, IMU_ACC_Z",
+        angular_rate="IMU_GYRO_X, IMU_GYRO_Y, IMU_GYRO_Z",
+    ),
+    dvl=Dvl(topic="DVL", velocity="DVL_VEL_X, DVL_VEL_Y, DVL_VEL_Z"),
+    reference=Reference(
+        topic="NAV", latitude="NAV_LAT", longitude="NAV_LONG", height="NAV_HEIGHT",
+        velocity_n="NAV_VN, NAV_VE, NAV_VD", roll="NAV_ROLL", pitch="NAV_PITCH", heading="NAV_YAW",
+        angle_unit="rad",
+    ),
+)  # fmt: skip
+START_S = 1_704_067_200
+
+
+def told_dive() -> Dive:
+    """A dive with the velocities of a DVL."""
+    return dvl_told().of_velocities().dive
+
+
+def readings(dive: Dive) -> Iterator[tuple[int, str, Floats]]:
+    """Give the time, the role and the numbers of each reading."""
+    imu = dive.imu
+    reference = dive.reference
+    assert reference is not None
+    assert dive.dvl.velocity_d is not None
+    motion = [reference.position, reference.velocity_n, rpy_from_mat(reference.mat_nb)]
+    tables = {
+        "imu": (imu.time_ns, np.hstack([imu.specific_force_b, imu.angular_rate_b])),
+        "dvl": (dive.dvl.time_ns, dive.dvl.velocity_d),
+        "reference": (reference.time_ns, np.hstack(motion)),
+    }
+    for role, (times, numbers) in tables.items():
+        for time_ns, row in zip(times.tolist(), numbers, strict=True):
+            yield time_ns, role, row
+
+
+def alog(dive: Dive, *, marked: bool = False, whole_times: bool = False) -> list[str]:
+    """Write the lines of a log, each value some tens of microseconds after the one before."""
+    lines = [
+        "%" * 60,
+        "%% LOG FILE:       ./LOG_1/LOG_1.alog",
+        "%% FILE OPENED ON  Mon Jan  1 00:00:00 2024",
+        f"%% LOGSTART        {START_S:20}",
+        "%" * 60,
+    ]
+    for time_ns, role, row in sorted(readings(dive), key=lambda reading: reading[0]):
+        since_start_s = time_ns / 1e9 - START_S
+        for place, (name, value) in enumerate(zip(VARIABLES[role], row.tolist(), strict=True)):
+            time_s = since_start_s + 2e-5 * place
+            if whole_times:
+                time_s += START_S
+            text = f"D:{value!r}" if marked else f"{value!r}"
+            variable = f"{PREFIXES[role]}_{name}"
+            lines.append(f"{time_s:<15.6f} {variable:<19} {APPLICATIONS[role]:<15} {text}   ")
+    return lines
+
+
+def with_others(lines: list[str]) -> list[str]:
+    """Put what other applications publish between the lines."""
+    found = list(lines)
+    found.insert(20, "0.10000 DEPLOY pMarineViewer false")
+    found.insert(30, "0.20000 NODE_REPORT_LOCAL pNodeReporter NAME=alpha,X=1,Y=2")
+    found.insert(40, "0.30000 MODE pHelmIvP:AUX ")
+    found.insert(50, "0.40000 USBL_FIX iUSBL [3x1]{1.5,2.5,-3.5}")
+    found.insert(60, "0.50000 NAV_X pNodeReporter 12.5")
+    return found
+
+
+@pytest.mark.parametrize(("marked", "whole_times"), [(False, False), (True, False), (False, True)])
+def test_log_has_the_readings_of_the_mcap(marked: bool, whole_times: bool, tmp_path: Path) -> None:
+    dive = told_dive()
+    (tmp_path / "m.alog").write_text("\n".join(alog(dive, marked=marked, whole_times=whole_times)))
+    found = read_dive(tmp_path / "m.alog", SETTINGS)
+    whole = read_dive(instrument_logs.write_whole(tmp_path, dive), Config())
+    atol_ns = 1_000 if whole_times else 510
+    instrument_logs.assert_same_dvl(found, whole, 1e-12, atol_ns)
+    np.testing.assert_allclose(found.imu.time_ns, whole.imu.time_ns, rtol=0, atol=atol_ns)
+    np.testing.assert_array_equal(found.imu.specific_force_b, dive.imu.specific_force_b)
+    assert found.reference is not None
+    assert whole.reference is not None
+    assert len(found.reference.time_ns) == len(whole.reference.time_ns)
+
+
+def test_replay_is_that_of_the_mcap(tmp_path: Path) -> None:
+    dive = told_dive()
+    (tmp_path / "m.alog").write_text("\n".join(with_others(alog(dive))))
+    whole = instrument_logs.write_whole(tmp_path, dive)
+    settings = msgspec.structs.replace(
+        SETTINGS, reference=msgspec.structs.replace(SETTINGS.reference, topic="NAV/pNavTruth")
+    )
+    apart_m = instrument_logs.assert_same_replay([tmp_path / "m.alog"], whole, 1e-4, settings)
+    assert apart_m > 0.0
+
+
+def test_tables_are_those_of_applications_and_the_rest_is_counted(tmp_path: Path) -> None:
+    (tmp_path / "m.alog").write_text("\n".join(with_others(alog(told_dive()))))
+    log = open_recording(tmp_path / "m.alog")
+    topics = {channel.topic: channel for channel in log.channels}
+    assert topics.keys() == {"IMU", "DVL", "NAV/pNavTruth", "NAV/pNodeReporter", "USBL"}
+    assert {channel.type_name for channel in log.channels} == {TYPE}
+    assert topics["USBL"].schema_data == b'[["usbl_fix",3]]'
+    (note,) = log.notes
+    assert note.code == "other_records"
+    assert "texts (2), empty texts (1)" in note.text
+
+
+def test_settings_are_proposed(tmp_path: Path) -> None:
+    (tmp_path / "m.alog").write_text("\n".join(alog(told_dive())))
+    proposal = propose_settings(tmp_path / "m.alog", Config())
+    found = {setting.key: setting.value for setting in proposal.settings}
+    assert found["imu.topic"] == "IMU"
+    assert found["dvl.topic"] == "DVL"
+
+
+def test_slow_variables_leave_gaps_and_no_wrong_rows(tmp_path: Path) -> None:
+    lines = ["%% LOGSTART 1000.0"]
+    for number in range(6):
+        lines.append(f"{0.1 * number:.5f} A_X app {number}")
+        if number % 3 == 0:
+            lines.append(f"{0.1 * number + 0.0001:.5f} A_Y app {10 * number}")
+        lines.append(f"{0.1 * number + 0.05:.5f} A_Z app {100 * number}")
+    (tmp_path / "m.alog").write_text("\n".join(lines))
+    log = open_recording(tmp_path / "m.alog")
+    (times,) = log.log_times().values()
+    assert len(times) == 12
+    assert times[0] == 1_000_000_000_000
+    (block,) = log.blocks({log.channels[0].id})
+    rows = np.frombuffer(block.buffer, np.float64).reshape(12, -1)
+    np.testing.assert_array_equal(rows[0, 1:], [0.0, 0.0, np.nan])
+    np.testing.assert_array_equal(rows[1, 1:], [np.nan, np.nan, 0.0])
+    np.testing.assert_array_equal(rows[6, 1:], [3.0, 30.0, np.nan])
+
+
+def test_damaged_lines(tmp_path: Path) -> None:
+    lines = alog(told_dive())
+    lines[100] = lines[100][10:]
+    lines[200] = "12.5 IMU"
+    lines[300] = lines[300].replace(".", ",", 1)
+    (tmp_path / "m.alog").write_text("\n".join(lines))
+    log = open_recording(tmp_path / "m.alog")
+    assert {note.code: note.count for note in log.notes} == {"log_damaged": 3}
+
+
+def test_log_of_texts_alone_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "m.alog").write_text("%% LOGSTART 1000.0\n1.0 DEPLOY app true\n")
+    with pytest.raises(LogError, match=r"has no lines that can be used; it has texts"):
+        open_recording(tmp_path / "m.alog")
