@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from insdvl_replay.batch.dive_paths import usable_paths
 from insdvl_replay.batch.found import FoundDive
 from insdvl_replay.calibration.dives import CalibratedDives, answer_of, calibrate_dives
+from insdvl_replay.calibration.division import Division
 from insdvl_replay.calibration.innovations import ReadDive, read_dive
 from insdvl_replay.calibration.output import calibration_figures, calibration_toml
 from insdvl_replay.core.config import Config
@@ -80,10 +81,9 @@ def calibrate_logs(
     if not read:
         return None
     found = calibrate_dives(
-        read,
+        Division.asked(read, asked.hold_out),
         config,
         asked.groups,
-        hold_out=asked.hold_out,
         reference=asked.reference,
         one_delay=asked.one_delay,
         mounting_unknown=asked.mounting_unknown,

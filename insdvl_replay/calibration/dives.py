@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from insdvl_replay.calibration.calibration import OUTAGES_S, Calibration, calibrate, held_out_row
+from insdvl_replay.calibration.division import Division
 from insdvl_replay.calibration.fit import likeliest_mounting, possible_axes, with_mounting
 from insdvl_replay.calibration.innovations import (
     ALL_GROUPS,
@@ -39,7 +40,7 @@ class CalibratedDives(NamedTuple):
 
     found: Calibration
     config: Config  # with the mounting that was found, if it was unknown
-    kept: list[ReadDive]  # the fitted dives
+    kept: tuple[ReadDive, ...]  # the fitted dives
     innovations: list[DiveInnovations]  # of these
 
 
@@ -57,11 +58,10 @@ def require_groups(names: Sequence[str] | None, *, reference: bool) -> tuple[str
 
 
 def calibrate_dives(
-    dives: Sequence[ReadDive],
+    dives: Division,
     config: Config,
     groups: Sequence[str],
     *,
-    hold_out: Sequence[str] = (),  # shares, or names of dives
     reference: bool = False,  # compare with the references, and calibrate these, too
     one_delay: bool = False,  # for all dives
     mounting_unknown: bool = False,  # try 24 mountings first
@@ -69,54 +69,21 @@ def calibrate_dives(
     windows_s: Sequence[str] = OUTAGES_S,
 ) -> CalibratedDives:
     """Calibrate dives, and test the result on those that are held out."""
-    kept, held = _divided(dives, hold_out)
     known = Geometry.of(config.dvl)
-    mountings = len(possible_axes(kept[0].dive.dvl))
+    mountings = len(possible_axes(dives.fitted[0].dive.dvl))
     if mounting_unknown:
-        config = with_mounting(config, likeliest_mounting(kept))
-        kept = [dive.with_config(config) for dive in kept]
-        held = [dive.with_config(config) for dive in held]
-    asked = [dive.innovations() for dive in kept]
+        config = with_mounting(config, likeliest_mounting(dives.fitted))
+        dives = dives.with_config(config)
+    asked = [dive.innovations() for dive in dives.fitted]
     found = calibrate(asked, config, groups, one_delay=one_delay)
     if reference:
-        found = with_reference(found, kept, asked, groups)
+        found = with_reference(found, dives.fitted, asked, groups)
     if mounting_unknown:
         found = found.from_mounting(known, mountings)
     noise = found.noise if found.proposes_noise else None
-    tested = track_progress("testing on held-out dives", held)
+    tested = track_progress("testing on held-out dives", dives.held_out)
     others = [held_out_row(dive, found.change, noise, windows_s) for dive in tested]
-    return CalibratedDives(replace(found, held_out=tuple(others)), config, kept, asked)
-
-
-def _divided(
-    dives: Sequence[ReadDive], hold_out: Sequence[str]
-) -> tuple[list[ReadDive], list[ReadDive]]:
-    """Return the dives to fit and the held-out dives: a share of all, evenly spread, or those that are named."""
-    names = [read.dive.name for read in dives]
-    aside: set[int] = set()
-    for wanted in hold_out:
-        try:
-            share = float(wanted)
-        except ValueError:
-            require_known("--hold-out", wanted, names)
-            aside.update(row for row, name in enumerate(names) if name == wanted)
-            continue
-        if not 0.0 < share < 1.0:
-            raise ConfigError(
-                f"--hold-out {wanted}: a share is between 0 and 1", "for example --hold-out 0.3"
-            )
-        count = max(1, round(share * len(names)))
-        aside.update(len(names) - 1 - round(i * len(names) / count) for i in range(count))
-    if len(aside) == len(names):
-        raise ConfigError("--hold-out leaves no dive to fit", "name more dives, or hold out fewer")
-    kept = []
-    held = []
-    for row, read in enumerate(dives):
-        if row in aside:
-            held.append(read)
-        else:
-            kept.append(read)
-    return kept, held
+    return CalibratedDives(replace(found, held_out=tuple(others)), config, dives.fitted, asked)
 
 
 # --- The answer.

@@ -14,12 +14,13 @@ import numpy as np
 
 from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.dives import answer_of, calibrate_dives
+from insdvl_replay.calibration.division import Division, middle
 from insdvl_replay.calibration.found import FoundSettings, Given, as_given, with_values
 from insdvl_replay.calibration.innovations import NOISE, ReadDive
 from insdvl_replay.calibration.noise import DVL, GRADES, INERTIAL, imu_class, noise_class
 from insdvl_replay.core.config import FREE, Config, Initial, flattened
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError, Note, UserError
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import report_stage
@@ -28,8 +29,6 @@ from insdvl_replay.preparation.prepared import read_checked_dive, with_reference
 from insdvl_replay.preparation.run import LEAST_NIS, MOST_NIS, baseline_fit, require_described
 
 MOST_DIVES: Final = 5  # dives from which noise, and all settings of unknown logs, are found
-LONGEST_S: Final = 2400.0  # of a dive, from which geometry and noise are fitted
-FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
 MOST_ROUNDS: Final = 4  # in which the noise is scaled
 # mean NIS/dof outside which the noise of the DVL is changed
 WELL_ABOVE: Final = 0.6
@@ -123,9 +122,9 @@ def _fitted(dives: Sequence[Dive], config: Config, given: Given) -> Config:
     """Fit the noise to the innovations of all dives together; of one alone, the second half tests it if it is long."""
     read = [middle(ReadDive(with_reference_at_imu(dive, config), config)) for dive in dives]
     try:
-        found = calibrate_dives(halves(read), config, [NOISE], hold_out=["0.3"]).found
+        found = calibrate_dives(Division.found(read), config, [NOISE]).found
     except LogError:
-        found = calibrate_dives(read, config, [NOISE]).found
+        found = calibrate_dives(Division.nothing_held_out(read), config, [NOISE]).found
     return with_noise(config, answer_of(found).applied(found), given)
 
 
@@ -165,37 +164,6 @@ def with_biases_of_class(config: Config, given: Given, preset: str) -> tuple[Con
     if GRADES.index(better) >= GRADES.index(preset):
         return config, preset
     return as_given(with_values(of_class(better, config), "noise", **fitted), given), better
-
-
-def _span_s(dive: ReadDive) -> tuple[float, float]:
-    span = dive.config.span
-    time_ns = dive.dive.imu.time_ns
-    length_s = float(time_ns[-1] - time_ns[0]) / NS_PER_S
-    return span.start_s or 0.0, min(span.end_s or np.inf, length_s)
-
-
-def _within(dive: ReadDive, from_s: float, to_s: float) -> ReadDive:
-    span = msgspec.structs.replace(dive.config.span, start_s=from_s, end_s=to_s)
-    return dive.with_config(msgspec.structs.replace(dive.config, span=span))
-
-
-def middle(dive: ReadDive) -> ReadDive:
-    """Return the middle of a long dive."""
-    from_s, to_s = _span_s(dive)
-    aside_s = 0.5 * (to_s - from_s - LONGEST_S)
-    if aside_s <= 0.0:
-        return dive
-    return _within(dive, from_s + aside_s, to_s - aside_s)
-
-
-def halves(read: Sequence[ReadDive]) -> list[ReadDive]:
-    """Return the dives to calibrate; one alone is divided, and its last part is the one that is held out."""
-    if len(read) > 1:
-        return list(read)
-    (dive,) = read
-    from_s, to_s = _span_s(dive)
-    divide_s = from_s + FITTED_SHARE * (to_s - from_s)
-    return [_within(dive, from_s, divide_s), _within(dive, divide_s, to_s)]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ import numpy as np
 
 from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.dives import Answer, answer_of, calibrate_dives
-from insdvl_replay.calibration.fitted_noise import halves, middle, with_noise
+from insdvl_replay.calibration.division import By, Division, middle
+from insdvl_replay.calibration.fitted_noise import with_noise
 from insdvl_replay.calibration.found import Given
 from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
 from insdvl_replay.core.config import Config
@@ -23,7 +24,6 @@ GROUPS: Final = {
     "delay": "latency_s",
     "scale": "scale",
 }
-_HELD_OUT: Final = ["0.3"]
 
 
 def calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list[Note]) -> Config:
@@ -36,14 +36,13 @@ def calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list[
     read_with_s = read[0].config.dvl.latency_s
     groups = geometry or [NOISE]  # the noise is fitted once the geometry is known
     try:
+        division = Division.found(read)
         windows_s = ("60", "30")
-        found = calibrate_dives(
-            halves(read), config, groups, hold_out=_HELD_OUT, windows_s=windows_s
-        ).found
+        found = calibrate_dives(division, config, groups, windows_s=windows_s).found
     except UserError as error:
         notes.append(note("found_calibration failed", why=error.what))
         return config
-    better = _with_geometry(found, read, config, groups, notes)
+    better = _with_geometry(found, division, read, config, groups, notes)
     if better is not None:
         config = better
     if not fits_noise:
@@ -56,13 +55,14 @@ def calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list[
 
 def _with_geometry(
     found: Calibration,
+    division: Division,  # from which it was found
     read: Sequence[ReadDive],
     config: Config,
     groups: Sequence[str],
     notes: list[Note],
 ) -> Config | None:
     """Return the settings with a better geometry, with a note on it; None where they stay as they are."""
-    found, answer = _decided(found, read, config, groups)
+    found, answer = _decided(found, division, config, groups)
     tested = _drift_sentence(found)
     if answer.keeps_geometry:
         notes.append(note("found_calibration not_applied", tested=tested))
@@ -70,7 +70,7 @@ def _with_geometry(
     better = answer.applied(found)
     if found.estimated:
         # What was held out has shown that it helps; all together know it best.
-        better = calibrate_dives(read, config, groups).found
+        better = calibrate_dives(Division.nothing_held_out(read), config, groups).found
     changes = _changes(better)
     if changes:
         notes.append(
@@ -87,16 +87,14 @@ def _with_geometry(
 
 
 def _decided(
-    found: Calibration, read: Sequence[ReadDive], config: Config, groups: Sequence[str]
+    found: Calibration, division: Division, config: Config, groups: Sequence[str]
 ) -> tuple[Calibration, Answer]:
     """Judge a calibration by the drift of what was held out, else by its innovations."""
     answer = answer_of(found)
     if any(row.windows for row in found.held_out):
         return found, answer
-    if len(read) == 1:  # each part of the dive alone by the other
-        other = calibrate_dives(
-            halves(read)[::-1], config, groups, hold_out=_HELD_OUT, windows_s=("60",)
-        ).found
+    if division.by == By.TIME:  # each part of the dive alone by the other
+        other = calibrate_dives(division.exchanged, config, groups, windows_s=("60",)).found
         found = replace(found, held_out=(*found.held_out, *other.held_out))
     before, after = _mean_nis(found)
     return found, replace(answer, keeps_geometry=bool(found.estimated) and after > before)
@@ -116,10 +114,8 @@ def with_noise_of(
 ) -> Config:
     """Fit the noise to dives; one that is tested is applied only where it is better on what was held out."""
     read = [middle(ReadDive(dive, config)) for dive in dives]
-    if is_tested:
-        found = calibrate_dives(halves(read), config, [NOISE], hold_out=_HELD_OUT).found
-    else:
-        found = calibrate_dives(read, config, [NOISE]).found
+    division = Division.found(read) if is_tested else Division.nothing_held_out(read)
+    found = calibrate_dives(division, config, [NOISE]).found
     return with_noise(config, answer_of(found).applied(found), given)
 
 

@@ -1,0 +1,138 @@
+"""Which dives, or which part of a dive, a calibration fits, and which it holds out to test what was found."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum, auto
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from insdvl_replay.calibration.innovations import ReadDive
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import NS_PER_S
+from insdvl_replay.core.errors import ConfigError, require_known
+
+HELD_OUT_SHARE: Final = 0.3  # of several dives, where nobody says which
+FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
+LONGEST_S: Final = 2400.0  # of a dive, from which settings that nobody gave are found
+
+
+class By(Enum):
+    """What divides dives into those that are fitted and those that are held out."""
+
+    NOTHING = auto()  # All are fitted.
+    DIVES = auto()  # Some of the dives are held out.
+    TIME = auto()  # There is one dive, of which a part is held out.
+
+
+@dataclass(frozen=True)
+class Division:
+    """Dives that are fitted, and dives that test the fit."""
+
+    fitted: tuple[ReadDive, ...]
+    held_out: tuple[ReadDive, ...] = ()
+    by: By = By.NOTHING
+
+    @classmethod
+    def asked(cls, dives: Sequence[ReadDive], hold_out: Sequence[str]) -> "Division":
+        """Hold out what a user asks for: a share of all dives, evenly spread, or those that are named.
+
+        A ConfigError where a name is not known, a share is none, or no dive is left to fit.
+        """
+        names = [read.dive.name for read in dives]
+        aside = set[int]()
+        for wanted in hold_out:
+            aside |= _rows_of(wanted, names)
+        if len(aside) == len(names):
+            raise ConfigError(
+                "--hold-out leaves no dive to fit", "name more dives, or hold out fewer"
+            )
+        return cls._without(dives, aside)
+
+    @classmethod
+    def found(cls, dives: Sequence[ReadDive]) -> "Division":
+        """Hold out what nobody has asked for: a share of several dives, the later part of one alone."""
+        if len(dives) > 1:
+            return cls._without(dives, _spread(HELD_OUT_SHARE, len(dives)))
+        (dive,) = dives
+        from_s, to_s = _span_s(dive)
+        divide_s = from_s + FITTED_SHARE * (to_s - from_s)
+        earlier = _within(dive, from_s, divide_s)
+        later = _within(dive, divide_s, to_s)
+        return cls((earlier,), (later,), By.TIME)
+
+    @classmethod
+    def nothing_held_out(cls, dives: Sequence[ReadDive]) -> "Division":
+        """Fit all dives."""
+        return cls(tuple(dives))
+
+    @classmethod
+    def _without(cls, dives: Sequence[ReadDive], aside: Collection[int]) -> "Division":
+        """Hold out the dives in some rows."""
+        fitted = []
+        held_out = []
+        for row, read in enumerate(dives):
+            if row in aside:
+                held_out.append(read)
+            else:
+                fitted.append(read)
+        by = By.DIVES if held_out else By.NOTHING
+        return cls(tuple(fitted), tuple(held_out), by)
+
+    @property
+    def exchanged(self) -> "Division":
+        """The same dives, of which those are fitted that were held out."""
+        return replace(self, fitted=self.held_out, held_out=self.fitted)
+
+    def with_config(self, config: Config) -> "Division":
+        """Return the same dives with other settings."""
+        return replace(
+            self,
+            fitted=tuple(read.with_config(config) for read in self.fitted),
+            held_out=tuple(read.with_config(config) for read in self.held_out),
+        )
+
+
+def _rows_of(wanted: str, names: Sequence[str]) -> set[int]:
+    """Return the dives that are meant by a share, or by a name that several may have."""
+    try:
+        share = float(wanted)
+    except ValueError:
+        require_known("--hold-out", wanted, names)
+        return {row for row, name in enumerate(names) if name == wanted}
+    if not 0.0 < share < 1.0:
+        raise ConfigError(
+            f"--hold-out {wanted}: a share is between 0 and 1", "for example --hold-out 0.3"
+        )
+    return _spread(share, len(names))
+
+
+def _spread(share: float, dives: int) -> set[int]:
+    """Return a share of some dives, at least one, evenly spread and with the last."""
+    count = max(1, round(share * dives))
+    return {dives - 1 - round(number * dives / count) for number in range(count)}
+
+
+# --- Parts of a dive.
+
+
+def middle(dive: ReadDive) -> ReadDive:
+    """Return the middle of a long dive."""
+    from_s, to_s = _span_s(dive)
+    aside_s = 0.5 * (to_s - from_s - LONGEST_S)
+    if aside_s <= 0.0:
+        return dive
+    return _within(dive, from_s + aside_s, to_s - aside_s)
+
+
+def _span_s(dive: ReadDive) -> tuple[float, float]:
+    span = dive.config.span
+    time_ns = dive.dive.imu.time_ns
+    length_s = float(time_ns[-1] - time_ns[0]) / NS_PER_S
+    return span.start_s or 0.0, min(span.end_s or np.inf, length_s)
+
+
+def _within(dive: ReadDive, from_s: float, to_s: float) -> ReadDive:
+    span = msgspec.structs.replace(dive.config.span, start_s=from_s, end_s=to_s)
+    return dive.with_config(msgspec.structs.replace(dive.config, span=span))
