@@ -311,12 +311,13 @@ def inspect(
         Read all messages of each role, not only the first.
     """
     from insdvl_replay.batch.found import FoundDive
-    from insdvl_replay.batch.inspect_logs import inspect_dive
+    from insdvl_replay.batch.inspect_logs import Look, inspect_dive
     from insdvl_replay.inspection.inventory import inspection_result
 
     files = [FoundDive(path) for path in _logs(log)]
     settings = _settings(config).load()
-    inventory = inspect_dive(files, settings, deep=deep, allow_damaged=allow_damaged)
+    look = Look(deep=deep, one_dive=True, allow_damaged=allow_damaged)
+    inventory = inspect_dive(files, settings, look)
     return CommandResult(inspection_result(inventory, " ".join(str(file.path) for file in files)))
 
 

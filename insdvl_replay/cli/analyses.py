@@ -18,11 +18,12 @@ from insdvl_replay.cli.messages import (
     log_to_stderr,
     write_stdout,
 )
-from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.errors import ConfigError, LogError, UserError
 from insdvl_replay.core.urls import shown_url
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.found import FoundDive
+    from insdvl_replay.batch.studies import StudyFolder
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.settings_layers import SettingsLayers
@@ -78,7 +79,7 @@ def inspect(
       insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings
-    from insdvl_replay.batch.inspect_logs import inspect_dive
+    from insdvl_replay.batch.inspect_logs import Look, inspect_dive
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.cli.screen import fetch_with_progress, progress, written
     from insdvl_replay.core.settings_layers import SettingsLayers
@@ -88,25 +89,22 @@ def inspect(
     if propose is not None:
         require_replaceable_file(propose, force=force)
     layers = SettingsLayers(preset, config, settings, allow_code=True)
-    is_whole = deep or propose is not None
+    look = Look(
+        deep=deep or propose is not None,
+        one_dive=one_dive,
+        offline=offline,
+        allow_damaged=allow_damaged,
+    )
     found = find_dives(logs)
     configs = _settings_without_code(layers, found)
     if format_ == "html" and len(found) > 1 and not one_dive:
         text = f"--format html: is a page of one dive, found {len(found)}"
         raise ConfigError(text, "name one log")
-    is_fetched = is_whole or one_dive or offline
-    if is_fetched:
-        found = fetch_with_progress(found, offline=offline)
+    found = look.fetched(found, fetch_with_progress)
 
-    def look(files: "Sequence[FoundDive]") -> "Inventory":
+    def inspected_dive(files: "Sequence[FoundDive]") -> "Inventory":
         with progress(f"inspecting {files[0].path.name}"):
-            return inspect_dive(
-                files,
-                configs[files[0].settings],
-                deep=is_whole,
-                allow_damaged=allow_damaged,
-                is_fetched=is_fetched,
-            )
+            return inspect_dive(files, configs[files[0].settings], look)
 
     def show(files: "Sequence[FoundDive]", inventory: "Inventory") -> str:
         typed = _typed(files, layers, one_dive=one_dive, allow_damaged=allow_damaged)
@@ -114,10 +112,10 @@ def inspect(
 
     dives = _as_dives(found, one_dive=one_dive)
     if format_ == "json":
-        inspected, code = _inspect_each(dives, look, verbose)
+        inspected, code = _inspect_each(dives, inspected_dive, verbose)
         _write_inventories(inspected, is_list=len(dives) > 1)
     else:
-        inspected, code = _inspect_each(dives, look, verbose, show)
+        inspected, code = _inspect_each(dives, inspected_dive, verbose, show)
     if propose is not None and inspected:
         shared = shared_settings(found, "--propose")
         given = Given(configs[shared], layers.keys(shared))
@@ -470,15 +468,12 @@ def montecarlo(
 
         write_stdout(written(repeat_run(scenario, resolved, run, **asked), format_))
         return
-    _keep(
-        lambda: study_montecarlo(scenario, resolved, runs=runs, jobs=jobs, **asked)[0],
-        f"simulating {scenario}",
-        output / f"montecarlo-{scenario}",
-        format_,
-        verbose,
-        force=force,
-        png=png,
+    target = output / f"montecarlo-{scenario}"
+    folder = _study_folder(target, f"simulating {scenario}", force=force, png=png)
+    result = folder.keep(
+        lambda: study_montecarlo(scenario, resolved, runs=runs, jobs=jobs, **asked)[0]
     )
+    _print_study(result, folder, format_, verbose)
 
 
 @study.command(cls=opt.PlainCommand)
@@ -518,9 +513,9 @@ def window(
       insdvl-replay study window dive.mcap --longest 20
     """
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings
+    from insdvl_replay.batch.studies import window_study
     from insdvl_replay.cli.screen import fetch_with_progress
     from insdvl_replay.core.settings_layers import SettingsLayers
-    from insdvl_replay.studies.window import LEFT_OUT, study_window
 
     found = find_dives(logs)
     own = shared_settings(found, "study window")
@@ -528,25 +523,19 @@ def window(
     layers = SettingsLayers(preset, config, given, allow_code=True)
     resolved = layers.load(own).without_code()
     found = fetch_with_progress(found, offline=offline)
-    codes = [log_failure(dive.error, verbose) for dive in found if dive.error is not None]
-    dives = [dive.path for dive in found if dive.error is None]
-    if not dives:
-        return max(codes)
-    report = _keep(
-        lambda: study_window(dives, resolved, longest, jobs=jobs),
-        "comparing accelerations",
-        output / "window",
-        format_,
-        verbose,
-        force=force,
-        png=png,
-    )
-    left_out = [note.text for note in report.notes if note.code == LEFT_OUT]
-    if left_out:
-        log_to_stderr(
-            f"error: {len(left_out)} of {len(dives)} logs could not be used; the first: {left_out[0]}"
-        )
-    return max([*codes, LogError.exit_code if left_out else 0])
+    folder = _study_folder(output / "window", "comparing accelerations", force=force, png=png)
+
+    def failed(error: UserError) -> None:
+        log_failure(error, verbose)
+
+    done = window_study(found, resolved, longest, folder, failed, jobs=jobs)
+    if done.result is not None:
+        _print_study(done.result, folder, format_, verbose)
+    if done.left_out:
+        which = f"{len(done.left_out)} of {done.studied} logs"
+        first = done.left_out[0].text
+        log_to_stderr(f"error: {which} could not be used; the first: {first}")
+    return done.exit_code
 
 
 @study.command(cls=opt.PlainCommand)
@@ -587,41 +576,25 @@ def observability(
         preset, config, [*settings, *opt.span_settings(start, end)], allow_code=True
     ).without_code()
     target = output / f"observability-{dive_name(Path(dive))}"
-    _keep(
-        lambda: study_observability(dive, resolved, earth_rate=not no_earth_rate),
-        "stacking the measurements",
-        target,
-        format_,
-        verbose,
-        force=force,
-        png=png,
-    )
+    folder = _study_folder(target, "stacking the measurements", force=force, png=png)
+    result = folder.keep(lambda: study_observability(dive, resolved, earth_rate=not no_earth_rate))
+    _print_study(result, folder, format_, verbose)
 
 
-def _keep(
-    work: Callable[[], "Result"],
-    text: str,
-    target: Path,
-    format_: opt.Format,
-    verbose: int,
-    *,
-    force: bool,
-    png: bool,
-) -> "Result":
-    """Run a study, write its files, and print the result, its notes and its folder."""
-    from insdvl_replay.cli.screen import compiling, progress, written
-    from insdvl_replay.document.paper import require_matplotlib
-    from insdvl_replay.document.render import save_result
-    from insdvl_replay.results.folder import require_replaceable_folder, result_folder
+def _study_folder(target: Path, text: str, *, force: bool, png: bool) -> "StudyFolder":
+    """Return where a study is stored; its progress is shown with a text."""
+    from insdvl_replay.batch.studies import StudyFolder
+    from insdvl_replay.cli.screen import compiling, progress
 
-    require_replaceable_folder(target, force=force)
-    if png:
-        require_matplotlib()
-    with progress(text, remark=compiling()):
-        report = work()
-    with result_folder(target, force=force) as folder:
-        save_result(report, folder, png=png)
-    write_stdout(written(report, format_))
-    log_notes(report.notes, verbose=verbose > 0)
-    log_to_stderr(f"wrote {target}")
-    return report
+    return StudyFolder(target, force, png, lambda: progress(text, remark=compiling()))
+
+
+def _print_study(
+    result: "Result", folder: "StudyFolder", format_: opt.Format, verbose: int
+) -> None:
+    """Print a study that was stored, its notes and its folder."""
+    from insdvl_replay.cli.screen import written
+
+    write_stdout(written(result, format_))
+    log_notes(result.notes, verbose=verbose > 0)
+    log_to_stderr(f"wrote {folder.path}")

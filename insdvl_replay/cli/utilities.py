@@ -6,13 +6,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, get_args
 
 import typer
 
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.messages import log_info, log_to_stderr, write_stdout
-from insdvl_replay.core.errors import ConfigError, hint_for, require_known, visible
+from insdvl_replay.core.errors import ConfigError, require_known, visible
 from insdvl_replay.core.states import SENSORS
 from insdvl_replay.show.plots import PaperPlot
 
@@ -21,18 +21,6 @@ if TYPE_CHECKING:
 
 _Value = TypeVar("_Value")
 _SHORT_S = 10.0
-SCHEMAS = (
-    "config",
-    "report",
-    "inspection",
-    "study",
-    "comparison",
-    "calibration",
-    "check",
-    "start",
-)
-"""Everything with a JSON schema: the settings, `report.json` of a replay and of a study, and the `--format json` output
-of the other commands."""
 
 
 def simulate(
@@ -231,84 +219,9 @@ def schema(
       insdvl-replay schema report
       insdvl-replay schema insdvl_msgs/msg/NavSolution
     """
-    from insdvl_replay.core.errors import LogError
+    from insdvl_replay.batch.schemas import schema_text
 
-    if name is None:
-        write_stdout("".join(f"{known}\n" for known in SCHEMAS))
-    elif name in SCHEMAS:
-        write_stdout(json_schema(name).decode())
-    else:
-        from insdvl_replay.logs.formats.definitions import definition_text
-
-        known = [*SCHEMAS, "a message type such as insdvl_msgs/msg/NavSolution"]
-        try:
-            write_stdout(definition_text(name))
-        except LogError as error:
-            raise ConfigError(
-                f"schema '{name}' is not known", hint_for(name, known, most=len(known))
-            ) from error
-
-
-def json_schema(name: str) -> bytes:
-    """Return the JSON schema (draft 2020-12) of one of `SCHEMAS`."""
-    import msgspec
-
-    from insdvl_replay.calibration.rows import TABLES as CALIBRATION
-    from insdvl_replay.changes.formats import CheckReport
-    from insdvl_replay.core.config import ConfigFile
-    from insdvl_replay.core.report import Report, as_json
-    from insdvl_replay.document.parts import ResultJson
-    from insdvl_replay.document.render import result_schema
-    from insdvl_replay.inspection.inventory import Inventory
-
-    kinds: dict[str, type] = {
-        "config": ConfigFile,
-        "report": Report,
-        "inspection": Inventory,
-        "study": ResultJson,
-        "check": CheckReport,
-    }
-    if name == "comparison":  # the other schemas do not wait for scipy
-        from insdvl_replay.changes.comparison import Comparison
-
-        kinds[name] = Comparison
-    if name == "start":  # nor for numba
-        from insdvl_replay.nav.user_candidate import StartFile
-
-        kinds[name] = StartFile
-    schema = msgspec.json.schema(kinds[name]) if name in kinds else result_schema(CALIBRATION)
-    described: dict[str, Any] = {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": f"insdvl-replay {'configuration' if name == 'config' else name}",
-        **_with_words(schema),
-    }
-    if name == "config":
-        filters = described["$defs"]["ConfigFile"]["properties"]["filters"]
-        filters["additionalProperties"] = {
-            "anyOf": [filters["additionalProperties"], {"const": False}]
-        }
-    return as_json(described)
-
-
-def _with_words(schema: dict[str, Any]) -> dict[str, Any]:
-    """Put the allowed words of a value where it is described, not into separate definitions."""
-    definitions = schema["$defs"]
-    words = {
-        f"#/$defs/{name}": found["enum"] for name, found in definitions.items() if "enum" in found
-    }
-
-    def listed(part: Any) -> Any:
-        if isinstance(part, list):
-            return [listed(inner) for inner in part]
-        if not isinstance(part, dict):
-            return part
-        if part.get("$ref") in words:
-            part = {"enum": words[part["$ref"]], **part}
-            del part["$ref"]
-        return {key: listed(inner) for key, inner in part.items()}
-
-    others = {name: found for name, found in definitions.items() if "enum" not in found}
-    return {**schema, "$defs": listed(others)}
+    write_stdout(schema_text(name))
 
 
 def explain(

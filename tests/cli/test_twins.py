@@ -3,7 +3,7 @@
 import contextlib
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,15 +14,23 @@ from small_results import content, write
 
 import insdvl_replay
 from insdvl_replay import DiveResult, load_config, replay_log
+from insdvl_replay.batch.dive_paths import find_dives
+from insdvl_replay.batch.found import FoundDive
+from insdvl_replay.batch.inspect_logs import Look, inspect_dive
+from insdvl_replay.batch.manifest import fetch_dives
+from insdvl_replay.batch.schemas import SCHEMAS, schema_text
+from insdvl_replay.batch.studies import StudyFolder, WindowStudy, window_study
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.report import as_json
+from insdvl_replay.document.parts import Result
 from insdvl_replay.document.render import result_json
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 ONE_START = {"evaluation.starts": 1}
 GIVEN = ["--set", "evaluation.starts=1"]
+REMOTE = "https://logs.example/dive.mcap"
 VEHICLE = """
 [dvl]
 velocity_sd_mps = 0.004
@@ -288,6 +296,38 @@ def test_what_is_in_a_log(logs: Path) -> None:
         assert as_json(found.content.data).decode() == done.stdout
 
 
+@pytest.mark.parametrize(
+    ("look", "is_fetched"),
+    [
+        (Look(), False),
+        (Look(allow_damaged=True), False),
+        (Look(deep=True), True),
+        (Look(one_dive=True), True),
+        (Look(offline=True), True),
+    ],
+)
+def test_of_a_remote_log_the_summary_is_enough_unless_more_is_asked_for(
+    look: Look, is_fetched: bool
+) -> None:
+    asked = list[bool]()
+
+    def fetch(dives: Sequence[FoundDive], *, offline: bool = False) -> list[FoundDive]:
+        asked.append(offline)
+        return list(dives)
+
+    found = find_dives([REMOTE])
+    assert look.fetched(found, fetch) == found
+    assert asked == [look.offline] * is_fetched
+
+
+def test_a_look_at_a_remote_log_that_is_not_in_the_cache(tmp_path: Path) -> None:
+    done = done_here("inspect", REMOTE, "--offline", cwd=tmp_path)
+    look = Look(offline=True)
+    files = look.fetched(find_dives([REMOTE]), fetch_dives)
+    refusal = refused(lambda: inspect_dive(files, load_config(), look), tmp_path)
+    assert (done.returncode, done.stderr.splitlines()[-1]) == refusal
+
+
 def test_settings_that_are_proposed(logs: Path, tmp_path: Path) -> None:
     (tmp_path / "given.toml").write_text("[dvl]\nscale = 1.0\n", "utf-8")
     log = logs / "still.mcap"
@@ -317,6 +357,68 @@ def test_a_calibration_that_finds_nothing_proposes_nothing(logs: Path, tmp_path:
     assert "nothing could be estimated" in done.stderr
     assert not (tmp_path / "found.toml").exists()
     assert insdvl_replay.calibrate(log, only=["arm"]).settings == ""
+
+
+# --- study
+
+
+def windows_of(folder: Path, *logs: Path | str, offline: bool = False) -> WindowStudy:
+    """Study the windows of logs as the command does."""
+    found = fetch_dives(find_dives([str(log) for log in logs]), offline=offline)
+    config = load_config(settings=ONE_START)
+    return window_study(found, config, 3, StudyFolder(folder), lambda _: None)
+
+
+def test_a_study_of_windows(logs: Path, tmp_path: Path) -> None:
+    words = ["--longest", "3", "--format", "json", *GIVEN]
+    for name in ("dive", "broken"):
+        shutil.copy(logs / f"{name}.mcap", tmp_path)
+    dive = tmp_path / "dive.mcap"
+    broken = tmp_path / "broken.mcap"
+    for place, files in (("good", [dive]), ("some", [dive, broken])):
+        command = ["study", "window", *files, *words, "-o", place]
+        done = done_here(*command, cwd=tmp_path)
+        found = windows_of(tmp_path / place / "python", *files)
+        assert found.result is not None
+        assert json.loads(result_json(found.result)) == json.loads(done.stdout)
+        assert done.returncode == found.exit_code
+        assert len(found.left_out) == (broken in files)
+        ours = report_of(tmp_path / place / "window")
+        assert report_of(tmp_path / place / "python") == ours
+
+
+def test_a_study_of_logs_that_cannot_be_had(tmp_path: Path) -> None:
+    done = done_here("study", "window", REMOTE, "--offline", cwd=tmp_path)
+    found = windows_of(tmp_path / "python", REMOTE, offline=True)
+    assert found.result is None
+    assert (done.returncode, len(found.missing)) == (found.exit_code, 1)
+    assert found.exit_code != 0
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_study_does_not_begin_where_it_cannot_be_stored(tmp_path: Path) -> None:
+    (tmp_path / "window").mkdir()
+    (tmp_path / "window" / "mine.txt").touch()
+
+    def study() -> Result:
+        pytest.fail("the study began")
+
+    code, _ = refused(lambda: StudyFolder(tmp_path / "window").keep(study), tmp_path)
+    command = ["study", "montecarlo", "straight", "--runs", "2", "-o", "here"]
+    (tmp_path / "window").rename(tmp_path / "montecarlo-straight")
+    (tmp_path / "here").mkdir()
+    (tmp_path / "montecarlo-straight").rename(tmp_path / "here" / "montecarlo-straight")
+    assert done_here(*command, cwd=tmp_path).returncode == code
+
+
+# --- schema
+
+
+@pytest.mark.parametrize("name", [None, *SCHEMAS, "insdvl_msgs/msg/NavSolution"])
+def test_a_schema(name: str | None, tmp_path: Path) -> None:
+    words = [] if name is None else [name]
+    done = done_here("schema", *words, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, schema_text(name))
 
 
 # --- Stored results, simulated dives, settings
@@ -401,6 +503,7 @@ def test_resolved_settings(team: Path) -> None:
             "simulate straight -o dive.mcap",
             lambda: insdvl_replay.simulate("straight", "dive.mcap"),
         ),
+        ("schema reprot", lambda: schema_text("reprot")),
         ("config --preset foggy", lambda: load_config(preset="foggy")),
         ("config --set dvl.scle=1", lambda: load_config(settings=["dvl.scle=1"])),
     ],

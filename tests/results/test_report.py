@@ -16,7 +16,7 @@ from made_reports import report, tables, unreferenced
 from msgspec.structs import replace
 from rich.console import Console
 
-from insdvl_replay.cli.utilities import SCHEMAS, json_schema
+from insdvl_replay.batch.schemas import SCHEMAS, json_schema
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.report import Tool, decode_report
 from insdvl_replay.core.report import as_json as encode_report
