@@ -34,15 +34,16 @@ from insdvl_replay.core.errors import ConfigError, LogError, UserError, counted,
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import PooledRow, finite, share_text
-from insdvl_replay.core.words import Verdict
+from insdvl_replay.core.words import ReasonCode, Verdict
 from insdvl_replay.document.looks import style_sheet
-from insdvl_replay.evaluation.answers import BAD, GOOD, CandidateAnswer, Undecided
+from insdvl_replay.evaluation.answers import BAD, GOOD, CandidateAnswer
 from insdvl_replay.evaluation.sentences import (
     headline,
     interval_text,
     plan_line,
     ratio_text,
     ratio_with_interval,
+    why_undecided,
 )
 from insdvl_replay.show import answers
 from insdvl_replay.show.dives import NO_EVIDENCE
@@ -86,7 +87,7 @@ HEADER = (
     "command",
 )
 BEST_FIRST = [*Verdict]
-TOO_FEW = (Undecided.ONE_DIVE, Undecided.FEW_DIVES)
+TOO_FEW = (ReasonCode.ONE_DIVE, ReasonCode.FEW_DIVES)
 # Pixels: of the picture, and above each plot.
 WIDTH = 860
 ABOVE = 30
@@ -206,7 +207,11 @@ class Cell:
         }
         for dive, why in (words | self.reasons).items():
             dives.setdefault(plain_reason(why, dive), []).append(dive)
-        pieces = [self.answer.undecided if self.answer else NO_EVIDENCE if self.reports else ""]
+        pieces = []
+        if self.answer is not None:
+            pieces.append(why_undecided(self.answer))
+        elif self.reports:
+            pieces.append(NO_EVIDENCE)
         for why, names in dives.items():
             part = f" on {len(names)} of {counted(len(words | self.reasons), 'dive')}"
             named = "" if self.data_set == ALL else f" ({', '.join(names)})"

@@ -26,7 +26,7 @@ from insdvl_replay.core.quantities import (
 )
 from insdvl_replay.core.report import StoredReport
 from insdvl_replay.core.tables import TABLES, EvidenceRow, Number, finite
-from insdvl_replay.core.words import Role, Verdict
+from insdvl_replay.core.words import ReasonCode, Role, Verdict
 from insdvl_replay.evaluation import answers
 from insdvl_replay.evaluation.answers import BAD, pooled_candidate, primary_of
 from insdvl_replay.evaluation.evidence import role_alone
@@ -191,7 +191,7 @@ def _answer(paired: _Paired, level: float) -> Answer:
     return replace(
         answer,
         verdict=Verdict.NO_EFFECT if is_equal else Verdict.EQUIVALENT,
-        undecided=answers.Undecided.NONE,
+        undecided=ReasonCode.NONE,
         sentence=f"{name} {answer.sameness}.",
     )
 

@@ -24,7 +24,7 @@ PRINTED_PERCENT_UNIT: Final = 0.1
 # Relative difference from rounding, by another processor or binary fractions: 0.3 - 0.2 is not more than 0.1.
 ROUNDING: Final = 1e-9
 # Columns with sentences, which are about numbers in other cells.
-PROSE: Final = frozenset(("sentence", "reason", "why"))
+PROSE: Final = frozenset(("sentence", "reason"))
 # Columns that identify a row, with its key.
 _NAMES: Final = frozenset(("log", "filter", "unit"))
 

@@ -18,7 +18,7 @@ from insdvl_replay.changes.differences import Difference
 from insdvl_replay.core.errors import counted, listed, natural_key
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
 from insdvl_replay.core.tables import CANDIDATES, RATIO, PooledRow, finite
-from insdvl_replay.core.words import ChangeVerdict, Verdict
+from insdvl_replay.core.words import ChangeVerdict, ReasonCode, Verdict
 from insdvl_replay.document.parts import (
     PAGE,
     PRINTED,
@@ -32,7 +32,6 @@ from insdvl_replay.document.parts import (
     Title,
 )
 from insdvl_replay.document.tables import MISSING, ShownColumn, table_of
-from insdvl_replay.evaluation.answers import Undecided
 from insdvl_replay.evaluation.sentences import (
     grounds,
     interval_text,
@@ -206,7 +205,7 @@ def _said(answer: Answer) -> str:
     if answer.verdict in WITHOUT_VERDICT:
         return f"evaluated in only {answer.evaluated} of {dives}: {answer.reason}"
     found = [answer.sameness if answer.is_same else grounds(answer)]
-    if answer.undecided not in (Undecided.NONE, Undecided.ONE_DIVE):
+    if answer.undecided not in (ReasonCode.NONE, ReasonCode.ONE_DIVE):
         found.append(plan_line(answer).rstrip("."))
     if answer.lost:
         found.append(f"no longer evaluated in {answer.lost} of {dives}: {answer.reason}")

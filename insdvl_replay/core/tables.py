@@ -30,6 +30,7 @@ from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import (
     EvidenceVerdict,
     Prediction,
+    Reason,
     ReasonCode,
     Role,
     Settling,
@@ -172,7 +173,10 @@ def _each_with_axes(measurements: Mapping[str, Sequence[str]]) -> Iterator[str]:
             yield axis_of(name, axis)
 
 
-_WHY: Final = Col("Reason, if the verdict differs from the interval.")
+_REASONS: Final = tuple(reason for reason in Reason if reason)
+_WHY: Final = Col(
+    f"Why the verdict differs from the interval: {', '.join(_REASONS)}; empty where it does not."
+)
 _STATE: Final = Col(names=tuple(state.id for state in STATES), head="state", form="label")
 _MEASUREMENTS: Final = tuple(_each_with_axes(MEASUREMENTS))
 _CREDIBILITY: Final = (

@@ -21,12 +21,12 @@ class Reason(StrEnum):
     """Why a verdict of `Consistency` differs from the interval of the mean."""
 
     NONE = ""
-    NEAR = "within 10 % of the expected value"  # Outside, but so near that it does not matter.
+    NEAR = "near"  # Outside, but so near that it does not matter.
     # Below: a filter that starts on the reference has smaller errors than its sigma for a while.
-    EXACT_START = "errors are small at first, since the filter starts on the reference"
+    EXACT_START = "exact start"
     # Below, but a lasting error is one sample and may be small by chance.
-    ONE_SAMPLE = "a lasting error counts as one sample"
-    BEYOND_3_SD = "too many errors beyond 3 sd"  # Inside, but more than chance allows.
+    ONE_SAMPLE = "one sample"
+    BEYOND_3_SD = "beyond 3 sd"  # Inside, but more than chance allows.
 
 
 class Whiteness(StrEnum):

@@ -8,7 +8,6 @@ same rule. One dive has no verdict, except where it is proved how little the can
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from enum import StrEnum
 from typing import Annotated, Final, TypeVar
 
 import numpy as np
@@ -84,27 +83,6 @@ GOOD: Final = (Verdict.BETTER, Verdict.BETTER_WITHOUT_DVL)
 BAD: Final = (Verdict.WORSE, Verdict.WORSE_WITHOUT_DVL, Verdict.MIXED)
 
 
-class Undecided(StrEnum):
-    """Why there is no word."""
-
-    NONE = ""
-    ONE_DIVE = "one dive cannot tell whether the next one will be"
-    FEW_DIVES = "fewer than three dives"
-    NO_PRIMARY = "no quantity that may decide was measured"
-    NOISE = "most of the error is noise of the reference"
-    WIDE = "the interval reaches into the band"
-
-
-_CODES: Final = {
-    Undecided.NONE: ReasonCode.NONE,
-    Undecided.ONE_DIVE: ReasonCode.ONE_DIVE,
-    Undecided.FEW_DIVES: ReasonCode.FEW_DIVES,
-    Undecided.NO_PRIMARY: ReasonCode.NO_PRIMARY,
-    Undecided.NOISE: ReasonCode.NOISE,
-    Undecided.WIDE: ReasonCode.WIDE,
-}
-
-
 class Answer(Struct, frozen=True, kw_only=True):
     """The verdict on a filter against another, by one dive or by several together."""
 
@@ -127,8 +105,8 @@ class Answer(Struct, frozen=True, kw_only=True):
         Meta(description="the second answer: sooner, later, same or undecided; empty: not known"),
     ]
     undecided: Annotated[
-        Undecided, Meta(description="why the verdict is undecided; empty where it is not")
-    ] = Undecided.NONE
+        ReasonCode, Meta(description="why the verdict is undecided; empty where it is not")
+    ] = ReasonCode.NONE
     reason: Annotated[
         str,
         Meta(
@@ -439,26 +417,26 @@ def seen_controls(rows: Sequence[PooledRow]) -> tuple[list[str], list[str]]:
 # --- The verdict.
 
 
-def verdict_of(rows: Sequence[PooledRow], dives: int) -> tuple[Verdict, Undecided]:
+def verdict_of(rows: Sequence[PooledRow], dives: int) -> tuple[Verdict, ReasonCode]:
     """Return the verdict of the rows of one candidate, and why it is undecided."""
     most = largest_acts(rows)
     if most < NO_EFFECT:
-        return Verdict.NO_EFFECT, Undecided.NONE
+        return Verdict.NO_EFFECT, ReasonCode.NONE
     primary = _row_with(rows, Role.PRIMARY)
     if most < PROVED:
-        return _of_quantity(Verdict.EQUIVALENT, primary), Undecided.NONE
+        return _of_quantity(Verdict.EQUIVALENT, primary), ReasonCode.NONE
     if dives == 1:
-        return Verdict.UNDECIDED, Undecided.ONE_DIVE
+        return Verdict.UNDECIDED, ReasonCode.ONE_DIVE
     if primary is None or not math.isfinite(finite(primary.ratio)):
-        return Verdict.UNDECIDED, Undecided.NO_PRIMARY
+        return Verdict.UNDECIDED, ReasonCode.NO_PRIMARY
     if starts_contradict(primary, _drawn_row(rows)):
-        return Verdict.MIXED, Undecided.NONE
+        return Verdict.MIXED, ReasonCode.NONE
     word = EvidenceVerdict(primary.verdict)
     if word == EvidenceVerdict.UNDECIDED:
         return Verdict.UNDECIDED, _why_undecided(primary)
     if word == EvidenceVerdict.BETTER and _is_warned(rows):
-        return Verdict.MIXED, Undecided.NONE
-    return _of_quantity(Verdict(word.value), primary), Undecided.NONE
+        return Verdict.MIXED, ReasonCode.NONE
+    return _of_quantity(Verdict(word.value), primary), ReasonCode.NONE
 
 
 def _is_warned(rows: Sequence[PooledRow]) -> bool:
@@ -510,12 +488,12 @@ def _of_quantity(verdict: Verdict, primary: PooledRow | None) -> Verdict:
     return verdict
 
 
-def _why_undecided(primary: PooledRow) -> Undecided:
+def _why_undecided(primary: PooledRow) -> ReasonCode:
     if primary.dives < FEWEST_DIVES:
-        return Undecided.FEW_DIVES
+        return ReasonCode.FEW_DIVES
     if word_of_interval(finite(primary.low), finite(primary.high)) == EvidenceVerdict.EQUIVALENT:
-        return Undecided.NOISE
-    return Undecided.WIDE
+        return ReasonCode.NOISE
+    return ReasonCode.WIDE
 
 
 def pooled_candidate(
@@ -548,7 +526,7 @@ def pooled_candidate(
         words = _words_of_two(evidence, primary, level, vehicles)
         if _contradict(word for word, _ in words):
             verdict = Verdict.MIXED
-            undecided = Undecided.NONE
+            undecided = ReasonCode.NONE
         if _contradict(word_always for _, word_always in words):
             always = Verdict.MIXED
     if 2 * len(evidence) <= dives:
@@ -556,7 +534,7 @@ def pooled_candidate(
         if 2 * not_repeatable > dives - len(evidence):
             verdict = Verdict.NOT_REPEATABLE
         always = verdict
-        undecided = Undecided.NONE
+        undecided = ReasonCode.NONE
         reason = reason or "too few dives are evaluated"
     settling_row = _row_with(rows, Role.SETTLING)
     return CandidateAnswer(
@@ -751,7 +729,7 @@ def reason_code_of(answer: Answer) -> ReasonCode:
     if answer.verdict in WITHOUT_VERDICT:
         return ReasonCode.EXCLUDED
     if answer.verdict != Verdict.MIXED:
-        return _CODES[answer.undecided]
+        return answer.undecided
     if answer.is_by_heading:
         return ReasonCode.START
     primary = answer.decisive

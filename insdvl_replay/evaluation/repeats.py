@@ -8,7 +8,8 @@ decide, so that by the same proof as in `evidence` a smaller one cannot turn a v
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
+from enum import Enum, auto
+from typing import Final
 
 import numpy as np
 
@@ -23,12 +24,19 @@ from insdvl_replay.evaluation.reference_errors import reference_errors
 from insdvl_replay.geometry.frames import north_east_m
 
 
-class Change(StrEnum):
-    """How the input of another run differs, in words."""
+class Change(Enum):
+    """How the input of another run differs."""
 
-    AGAIN = ""  # It does not.
-    STAMPS = "when all stamps move by 1 us"
-    SAMPLES = "when one IMU sample in 10,000 is repeated"
+    AGAIN = auto()  # It does not.
+    STAMPS = auto()
+    SAMPLES = auto()
+
+
+_WHEN: Final = {
+    Change.AGAIN: "in a second run",
+    Change.STAMPS: "when all stamps move by 1 us",
+    Change.SAMPLES: "when one IMU sample in 10,000 is repeated",
+}
 
 
 @dataclass(frozen=True)
@@ -48,14 +56,19 @@ class Repeat:
         """Whether the answer moves so far that a verdict by it means nothing."""
         return bool(self.failure) or self.acts >= PROVED
 
+    @property
+    def when(self) -> str:
+        """Say in which run, by how its input differs."""
+        return _WHEN[self.change]
+
     def text(self, baseline: str) -> str:
         """Say how far the answer moves, and when."""
         if self.failure:
-            return f"fails {self.change or 'in a second run'}: {self.failure}"
+            return f"fails {self.when}: {self.failure}"
         moved = self._moved(baseline)
         if self.change == Change.AGAIN:
-            return f"gives another answer in a second run, which moves {moved}"
-        return f"moves {moved}, {self.change}"
+            return f"gives another answer {self.when}, which moves {moved}"
+        return f"moves {moved}, {self.when}"
 
     def _moved(self, baseline: str) -> str:
         """Say what moves, and how far."""

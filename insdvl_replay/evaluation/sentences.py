@@ -1,21 +1,20 @@
 """The words of an answer: its headline, and the lines below it. Each is written here and nowhere else."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from insdvl_replay.core.dive_record import StartHeading
 from insdvl_replay.core.errors import counted
 from insdvl_replay.core.quantities import DRAWN_HEADING, FEWEST_DIVES, WITHOUT_VERDICT, label
 from insdvl_replay.core.tables import Number, PooledRow, finite, share_text, two_digits
-from insdvl_replay.core.words import HeadingSource, Prediction, Verdict
+from insdvl_replay.core.words import HeadingSource, Prediction, Reason, ReasonCode, Verdict
 from insdvl_replay.evaluation.answers import (
     BAD,
     GOOD,
     NOTABLE_PCT,
     Answer,
     CandidateAnswer,
-    Undecided,
     seen_controls,
 )
 from insdvl_replay.evaluation.interval import change_found, dives_needed
@@ -39,6 +38,33 @@ _HEADINGS: Final = {
 }
 
 
+# Why there is no word.
+_UNDECIDED: Final = {
+    ReasonCode.ONE_DIVE: "one dive cannot tell whether the next one will be",
+    ReasonCode.FEW_DIVES: "fewer than three dives",
+    ReasonCode.NO_PRIMARY: "no quantity that may decide was measured",
+    ReasonCode.NOISE: "most of the error is noise of the reference",
+    ReasonCode.WIDE: "the interval reaches into the band",
+}
+# Why a verdict on a filter's consistency differs from its interval.
+_IN_SPITE: Final[Mapping[str, str]] = {
+    Reason.NEAR: "within 10 % of the expected value",
+    Reason.EXACT_START: "errors are small at first, since the filter starts on the reference",
+    Reason.ONE_SAMPLE: "a lasting error counts as one sample",
+    Reason.BEYOND_3_SD: "too many errors beyond 3 sd",
+}
+
+
+def why_undecided(answer: Answer) -> str:
+    """Say why an answer has no word; empty where it has one."""
+    return _UNDECIDED.get(answer.undecided, "")
+
+
+def why_in_spite(reason: str) -> str:
+    """Say why a verdict on a filter's consistency differs from its interval; early results have the sentence itself."""
+    return _IN_SPITE.get(reason, reason)
+
+
 def shouted(verdict: str) -> str:
     """Write the word of a verdict in capitals."""
     return verdict.upper()
@@ -46,7 +72,7 @@ def shouted(verdict: str) -> str:
 
 def word_of(answer: Answer) -> str:
     """Return the verdict in capitals; one dive has none."""
-    if answer.undecided == Undecided.ONE_DIVE:
+    if answer.undecided == ReasonCode.ONE_DIVE:
         return "one dive"
     return shouted(answer.verdict)
 
@@ -120,7 +146,7 @@ def headline(answer: Answer) -> str:
     said = grounds(answer)
     if not said:
         return word
-    if _is_measured(answer) and answer.undecided == Undecided.ONE_DIVE:
+    if _is_measured(answer) and answer.undecided == ReasonCode.ONE_DIVE:
         return said
     return f"{word}, {said}"
 
@@ -136,8 +162,8 @@ def grounds(answer: Answer) -> str:
         if answer.reason:
             return f"no evidence: {answer.reason}"
         return "no evidence"
-    if answer.undecided == Undecided.ONE_DIVE:
-        return f"on this dive {changed(primary)}; {answer.undecided}"
+    if answer.undecided == ReasonCode.ONE_DIVE:
+        return f"on this dive {changed(primary)}; {why_undecided(answer)}"
     return ", ".join(_for_and_against(answer, primary))
 
 

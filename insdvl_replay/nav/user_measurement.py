@@ -17,12 +17,17 @@
 Every table has rows for it, by its name.
 """
 
+import ast
 import importlib
 import inspect
+import linecache
+import math
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cache
+from types import BuiltinFunctionType
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -140,6 +145,48 @@ def failure_text(error: BaseException, kind: type) -> str:
     lines = [frame.lineno for frame in frames if frame.filename == file]
     where = f" in line {lines[-1]} of {file}" if lines else ""
     return f"{where}: {type(error).__name__}" + (f": {error}" if str(error) else "")
+
+
+def is_of_math(error: ValueError) -> bool:
+    """Return whether a function of `math` raised an error, as it does outside its domain.
+
+    Such an error has no code. But a function that is not written in Python has no frame of its own, so that the
+    innermost one is its caller's, at the call.
+    """
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    if trace is None:
+        return False
+    frame = trace.tb_frame
+    positions = [*frame.f_code.co_positions()]
+    names = _called_at(frame.f_code.co_filename, positions[trace.tb_lasti // 2])
+    if not names:
+        return False
+    first, *others = names
+    called = (frame.f_globals | frame.f_locals).get(first)
+    for name in others:
+        called = getattr(called, name, None)
+    return isinstance(called, BuiltinFunctionType) and called.__module__ == math.__name__
+
+
+@cache
+def _called_at(
+    file: str,
+    place: tuple[int | None, int | None, int | None, int | None],  # lines, and columns in bytes
+) -> tuple[str, ...]:
+    """Return the dotted name of the function that is called at a place of a file; empty where none is."""
+    try:
+        tree = ast.parse("".join(linecache.getlines(file)))
+    except SyntaxError:
+        return ()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            found = (node.lineno, node.end_lineno, node.col_offset, node.end_col_offset)
+            name = ast.unparse(node.func)
+            if found == place and name.replace(".", "").isidentifier():
+                return tuple(name.split("."))
+    return ()
 
 
 def load_plugin(word: str, base: type[Kind]) -> Kind:

@@ -47,6 +47,7 @@ from insdvl_replay.nav.user_measurement import (
     checked_readings,
     compiled_prediction,
     failure_text,
+    is_of_math,
     joined,
     load_plugin,
 )
@@ -69,11 +70,6 @@ POSITION = 12
 _STEPS: Final = (1e-5, 1e-6, 1e-5, 1e-7, 0.01)
 # share by which an entry of H may differ from differences: it may be simplified
 _TOLERANCE: Final = 0.1
-# errors of `math` outside a domain, up to Python 3.13 and later
-_OUTSIDE: Final = (
-    "math domain error",
-    "expected ",
-)
 
 _T = TypeVar("_T")
 
@@ -297,8 +293,10 @@ def _uncompiled_prediction(plugin: str, user: UserMeasurement, hint: str) -> Pre
         try:
             with np.errstate(all="ignore"):
                 predict(ins, z, H)
-        except (ArithmeticError, ValueError) as error:
-            if isinstance(error, ValueError) and not str(error).startswith(_OUTSIDE):
+        except ArithmeticError:
+            z[:] = np.nan
+        except ValueError as error:
+            if not is_of_math(error):
                 raise
             z[:] = np.nan
 

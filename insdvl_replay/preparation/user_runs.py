@@ -552,7 +552,7 @@ def _steady(repeats: Sequence[Repeat]) -> str:
     moved = []
     for repeat in repeats:
         if not repeat.is_off and math.isfinite(repeat.moves_m):
-            moved.append(f"{metres(repeat.moves_m)} {repeat.change}")
+            moved.append(f"{metres(repeat.moves_m)} {repeat.when}")
     if not moved:
         return ""
     return f"; its position moves by {', and by '.join(moved)}"

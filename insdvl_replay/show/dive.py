@@ -59,7 +59,7 @@ from insdvl_replay.document.tables import (
     significant,
     table_of,
 )
-from insdvl_replay.evaluation.sentences import answer_lines, grounds
+from insdvl_replay.evaluation.sentences import answer_lines, grounds, why_in_spite
 from insdvl_replay.evaluation.verdicts import SHARED, consistency_of, trust_sentence
 from insdvl_replay.show.answers import (
     TONES,
@@ -295,13 +295,17 @@ def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str
         case "reference_error":
             return _missing_errors(of_filter(name, report.tables.reference_error))
         case "consistency":
-            return _in_spite((row.why, f"{row.filter} {row.measurement}") for row in rows)
+            return _in_spite(
+                (why_in_spite(row.why), f"{row.filter} {row.measurement}") for row in rows
+            )
         case "credibility":
             expected = (
                 f"Expected NEES: 1 for one quantity, 3 for a group, {rows[-1].dof} for all. Shares: 68.3 % in 1 "
                 "sd, 99.7 % in 3 sd. The reference is taken as exact. "
             )
-            return expected + _in_spite((row.why, label(row.quantity)) for row in rows)
+            return expected + _in_spite(
+                (why_in_spite(row.why), label(row.quantity)) for row in rows
+            )
     return ""
 
 

@@ -39,6 +39,7 @@ from insdvl_replay.evaluation.ensemble import (
     runs_table,
     verdict_table,
 )
+from insdvl_replay.evaluation.sentences import why_in_spite
 from insdvl_replay.nav.algebra import rotation_from_vector, vector
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.levelling import Start
@@ -277,7 +278,7 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
     for row in tables["verdicts"].itertuples():
         sentence = f"{row.filter} is {row.verdict}"
         if row.why:
-            sentence += f" ({row.why})"
+            sentence += f" ({why_in_spite(row.why)})"
         if row.verdict == Consistency.INSUFFICIENT:
             sentence = f"{row.filter}: too few runs for a verdict"
         yield (

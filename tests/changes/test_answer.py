@@ -19,6 +19,7 @@ from insdvl_replay.changes.matching import Pair
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.report import StoredReport, StoredResult
+from insdvl_replay.core.words import ReasonCode
 from insdvl_replay.document.render import render
 from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.show.result_files import report_of
@@ -120,9 +121,7 @@ def test_one_dive_has_a_statement_and_no_verdict(tmp_path: Path) -> None:
     """However large the change is, the next dive may differ."""
     found = answers(tmp_path, every([2.0]))
     assert {answer.verdict for answer in found} == {"undecided"}
-    assert {answer.undecided for answer in found} == {
-        "one dive cannot tell whether the next one will be"
-    }
+    assert {answer.undecided for answer in found} == {ReasonCode.ONE_DIVE}
     for line in answer_lines(found):
         assert "on this dive position 100.0 % larger; one dive cannot tell" in line.text
         assert line.tone == ""
@@ -182,7 +181,7 @@ def test_filters_are_not_equal_by_the_noise_of_the_reference(tmp_path: Path) -> 
             tmp_path / f"{noise}" / "old", tmp_path / f"{noise}" / "new"
         ).answers
         assert baseline.verdict == verdict
-    assert baseline.undecided == "most of the error is noise of the reference"
+    assert baseline.undecided == ReasonCode.NOISE
 
 
 def test_a_filter_that_is_no_longer_evaluated_is_counted(tmp_path: Path) -> None:

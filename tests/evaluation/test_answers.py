@@ -10,9 +10,9 @@ import pytest
 from made_verdicts import evidence_row
 
 from insdvl_replay.core.tables import EvidenceRow, PooledRow
+from insdvl_replay.core.words import ReasonCode
 from insdvl_replay.evaluation.answers import (
     CandidateAnswer,
-    Undecided,
     pooled_candidate,
     primary_of,
 )
@@ -101,7 +101,7 @@ def test_settings_are_respected_even_where_a_dive_lacks_what_they_name() -> None
     found = answer(dives, primary="drift_60s")
     assert (found.verdict, found.primary) == ("better", "drift_60s")
     lacking = answer(dives_of({"position": BETTER}), primary="drift_60s")
-    assert (lacking.verdict, lacking.undecided) == ("undecided", Undecided.NO_PRIMARY)
+    assert (lacking.verdict, lacking.undecided) == ("undecided", ReasonCode.NO_PRIMARY)
 
 
 # --- The word.
@@ -235,7 +235,7 @@ def test_candidate_that_moves_no_error_by_a_hundredth_has_no_effect() -> None:
 def test_one_row_that_is_moved_takes_the_proof_away() -> None:
     dives = [[evidence_row("position", 1.0, acts=0.001), evidence_row("drift_30s", 1.0, acts=0.2)]]
     found = answer(dives)
-    assert (found.verdict, found.undecided) == ("undecided", Undecided.ONE_DIVE)
+    assert (found.verdict, found.undecided) == ("undecided", ReasonCode.ONE_DIVE)
     assert found.acting is not None
     assert found.acting.quantity == "drift_30s"
 
@@ -270,7 +270,7 @@ def test_identical_results_say_the_likely_reason() -> None:
 def test_noise_of_the_reference_makes_no_filters_equivalent() -> None:
     """Errors that are the reference's own are equal for any two filters."""
     noisy = answer(dives_of({"position": EQUAL}, noise=0.6))
-    assert (noisy.verdict, noisy.undecided) == ("undecided", Undecided.NOISE)
+    assert (noisy.verdict, noisy.undecided) == ("undecided", ReasonCode.NOISE)
     assert verdict({"position": EQUAL}, noise=0.4) == "equivalent"
     assert verdict({"position": BETTER}, noise=0.6) == "better", (
         "a difference that is seen is seen"
@@ -286,7 +286,7 @@ def test_noise_of_the_reference_makes_no_filters_equivalent() -> None:
 @pytest.mark.parametrize("ratio", [0.3, 0.86, 1.0, 3.0])
 def test_one_dive_has_a_statement_and_no_verdict(ratio: float) -> None:
     found = answer(dives_of({"position": (ratio,), "level": (0.1,), "heading": (9.0,)}))
-    assert (found.verdict, found.undecided) == ("undecided", Undecided.ONE_DIVE)
+    assert (found.verdict, found.undecided) == ("undecided", ReasonCode.ONE_DIVE)
     assert found.warnings == [], "no other row has a word either"
     row = row_of(found, "position")
     assert np.isnan([row.low, row.high, row.p]).all()
@@ -297,7 +297,7 @@ def test_one_dive_has_a_statement_and_no_verdict(ratio: float) -> None:
 
 def test_two_dives_have_no_verdict() -> None:
     found = answer(dives_of({"position": BETTER[:2]}))
-    assert (found.verdict, found.undecided) == ("undecided", Undecided.FEW_DIVES)
+    assert (found.verdict, found.undecided) == ("undecided", ReasonCode.FEW_DIVES)
 
 
 def test_dives_without_the_primary_quantity_do_not_count() -> None:
@@ -305,7 +305,7 @@ def test_dives_without_the_primary_quantity_do_not_count() -> None:
         {"level": BETTER[:2]}
     )
     found = answer(dives, primary="position")
-    assert (found.verdict, found.undecided) == ("undecided", Undecided.FEW_DIVES)
+    assert (found.verdict, found.undecided) == ("undecided", ReasonCode.FEW_DIVES)
     assert row_of(found, "position").dives == 2
     assert row_of(found, "level").dives == 4
 

@@ -1,18 +1,22 @@
 """Nothing is decided by prose: with every sentence replaced by "x", words, codes and exit codes stay what they are."""
 
 import ast
+import importlib
 import json
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 import pytest
+from deciding import decided_by_prose, is_too_long_for_a_code
 from decisions import COMMANDS, SLOW_COMMANDS, decisions, without_prose
 from wordless import Wordless, error_of_x
 
+import insdvl_replay
 from insdvl_replay.batch.against import BothSides, Side
 from insdvl_replay.batch.jobs import Outcome, ReplayJob, ReplayOptions
 from insdvl_replay.cli import run_command_line
@@ -27,6 +31,8 @@ from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 WORDLESS = Path(__file__).with_name("wordless.py")
+PACKAGE = Path(insdvl_replay.__file__).parent
+MODULES = [file for file in sorted(PACKAGE.rglob("*.py")) if file.name != "__main__.py"]
 SOURCE = '''
 """A docstring of several words."""
 class Word(StrEnum):
@@ -99,6 +105,68 @@ def test_words_of_results_keys_and_patterns_are_no_sentences() -> None:
         assert kept in code
     assert "if name == 'x':\n        return 'x'" in code
     assert "'dvl.scale = {}', '# x\\n'" in code
+
+
+# --- What no command shows: paths of errors, and stored words that are sentences.
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda file: file.relative_to(PACKAGE).as_posix())
+def test_no_code_asks_a_sentence(module: Path) -> None:
+    assert decided_by_prose(module.read_text("utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [
+        ('hint = LONGER if "are not fetched" in reason else CHECK', True),
+        ('is_late = note.text == "the reference is late"', True),
+        ('why = text.removeprefix("it was not evaluated")', True),
+        ('if text.endswith(("ok", "it shares its sensors")):\n    pass', True),
+        ('_ASK = ("math domain error", "expected ")\nis_math = text.startswith(_ASK)', True),
+        ('_SAID = {"it is too long": 1}\nis_said = text in _SAID', True),
+        ("try:\n    go()\nexcept OSError as error:\n    late = 'late' in str(error)", True),
+        ("try:\n    go()\nexcept UserError as error:\n    late = error.what == late", True),
+        ("try:\n    go()\nexcept E as error:\n    re.search('late', str(error))", True),
+        ("try:\n    go()\nexcept E as error:\n    late = error.errno == 2", False),
+        ("try:\n    go()\nexcept E as error:\n    text = f'{error.what}: {error}'", False),
+        ('is_mine = word.startswith("filters.")', False),
+        ('_TEXT = {1: "it is too long"}\nis_known = number in _TEXT', False),
+        ('sentence = "it is late, and early" + late', False),
+    ],
+)
+def test_code_that_asks_a_sentence_is_found(code: str, found: bool) -> None:
+    assert (decided_by_prose(code) != []) == found
+
+
+def words_of_results() -> Iterator[tuple[str, str]]:
+    """Yield each member of an enumeration of the package that is text, and its value."""
+    for file in MODULES:
+        name = ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts)
+        module = importlib.import_module(name.removesuffix(".__init__"))
+        for kind in vars(module).values():
+            if isinstance(kind, type) and issubclass(kind, StrEnum) and kind.__module__ == name:
+                for member in kind:
+                    yield f"{kind.__name__}.{member.name}", member.value
+
+
+def test_stored_words_are_no_sentences() -> None:
+    """A sentence in an enumeration is stored with results, and would be compared there."""
+    known = dict(words_of_results())
+    assert known["Verdict.BETTER"] == "better"
+    assert known["ReasonCode.NOISE"] == "noise of the reference"
+    assert [name for name, value in known.items() if is_too_long_for_a_code(value)] == []
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "one dive cannot tell whether the next one will be",
+        "within 10 % of the expected value",
+        "when all stamps move by 1 us",
+    ],
+)
+def test_a_stored_sentence_is_found(sentence: str) -> None:
+    assert is_too_long_for_a_code(sentence)
 
 
 def test_sentences_are_left_out_of_results() -> None:

@@ -24,9 +24,14 @@ _WORD: Final = re.compile(r"[A-Za-z][a-z']+[,.;:]?")
 _Body = TypeVar("_Body", ast.Module, ast.ClassDef, ast.FunctionDef)
 
 
+def words_of(text: str) -> int:
+    """Count the words of a text."""
+    return sum(_WORD.fullmatch(part) is not None for part in text.split())
+
+
 def is_sentence(text: str) -> bool:
     """Return whether a text is written for people."""
-    return sum(_WORD.fullmatch(part) is not None for part in text.split()) >= FEWEST_WORDS
+    return words_of(text) >= FEWEST_WORDS
 
 
 def without_words(text: str) -> str:

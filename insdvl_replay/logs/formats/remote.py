@@ -84,6 +84,10 @@ _RECORDS: Final[dict[int, Any]] = {
 }
 
 
+class _TooLongError(OSError):
+    """More came from a server than is fetched of one log."""
+
+
 class StalledError(LogError):
     """A server did not answer, or stopped in the middle (exit code 3)."""
 
@@ -344,7 +348,7 @@ def _watch(size: str | int | None, longest_bytes: float, is_stopped: Callable[[]
             if isinstance(size, int) and self.value > size:
                 raise OSError(f"its server sends more than the {size} bytes that it announced")
             if self.value > longest_bytes:
-                raise OSError(_too_long(longest_bytes))
+                raise _TooLongError(_too_long(longest_bytes))
             if elapsed_s > 2.0 * STALLED_S and self.value < SLOWEST * elapsed_s:
                 raise TimeoutError(f"{self.value} bytes in {elapsed_s:.0f} s")
 
@@ -404,7 +408,7 @@ def _refused(url: str) -> Iterator[None]:
                 text, "make room there, or set XDG_CACHE_HOME", shown_url(url)
             ) from error
         kind = StalledError if isinstance(cause, TimeoutError) else LogError
-        hint = _LONGER if "are not fetched" in reason else _CHECK
+        hint = _LONGER if isinstance(cause, _TooLongError) else _CHECK
         raise kind(f"cannot be fetched: {reason}", hint, shown_url(url)) from error
 
 
