@@ -17,6 +17,7 @@ from insdvl_replay.changes.gate_file import CellGate, load_gates, require_known_
 from insdvl_replay.changes.gates import together
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.report import StoredReport
+from insdvl_replay.core.words import Reason
 
 GATE = '[[gate]]\nname = "a"\ntable = "improvement"\ncolumn = "sd"\n'
 
@@ -140,9 +141,7 @@ def test_lines_are_found_behind_comments_that_end_in_a_comma(tmp_path: Path) -> 
     assert load_gates(path).lines["a"] == 4
 
 
-@pytest.mark.parametrize(
-    ("table", "column"), [("filters", "reason"), ("filters", "sentence"), ("consistency", "why")]
-)
+@pytest.mark.parametrize(("table", "column"), [("filters", "reason"), ("filters", "sentence")])
 def test_a_gate_on_prose_is_refused_with_the_columns_that_can_have_gates(
     table: str, column: str, tmp_path: Path
 ) -> None:
@@ -152,7 +151,16 @@ def test_a_gate_on_prose_is_refused_with_the_columns_that_can_have_gates(
         load_gates(path)
     hinted = re.findall(r"\w+", raised.value.hint)
     assert {"verdict", "sd"} & {*hinted}
-    assert not {"why", "reason", "sentence"} & {*hinted}
+    assert not {"reason", "sentence"} & {*hinted}
+
+
+def test_a_gate_may_ask_why_a_verdict_differs_from_its_interval() -> None:
+    report = stored()
+    keys = {"table": "consistency", "row": "velocity", "column": "why"}
+    (row,) = report.tables["consistency"]
+    for word, passed in ((Reason.NEAR, True), (Reason.ONE_SAMPLE, False)):
+        row["why"] = str(word)
+        assert passes(gate(**keys, equals=["near"]), report) == passed
 
 
 def test_an_expected_value_needs_a_column_that_can_be_worse(tmp_path: Path) -> None:
