@@ -14,7 +14,13 @@ from msgspec.structs import replace
 from insdvl_replay.changes.answer import Answer, answers_of
 from insdvl_replay.changes.cells import ROUNDING, Change, RowPair, changes_of, paired_rows, within
 from insdvl_replay.changes.differences import Difference, differences, notes_on_names
-from insdvl_replay.changes.matching import Match, Matching, match_dives, with_new_names
+from insdvl_replay.changes.matching import (
+    Match,
+    Matching,
+    match_dives,
+    require_new_names,
+    with_new_names,
+)
 from insdvl_replay.core.errors import ConfigError, Note, counted, require_known
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
 from insdvl_replay.core.report import StoredResult
@@ -102,7 +108,9 @@ def compare_results(
     layouts = [layout for layout in LAYOUTS if not tables or layout.name in tables]
     before, notes_before = read_results(old)
     after, notes_after = read_results(new)
-    matching = match_dives(with_new_names(before, filter_pairs), after)
+    renamed = with_new_names(before, filter_pairs)
+    require_new_names(after, filter_pairs)
+    matching = match_dives(renamed, after)
     if dives:
         matching = _only_dives(matching, dives)
     pairs = [match.pair for match in matching.both]

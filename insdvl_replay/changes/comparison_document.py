@@ -1,7 +1,7 @@
 """A comparison on a screen, as a page and in files: the answers first, then what else changed."""
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from typing import Final
 
@@ -324,23 +324,32 @@ def _difference_text(item: Difference, name: str, comparison: Comparison) -> str
 def _other_differences(comparison: Comparison, most: int) -> list[str]:
     """Return the differences outside the tables, one line each: logs, settings that the title lacks, and the rest."""
     texts = _changed_settings(comparison)[1:]
-    other_logs = set[str]()
     for item in comparison.differences:
-        if (item.block, item.key) == ("log", "sha256") and item.old and item.new:
-            other_logs.update(item.logs)
-        elif item.block != "config":
+        if item.block != "config" and not _is_of_other_logs(item):
             texts.append(_difference_text(item, f"{item.block} {item.key}", comparison))
     lines = texts[:most]
+    other_logs = other_logs_text(comparison)
     if other_logs:
-        lines.insert(0, _other_logs_text(other_logs))
+        lines.insert(0, other_logs)
     left = len(texts) - most
     if left > 0:
         lines.append(f"{left} more differ: --all")
     return lines
 
 
-def _other_logs_text(names: Collection[str]) -> str:
-    """Say whose logs differ."""
+def _is_of_other_logs(item: Difference) -> bool:
+    """Return whether a difference is that logs of the same name are not the same."""
+    return bool((item.block, item.key) == ("log", "sha256") and item.old and item.new)
+
+
+def other_logs_text(comparison: Comparison) -> str:
+    """Say whose logs differ; empty where each dive is the same log on both sides."""
+    names = set[str]()
+    for item in comparison.differences:
+        if _is_of_other_logs(item):
+            names.update(item.logs)
+    if not names:
+        return ""
     whose = "the log differs"
     if len(names) > 1:
         whose = f"the logs of {listed(sorted(names, key=natural_key))} differ"

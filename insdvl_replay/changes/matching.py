@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from insdvl_replay.core.errors import ConfigError, listed, require_known
+from insdvl_replay.core.errors import ConfigError, hint_for, listed, require_known
 from insdvl_replay.core.report import Row, StoredReport, StoredResult
 from insdvl_replay.core.words import MatchedBy
 
@@ -163,6 +163,21 @@ def with_new_names(
             text = f"--pair {old}={new}: the old results also have a filter {new}"
             raise ConfigError(text, f"add --pair {new}={new}_before")
     return [replace(result, report=_renamed(result.report, pairs)) for result in results]
+
+
+def require_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) -> None:
+    """Require that new results have the filters that old ones are paired with.
+
+    A filter that gives its name away may get one that no result has.
+    """
+    known = list[str]()
+    for result in results:
+        known += [result.report.baseline, *result.report.filters]
+    names = list(dict.fromkeys(known))
+    for old, new in pairs.items():
+        if new not in names and old not in pairs.values():
+            text = f"--pair {old}={new}: the new results have no filter {new}"
+            raise ConfigError(text, hint_for(new, names))
 
 
 def _renamed(report: StoredReport, pairs: Mapping[str, str]) -> StoredReport:

@@ -11,6 +11,7 @@ from insdvl_replay.cli.messages import (
     log_failure,
     log_findings,
     log_notes,
+    log_to_stderr,
     write_stdout,
 )
 from insdvl_replay.core.errors import LimitError, Note, visible
@@ -40,6 +41,9 @@ def print_comparison(
         write_stdout(
             "".join(f"{visible(line.text)}\n" for line in documents.answer_lines(found.answers))
         )
+        other_logs = documents.other_logs_text(found)
+        if other_logs:
+            log_to_stderr(f"warning: {other_logs}")
     else:
         document = documents.comparison_document(
             shown, values=all_values or format_ == "latex", every_row=verbose > 0, command=command

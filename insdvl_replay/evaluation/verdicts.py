@@ -309,7 +309,7 @@ def misfit(name: str, rows: Sequence[ConsistencyRow]) -> str:
             continue
         return (
             f"the noise variance of {name} is {off} (NIS / dof of its {row.measurement} is {size:.2g}, "
-            "expected 1); fit it first: --control"
+            "expected 1); --control fits it"
         )
     return ""
 

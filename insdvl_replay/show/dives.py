@@ -15,7 +15,7 @@ from insdvl_replay.core.path_kinds import SUMMARY
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_whole, label
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import AnswerRow, Number, PooledRow
-from insdvl_replay.core.words import GateStatus, Severity
+from insdvl_replay.core.words import GateStatus, ReasonCode, Severity
 from insdvl_replay.document.page import SIGNATURE, page
 from insdvl_replay.document.parts import (
     PAGE,
@@ -74,7 +74,7 @@ class SummaryRow(Struct, frozen=True):
 
     log: str
     filter: str | None = None
-    verdict: str | None = None
+    verdict: str | None = None  # None where one dive has none
     evidence: str | None = None  # primary quantity
     ratio: Number = None  # on this dive
     acts: Number = None  # difference of both runs over the error of the baseline
@@ -151,7 +151,9 @@ def _verdict_in_summary(report: Report, name: str) -> dict[str, Any]:
     """Return the columns of the verdict on a candidate."""
     candidate = report.filters[name]
     answer = answer_on_dive(report, name)
-    known: dict[str, Any] = {"verdict": answer.verdict, "prediction": candidate.prediction}
+    known: dict[str, Any] = {"prediction": candidate.prediction}
+    if answer.undecided != ReasonCode.ONE_DIVE:
+        known["verdict"] = answer.verdict
     if answer.verdict in WITHOUT_VERDICT:
         return known
     known["mean_improvement_pct"] = candidate.mean_improvement_pct

@@ -246,6 +246,40 @@ def test_filters_of_different_names_are_compared_when_named(tmp_path: Path) -> N
     assert {change.filter for change in comparison.changes} == {"windowed"}
 
 
+@pytest.mark.parametrize(
+    ("pairs", "hint"),
+    [
+        ({"aided": "windwed"}, "windowed"),
+        ({"aided": "windowed", "windowed": "aidd"}, None),
+        ({"aidd": "windowed"}, "aided"),
+    ],
+)
+def test_a_misspelt_name_in_a_pair_is_named_with_the_one_that_was_meant(
+    pairs: dict[str, str], hint: str | None, tmp_path: Path
+) -> None:
+    old, new = content(), content(filter="windowed")
+    if hint is None:  # a filter that gives its name away may get one that is new
+        old["filters"] |= content(filter="windowed")["filters"]
+        compared(tmp_path, old, new, filter_pairs=pairs)
+        return
+    with pytest.raises(ConfigError) as info:
+        compared(tmp_path, old, new, filter_pairs=pairs)
+    assert info.value.hint == f"did you mean {hint}?"
+
+
+def test_quiet_says_that_logs_of_one_name_differ(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for side, sha256 in (("old", "aa"), ("same", "aa"), ("new", "bb")):
+        write(tmp_path / side / "dive", content(sha256=sha256))
+    for side, is_said in (("same", False), ("new", True)):
+        words = ["compare", str(tmp_path / "old"), str(tmp_path / side), "-q"]
+        assert run_command_line(words) == 0
+        printed = capsys.readouterr()
+        assert ("(SHA-256)" in printed.err) == is_said
+        assert "(SHA-256)" not in printed.out
+
+
 def test_a_filter_on_one_side_is_noted_and_its_rows_are_new(tmp_path: Path) -> None:
     new = content()
     other = content(filter="tuned")

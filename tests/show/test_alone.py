@@ -1,10 +1,12 @@
 """One filter without candidates has its errors, drift and consistency on every screen, page and table."""
 
 import pytest
+from msgspec.structs import replace
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import finite
+from insdvl_replay.core.words import Verdict
 from insdvl_replay.document.render import render
 from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.show.answers import Failure
@@ -106,7 +108,8 @@ def test_the_summary_has_the_same_values_with_and_without_a_candidate(
     )
     assert baseline.position_h_rmse_m == aided.position_h_baseline_rmse_m
     assert baseline.position_h_rmse_pct == aided.position_h_baseline_rmse_pct
-    assert aided.verdict == pair.filters["aided"].verdict
+    assert pair.filters["aided"].verdict == Verdict.UNDECIDED
+    assert aided.verdict is None, "one dive has no verdict"
     decided = next(row for row in pair.tables.evidence if row.quantity == aided.evidence)
     assert aided.ratio == decided.ratio
     for row, report in ((baseline, alone), (aided, pair)):
@@ -118,3 +121,13 @@ def test_the_summary_has_the_same_values_with_and_without_a_candidate(
         )
         sizes = next(found for found in report.tables.consistency if found.filter == row.filter)
         assert row.nis_per_dof == pytest.approx(finite(sizes.mean_nis) / sizes.dof)
+
+
+def test_the_summary_has_the_words_that_one_dive_can_have(reports: tuple[Report, Report]) -> None:
+    _, pair = reports
+    unsound = replace(pair.filters["aided"], verdict=Verdict.NOT_EVALUATED)
+    (aided,) = summary_rows([replace(pair, filters={"aided": unsound})])
+    assert aided.verdict == Verdict.NOT_EVALUATED
+    still = [replace(row, acts=1e-6) for row in pair.tables.evidence]
+    (aided,) = summary_rows([replace(pair, tables=replace(pair.tables, evidence=still))])
+    assert aided.verdict == Verdict.NO_EFFECT

@@ -35,6 +35,8 @@ def test_the_predicted_gain_is_said_and_not_checked() -> None:
     found = lines(report())
     assert found[0] == "aided against baseline: NOT EVALUATED"
     assert re.match(r"The noise variance of baseline is \d{3} times too large", found[1])
+    assert "--control" in found[1]
+    assert found[1].count("first") == 1, "what to do first is said once"
     assert found[2].startswith("predicted: ")
     assert found[2].endswith("Neither is checked against errors.")
 
