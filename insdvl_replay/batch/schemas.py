@@ -68,9 +68,12 @@ def json_schema(name: str) -> bytes:
 
         kinds[name] = StartFile
     schema = msgspec.json.schema(kinds[name]) if name in kinds else result_schema(CALIBRATION)
+    title = name
+    if name == "config":
+        title = "configuration"
     described: dict[str, Any] = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": f"insdvl-replay {'configuration' if name == 'config' else name}",
+        "title": f"insdvl-replay {title}",
         **_with_words(schema),
     }
     if name == "config":

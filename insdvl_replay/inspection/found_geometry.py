@@ -114,7 +114,9 @@ def with_noise_of(
 ) -> Config:
     """Fit the noise to dives; one that is tested is applied only where it is better on what was held out."""
     read = [middle(ReadDive(dive, config)) for dive in dives]
-    division = Division.found(read) if is_tested else Division.nothing_held_out(read)
+    division = Division.nothing_held_out(read)
+    if is_tested:
+        division = Division.found(read)
     found = calibrate_dives(division, config, [NOISE]).found
     return with_noise(config, answer_of(found).applied(found), given)
 
