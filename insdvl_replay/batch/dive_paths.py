@@ -19,6 +19,8 @@ MANIFEST_SUFFIX: Final = ".toml"
 """Ending of a file that lists dives with their digests."""
 BAG_METADATA: Final = "metadata.yaml"
 """The file by which a bag is known. Names do not show it: dives of an archive are numbered like the parts of a bag."""
+PACKED_SUFFIX: Final = ".zstd"
+"""Behind the ending of a log that is compressed as a whole."""
 INSTRUMENT_SUFFIXES: Final = frozenset(
     {
         ".000",
@@ -77,7 +79,8 @@ def find_dives(
 
     A name is one of these:
 
-    - a log, .mcap, .db3 or .bag, a table, a file of an instrument or an autopilot, or a bag folder;
+    - a log, .mcap, .db3 or .bag, also with .zstd behind it, a table, a file of an instrument or an autopilot, or a
+      bag folder;
     - a folder, which stands for every log and bag below it; tables and files of instruments in a folder without logs
       are one dive;
     - a pattern with ``*``, ``?`` or ``**``;
@@ -189,7 +192,7 @@ def _local(path: Path, *, results: bool) -> list[Path]:
     for match in _once_each(sorted(set(_globbed(path)), key=_natural)):
         if match.is_dir():
             found += _in_folder(match, seen, results=results)
-        elif match.suffix in LOG_SUFFIXES + TABLE_SUFFIXES or _is_of_instrument(match):
+        elif _is_log(match) or match.suffix in TABLE_SUFFIXES or _is_of_instrument(match):
             found.append(match)
     return found
 
@@ -226,7 +229,7 @@ def _has_dives(folder: Path) -> bool:
         return True
     for path in folder.rglob("*"):
         if (
-            path.suffix in LOG_SUFFIXES
+            _is_log(path)
             or path.name == BAG_METADATA
             or _is_vehicles_log(path)
             or (path.is_dir() and is_result(path))
@@ -270,8 +273,19 @@ def _logs_in(folder: Path) -> list[Path]:
         for path in folder.glob(f"*{suffix}"):
             if path.is_file():
                 logs.append(path)
+        for path in folder.glob(f"*{suffix}{PACKED_SUFFIX}"):
+            # One that the user has unpacked is read so.
+            if path.is_file() and path.with_suffix("") not in logs:
+                logs.append(path)
     logs += filter(_is_vehicles_log, folder.iterdir())
     return logs
+
+
+def _is_log(path: Path) -> bool:
+    """Return whether a file is named as a log, which may be compressed as a whole."""
+    if path.suffix == PACKED_SUFFIX:
+        return path.with_suffix("").suffix in LOG_SUFFIXES
+    return path.suffix in LOG_SUFFIXES
 
 
 def _is_of_instrument(path: Path, *, is_dive: bool | None = None) -> bool:

@@ -24,6 +24,7 @@ from insdvl_replay.core.runtime import prepare_process  # noqa: E402
 
 MUTANTS = 10_000
 TABLES = 1_000
+FILES = 200
 KILLS = 120
 SWAPS = 60
 TIDY = ("ok", "hidden folder left", "ended by the bare signal")
@@ -91,6 +92,24 @@ def tables(arguments: argparse.Namespace, folder: Path) -> bool:
     )
     _told(arguments, "damaged tables", text, table(("", *ENDINGS), attacker.rows(outcomes)))
     return any(outcome.verdict in DEFECTS for outcome in outcomes)
+
+
+def formats(arguments: argparse.Namespace, folder: Path) -> bool:
+    """Damage files of instruments by the hundred."""
+    import formats as attacker
+    from victim import BEYOND_MB, DEFECTS, LIMIT_S
+
+    seeds = range(arguments.seed, arguments.seed + (arguments.count or FILES))
+    found = list(attacker.campaign(seeds, arguments.only, arguments.jobs, folder))
+    columns, lines = attacker.rows(found)
+    text = (
+        f"{len(seeds)} mutants of a file of each format, from seed {arguments.seed}, each read with and without "
+        "`--allow-damaged`, and every tenth replayed and inspected. A hang takes "
+        f"{LIMIT_S} s of processor time, memory {BEYOND_MB:.0f} MB more than the clean file. The first "
+        f"{len(DEFECTS)} classes are defects."
+    )
+    _told(arguments, "damaged files of instruments", text, table(columns, lines))
+    return any(outcome.verdict in DEFECTS for outcome in found)
 
 
 def _clean(folder: Path) -> tuple[bytes, float]:
@@ -207,6 +226,7 @@ ATTACKS = {
     "bombs": bombs,
     "mutate": mutate,
     "tables": tables,
+    "formats": formats,
 }
 
 
@@ -227,7 +247,7 @@ def main() -> None:
         metavar="TEXT",
         help="logs, bombs and names whose name has this in it",
     )
-    parser.add_argument("--jobs", type=int, default=2, help="of mutate")
+    parser.add_argument("--jobs", type=int, default=2, help="of mutate, tables and formats")
     parser.add_argument("--short", action="store_true", help="damage only short logs")
     parser.add_argument(
         "--recorded", action="store_true", help="damage only the logs of ROS 1 in ../shared"

@@ -10,6 +10,7 @@ import resource
 import signal
 import sys
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -88,8 +89,10 @@ def ready(commands: list[list[str]]) -> None:
             raise SystemExit(f"the clean log fails: {' '.join(command)}: {said.getvalue()}")
 
 
-def run_forked(command: list[str], said: Path, printed: Path = Path(os.devnull)) -> Ended:
-    """Run a command in a forked child; limits of the system end it in time."""
+def run_forked(
+    command: list[str] | Callable[[], int], said: Path, printed: Path = Path(os.devnull)
+) -> Ended:
+    """Run a command, or a function that returns an exit code, in a forked child, which the system ends in time."""
     sys.stdout.flush()
     sys.stderr.flush()
     child = os.fork()
@@ -103,7 +106,7 @@ def run_forked(command: list[str], said: Path, printed: Path = Path(os.devnull))
     )
 
 
-def _live(command: list[str], said: Path, printed: Path) -> None:
+def _live(command: list[str] | Callable[[], int], said: Path, printed: Path) -> None:
     """Be the child."""
     signal.alarm(PATIENCE_S)
     resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_S, LIMIT_S + 1))
@@ -112,7 +115,7 @@ def _live(command: list[str], said: Path, printed: Path) -> None:
         for number, path in ((1, printed), (2, said)):
             os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
         sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
-        code = run_command_line(command)
+        code = command() if callable(command) else run_command_line(command)
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)

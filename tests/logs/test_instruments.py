@@ -17,6 +17,7 @@ from insdvl_replay.logs.formats import known_formats
 from insdvl_replay.logs.formats.recording import open_recording
 
 KINDS = pytest.mark.parametrize("kind", FORMATS)
+PROTECTED = [kind for kind, known in FORMATS.items() if known.is_protected]
 
 
 def written(folder: Path, kind: str) -> tuple[Written, Told, list[Path]]:
@@ -67,12 +68,10 @@ def test_a_file_without_its_end_is_noted(kind: str, tmp_path: Path) -> None:
     assert "log_damaged" in {note.code for note in log.notes}
 
 
-@KINDS
+@pytest.mark.parametrize("kind", PROTECTED)
 def test_a_changed_byte_changes_no_number_unnoticed(kind: str, tmp_path: Path) -> None:
-    """With a checksum every change is noted; without one those that leave another number are not."""
-    known, _, paths = written(tmp_path, kind)
-    if not known.is_protected:
-        pytest.skip("the format has no checksums")
+    """With a checksum every change is noted."""
+    _, _, paths = written(tmp_path, kind)
     content = paths[0].read_bytes()
     clean = [channel.messages for channel in open_recording(paths[0]).channels]
     for seed in range(40):
@@ -203,3 +202,10 @@ def test_water_track_and_broken_samples_of_a_nucleus_are_left_out(tmp_path: Path
     assert counts["dvl_water_track"] == 20
     assert counts["imu_not_finite"] > 40
     assert nucleus(dive).startswith(b"sizeHeader,id,")
+
+
+def test_a_table_whose_lines_do_not_end_is_refused(tmp_path: Path) -> None:
+    content = nucleus(told().single()).replace(b"\r\n", b"\0")
+    (tmp_path / "nucleus_log.csv").write_bytes(content * 3)
+    with pytest.raises(LogError, match="has no rows that can be used"):
+        read_dive(tmp_path / "nucleus_log.csv", Config())

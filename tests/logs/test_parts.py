@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from recorded_parts import Choice, write_part
@@ -117,18 +118,15 @@ def test_names_in_a_list_may_be_quoted_or_json(tmp_path: Path) -> None:
     assert [part.name for part in bag_parts(tmp_path)] == names
 
 
-def test_a_part_that_is_compressed_as_a_whole_is_named(bag: Path, whole: Dive) -> None:
-    packed = bag / "c.mcap.zstd"
-    packed.write_bytes(b"\x28\xb5\x2f\xfd" + bytes(20))
+def test_a_part_that_is_compressed_as_a_whole_is_unpacked(bag: Path, whole: Dive) -> None:
     plain = (bag / "c.mcap").rename(bag / "aside")
+    packed = bag / "c.mcap.zstd"
+    packed.write_bytes(zstandard.compress(plain.read_bytes()))
     for _ in ("without metadata", "with metadata"):
-        with pytest.raises(
-            LogError, match=r"c\.mcap\.zstd: is compressed as a whole with zstd"
-        ) as raised:
-            read_dive(bag, Config())
-        assert raised.value.hint == f"unpack it: `zstd -d {packed}`"
+        assert_same(read_dive(bag, Config()), whole)
         describe(bag, "\n  - b.mcap\n  - a.mcap\n  - c.mcap.zstd")
-    plain.rename(bag / "c.mcap")
+    packed.write_bytes(b"nothing")
+    plain.rename(bag / "c.mcap")  # what the user has unpacked
     assert_same(read_dive(bag, Config()), whole)
 
 

@@ -140,7 +140,8 @@ class InstrumentFile(RowsFile):
                 end = start + len(piece) - len(rest)
                 self.lose(end, f"{len(rest)} bytes without an end of a record")
                 rest = b""
-            yield parts
+            if parts:
+                yield parts
         if rest.strip():
             yield [Record(len(self.file) - len(rest), rest)]
 
@@ -179,6 +180,8 @@ class InstrumentFile(RowsFile):
     def notes(self) -> tuple[Note, ...]:
         """What was found wrong, and what was assumed."""
         notes = list(self._notes)
+        if self.damages:
+            notes.append(damage_note(self.path.name, self.damages, "the rest is lost"))
         if self._lost_count:
             lost = f"{counted_clause(self._lost_count, f'{self.records} are lost')}"
             notes.append(damage_note(self.path.name, self._lost, lost))

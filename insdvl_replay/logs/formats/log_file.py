@@ -249,6 +249,7 @@ class FileBytes:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.content = path  # the file that holds the bytes
         try:
             # A pipe that nobody writes to would be waited for without end.
             self._descriptor = os.open(path, os.O_RDONLY | _NOT_WAITING)

@@ -82,9 +82,9 @@ class NucleusTable(InstrumentFile):
                 in_text = in_text != bool(quotes % 2)
             if whole:
                 parts.append(self._numbers(whole, places))
-        numbers = np.concatenate(parts) if parts else np.empty((0, len(places)))
-        titles = [title for title in places if title != "width"]
-        yield from self._tables(numbers, titles)
+        if parts:
+            titles = [title for title in places if title != "width"]
+            yield from self._tables(np.concatenate(parts), titles)
 
     def _places(self, head: Record) -> dict[str, int]:
         """Return the places of the titles that are read, and under `width` how many there are."""

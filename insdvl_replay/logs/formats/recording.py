@@ -45,6 +45,7 @@ from insdvl_replay.logs.formats.recorder_clock import OneClock, one_clock, spans
 from insdvl_replay.logs.formats.table_rows import RowsFile
 
 _COMMON_CLOCK_NS: Final = 10**17  # times after 1973 are those of a clock that counts from 1970
+PACKED_MAGIC: Final = b"\x28\xb5\x2f\xfd"  # of files that are compressed as a whole with zstd
 CHANNELS_OF_A_PART: Final = 1 << 16  # a channel id has 16 bits
 Step = TypeVar("Step")
 
@@ -53,6 +54,8 @@ def open_log_file(path: Path) -> LogFile:
     """Open a file. Its first bytes determine the format; a table as text is known by its name."""
     file = FileBytes(path)
     start = bytes(file.read(0, START))
+    if start.startswith(PACKED_MAGIC):
+        return _open_packed(file)
     known = known_format(start)
     if known is not None:
         opened: LogFile = known.open(file)
@@ -69,6 +72,21 @@ def open_log_file(path: Path) -> LogFile:
         text = f"has only {counted(len(file), 'byte')}, too few for a log"
         raise UnusableFileError(text, "the recording never began, or the copy failed", path)
     return McapFile(file)
+
+
+def _open_packed(packed: FileBytes) -> LogFile:
+    """Open a file that is compressed as a whole."""
+    from insdvl_replay.logs.formats.packed import UnpackedBytes
+
+    path = packed.path
+    file = UnpackedBytes(packed)
+    known = known_format(bytes(file.read(0, START)))
+    if known is None:
+        hint = f"unpack it: `zstd -d {path}`"
+        raise UnusableFileError("is compressed with zstd, and has no log in it", hint, path)
+    opened: LogFile = known.open(file)
+    opened.damages.update(dict.fromkeys(file.damages))
+    return opened
 
 
 class Recording:
@@ -378,6 +396,10 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
     """Return the files of a bag: those that its list names, which must be all that are there, or all logs."""
     metadata = path / METADATA
     found = _logs_in(path)
+    for packed in _logs_in(path, _PACKED):
+        # One that the user has unpacked is read so.
+        if packed.with_suffix("") not in found:
+            found.append(packed)
     suffix = found[0].suffix if found else LOG_SUFFIXES[0]
     by_name = f"{path / f'*{suffix}'} --one-dive"
     parts = found
@@ -388,10 +410,6 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
                 what = f"does not list {other.name}, which is in the folder of the bag"
                 hint = f"move it to another folder, or read all logs of the folder: {by_name}"
                 raise LogError(what, hint, metadata)
-    for packed in _logs_in(path, _PACKED):
-        if packed.with_suffix("") not in parts:
-            hint = f"unpack it: `zstd -d {packed}`"
-            raise LogError("is compressed as a whole with zstd", hint, packed)
     if not parts:
         parts = [file for file in sorted(path.iterdir()) if _is_part_of_dive(file)]
     if not parts:

@@ -158,7 +158,7 @@ class SqliteFile(LogFile):
 
     def _opened(self) -> sqlite3.Connection:
         """Open it read-only, without running any code in it."""
-        name = quote(os.fsencode(os.path.realpath(self.path)))
+        name = quote(os.fsencode(os.path.realpath(self.file.content)))
         base = sqlite3.connect(
             f"file:{name}?mode=ro&immutable=1", uri=True, check_same_thread=False
         )
