@@ -2,28 +2,30 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# Byte code of a package is made as it is first imported, since most modules of most packages never are.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 # The tests start hundreds of processes, so byte code is kept, also where the environment asks for none.
 unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+# All filters that the tests run, at once: each worker would compile them anew.
+COMPILE := PYTHONPATH=tests/replay $(BIN)/python tests/compiled_filters.py
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark docs clean
+.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint style bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --preset levy-klein --output replay --force --rerun
 
 # Nine minutes on two cores. Style, types and imports are looked at beside the tests, and told of if they fail.
 test: .venv/test.stamp
-	$(BIN)/insdvl-replay compile
-	@$(MAKE) --no-print-directory lint > .venv/lint.log 2>&1 & lint=$$!; \
-	$(PYTEST) -m "not nightly"; tests=$$?; \
-	wait $$lint || { cat .venv/lint.log; exit 1; }; \
+	@$(MAKE) --no-print-directory style > .venv/style.log 2>&1 & style=$$!; \
+	$(COMPILE) && $(PYTEST) -m "not nightly"; tests=$$?; \
+	wait $$style || { cat .venv/style.log; exit 1; }; \
 	exit $$tests
 
 # At most an hour on two cores: the tests that `make test` leaves out, and the rates in benchmarks/RESULTS.md.
 nightly: .venv/test.stamp tests/node/node_modules
-	$(BIN)/insdvl-replay compile
+	$(COMPILE)
 	$(PYTEST) -m nightly
 	$(MAKE) lowest
 	$(MAKE) --jobs 2 --output-sync=target judge calibration
@@ -64,12 +66,15 @@ processors: .venv/test.stamp
 check: .venv/run.stamp
 	$(BIN)/insdvl-replay check examples/archive/gates.toml --jobs 2
 
-lint: .venv/test.stamp
+lint: style
+	$(BIN)/python -m pytest --quiet -rP tests/project/test_house.py
+
+# What `make lint` looks at and no test does.
+style: .venv/test.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest --quiet -rP tests/project/test_house.py
 
 # Makes logs of up to 3 GB in the temporary folder and removes them; takes some half an hour.
 bench: .venv/bench.stamp
@@ -168,12 +173,14 @@ tests/node/node_modules: tests/node/package-lock.json
 .venv/pyvenv.cfg:
 	$(PYTHON) -m venv .venv
 
+# The stamp holds the extra that was installed: tests need it at once, and pip looks for all packages each time it is called.
 .venv/run.stamp: .venv/pyvenv.cfg pyproject.toml constraints.txt
-	$(PIP) --editable .
-	touch $@
+	$(PIP) --editable ".$(EXTRA)"
+	echo "$(EXTRA)" > $@
 
+.venv/test.stamp: EXTRA := [test]
 .venv/test.stamp: .venv/run.stamp
-	$(PIP) --editable ".[test]"
+	grep --quiet test $< || $(PIP) --editable ".[test]"
 	touch $@
 
 .venv/bench.stamp: .venv/test.stamp

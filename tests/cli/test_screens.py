@@ -14,9 +14,11 @@ import subprocess
 import sys
 import termios
 from collections.abc import Iterator
-from contextlib import suppress
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout, suppress
 from fcntl import ioctl
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 from made_reports import report
@@ -55,22 +57,54 @@ def on_terminal(folder: Path, *options: str, columns: int = 80, **variables: str
     """Run the figure-eight on a terminal of so many columns, and return what it shows; stderr is the terminal, too."""
     ours, theirs = pty.openpty()
     ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, columns, 0, 0))
-    command = RUN
+    encoding = variables.get("PYTHONIOENCODING", "utf-8")
     environment = {
         name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "COLUMNS")
     }
-    process = subprocess.Popen(
-        [*command, *options], cwd=folder, stdout=theirs, stderr=theirs,
-        env=environment | {"TERM": "xterm", "PYTHONPATH": str(PROJECT)} | variables,
-    )  # fmt: skip
-    os.close(theirs)
-    shown = b""
-    with suppress(OSError):  # the last one to write has left
-        while data := os.read(ours, 1 << 16):
-            shown += data
+    environment |= {"TERM": "xterm"} | variables
+    with ThreadPoolExecutor(1) as reader:
+        shown = reader.submit(all_of, ours)
+        with (
+            patch.dict(os.environ, environment, clear=True),
+            chdir(folder),
+            standing_at(theirs, encoding),
+        ):
+            code = run_command_line([*RUN[3:], *options])
+        os.close(theirs)
     os.close(ours)
-    assert process.wait() == 0
-    return shown.decode(variables.get("PYTHONIOENCODING", "utf-8")).replace("\r\n", "\n")
+    assert code == 0
+    return shown.result().decode(encoding).replace("\r\n", "\n")
+
+
+def all_of(terminal: int) -> bytes:
+    """Read a terminal until the last one to write on it has left."""
+    shown = b""
+    with suppress(OSError):
+        while data := os.read(terminal, 1 << 16):
+            shown += data
+    return shown
+
+
+@contextmanager
+def standing_at(terminal: int, encoding: str) -> Iterator[None]:
+    """Let this process read and write at a terminal, as one that is started there; one would take a second to load."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    before = {stream: os.dup(stream) for stream in (0, 1, 2)}
+    for stream in before:
+        os.dup2(terminal, stream)
+    try:
+        with (
+            open(1, "w", encoding=encoding, closefd=False) as out,
+            open(2, "w", encoding=encoding, errors="backslashreplace", closefd=False) as err,
+            redirect_stdout(out),
+            redirect_stderr(err),
+        ):
+            yield
+    finally:
+        for stream, elsewhere in before.items():
+            os.dup2(elsewhere, stream)
+            os.close(elsewhere)
 
 
 def screen_lines(text: str) -> list[str]:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from insdvl_replay.api import run_as_program
 from insdvl_replay.core.config import Config, Filter, Initial
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
@@ -64,4 +63,7 @@ class BaselineWithCov(Baseline):
 
 
 if __name__ == "__main__":
+    # Processes of the class load this module, and need nothing of it.
+    from insdvl_replay.api import run_as_program
+
     run_as_program(Baseline)

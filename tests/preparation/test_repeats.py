@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from baseline_as_candidate import Baseline
+from unrepeatable import CHAOS_M
 
 from insdvl_replay.core.config import Config, Evaluation, Filter
 from insdvl_replay.core.config_file import load_config
@@ -20,16 +20,13 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Role, Verdict
 from insdvl_replay.evaluation.answers import PROVED, pooled_candidate
 from insdvl_replay.evaluation.repeats import Change, Repeat, apart_m, metres
-from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.logs import write_dive
-from insdvl_replay.nav.user_candidate import Candidate, CandidateStart, Solution
 from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.preparation.user_runs import LATER_NS, with_repeated_samples
 from insdvl_replay.sim.dive import simulate_dive
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "candidates"
 FILTERS = {"baseline": Filter(aiding=("velocity",)), "beams": Filter(aiding=("beams",))}
-CHAOS_M, JITTER_M = 50.0, 1e-4
 
 
 @pytest.fixture(scope="module")
@@ -48,71 +45,11 @@ def config(mine: Filter | None = None, **evaluation: Any) -> Config:
 
 
 def of_class(name: str) -> Filter:
-    return Filter(candidate=f"{__name__}:{name}")
+    return Filter(candidate=f"unrepeatable:{name}")
 
 
 def notes_of(replay: Replay, code: str) -> list[Note]:
     return [note for note in replay.notes if note.code == code]
-
-
-def moved_north(solution: Solution, north_m: float) -> Solution:
-    """Move a track more and more, up to a distance at its end."""
-    assert solution.position is not None
-    away_m = np.zeros((len(solution.time_ns), 3))
-    away_m[:, 0] = np.linspace(0.0, north_m, len(away_m))
-    return replace(solution, position=moved_position(solution.position, away_m))
-
-
-class Random(Baseline):
-    """A filter with random numbers that nobody seeded."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Go astray by some metres."""
-        return moved_north(super().run(dive, start), np.random.default_rng().uniform(-10.0, 10.0))
-
-
-class Jittering(Baseline):
-    """A filter whose sums depend on the order of its threads, so to speak."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Go astray by far less than any error."""
-        return moved_north(
-            super().run(dive, start), np.random.default_rng().uniform(0.0, JITTER_M)
-        )
-
-
-class Hashing(Baseline):
-    """A filter that depends on the order of a set, which is another in each process and the same within one."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Go astray by the hash of a word."""
-        return moved_north(super().run(dive, start), hash("heading") % 1000 / 50.0)
-
-
-class Chaotic(Baseline):
-    """A filter that goes another way where stamps are not whole microseconds times two."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Go astray by the stamps."""
-        return moved_north(super().run(dive, start), CHAOS_M * (start.time_ns // LATER_NS % 2))
-
-
-class Counting(Baseline):
-    """A filter that counts samples where it should look at their stamps."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Go astray by the number of samples."""
-        return moved_north(super().run(dive, start), CHAOS_M * (len(dive.imu.time_ns) % 2))
-
-
-class Refusing(Baseline):
-    """A filter that cannot take two samples with the same readings."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Fail if there are any."""
-        if np.any(np.all(np.diff(dive.imu.specific_force_b, axis=0) == 0.0, axis=1)):
-            raise ValueError("the IMU is frozen")
-        return super().run(dive, start)
 
 
 # --- What is said of them.
@@ -208,26 +145,14 @@ def test_without_a_reference_the_drift_without_the_dvl_is_compared(dive: Dive) -
     assert re.search(r"its DVL outage 30 s by \d+ % of the error of baseline", found.reason)
 
 
-class Turning(Baseline):
-    """A filter whose velocities are random."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Change the velocity by some cm/s."""
-        solution = super().run(dive, start)
-        assert solution.velocity_n is not None
-        return replace(
-            solution,
-            velocity_n=solution.velocity_n + np.random.default_rng().uniform(-0.1, 0.1, 3),
-        )
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("is_random", [False, True])
 def test_a_program_is_run_again(is_random: bool, dive: Dive, tmp_path: Path) -> None:
     script = tmp_path / "mine.py"
     lines = ["import sys", f"sys.path.insert(0, {str(Path(__file__).parent)!r})"]
     kind = "Random" if is_random else "Baseline"
-    lines += [f"from test_repeats import {kind}", "from insdvl_replay.api import run_as_program"]
+    module = "unrepeatable" if is_random else "baseline_as_candidate"
+    lines += [f"from {module} import {kind}", "from insdvl_replay.api import run_as_program"]
     script.write_text("\n".join([*lines, f"run_as_program({kind})", ""]))
     mine = Filter(program=(sys.executable, str(script), "{dive}", "{start}", "{solution}"))
     replay = replay_dive(dive, config(mine))
@@ -406,19 +331,6 @@ def test_the_processor_time_of_each_filter_is_known(dive: Dive) -> None:
     assert replay.cpu_s.keys() == {"baseline", "mine"}
     assert 0.0 < replay.cpu_s["baseline"] < 60.0
     assert replay.cpu_s["mine"] > 0.3
-
-
-class Burning(Candidate):
-    """A filter that works for long."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Work, then give the baseline's answer."""
-        import time
-
-        until_s = time.process_time() + 0.3
-        while time.process_time() < until_s:
-            pass
-        return Baseline().run(dive, start)
 
 
 def test_distances_are_written_without_powers_of_ten() -> None:
