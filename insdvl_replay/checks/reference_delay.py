@@ -30,7 +30,7 @@ from insdvl_replay.core.dive_record import Delay, ReferenceDelay
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.words import DelayStatus
-from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
+from insdvl_replay.geometry.rotation import mat_from_vector, skew, vector_from_mat
 
 LATE_S: Final = 0.02  # smaller delays matter to no verdict
 SIGNIFICANT_SDS: Final = 3.0
@@ -53,7 +53,12 @@ _SEARCHED_LEGS: Final = 250
 # Of the misfit at the delay of the attitude, before another one is tried.
 _CLEARLY_LESS: Final = 0.8
 # Of a leg in eight parts, in each of which the attitude is that of its middle.
-_ENDS_AND_MIDDLES: Final = np.arange(17) / 16.0
+_ENDS: Final = np.arange(0, 17, 2) / 16.0
+_MIDDLES: Final = np.arange(1, 17, 2) / 16.0
+_ATTITUDES: Final = np.concatenate([[0.0], _MIDDLES, [1.0]])
+# Columns of integrated readings.
+_TURNS: Final = slice(0, 3)
+_FORCES: Final = slice(3, 6)
 _ROW_APART_S: Final = 0.1  # rows of a faster reference add nothing
 _GRID_S: Final = 0.02  # steps in which the integrated readings are kept
 _AROUND_S: Final = 0.05  # to each side, over which a reading is averaged
@@ -70,8 +75,9 @@ class Difference:
     """What k legs of the reference have more than the IMU says at one delay."""
 
     values: Floats  # (k, 3)
-    by_delay: Floats  # (k, 3): derivative of what the IMU says by the delay, per s
     constants: Floats  # (k, 3, p): derivatives by other unknowns
+    # (k, 3): derivative of what the IMU says by the delay, per s; a search among many delays does without
+    by_delay: Callable[[], Floats]
 
 
 @dataclass(frozen=True)
@@ -97,17 +103,19 @@ class _Integrals:
             into[1:] = sums[kept[1:] - 1]
         return cls(sample_s[kept], total)
 
-    def at(self, time_s: Floats) -> Floats:
-        """Interpolate at times, (..., 6)."""
-        after = np.searchsorted(self.at_s, time_s).clip(1, len(self.at_s) - 1)
+    def at(self, time_s: Floats, columns: slice) -> Floats:
+        """Interpolate three columns at times, (..., 3)."""
+        after = np.searchsorted(self.at_s, time_s)
+        after = np.minimum(np.maximum(after, 1), len(self.at_s) - 1)
         from_s = self.at_s[after - 1]
         share = (time_s - from_s) / (self.at_s[after] - from_s)
-        before = self.total[after - 1]
-        return np.asarray(before + share[..., None] * (self.total[after] - before))
+        total = self.total[:, columns]
+        before = total[after - 1]
+        return np.asarray(before + share[..., None] * (total[after] - before))
 
-    def mean_around(self, time_s: Floats) -> Floats:
-        """Return readings averaged around times, (..., 6): rad/s and m/s^2."""
-        change = self.at(time_s + _AROUND_S) - self.at(time_s - _AROUND_S)
+    def mean_around(self, time_s: Floats, columns: slice) -> Floats:
+        """Return readings averaged around times, (..., 3): rad/s or m/s^2."""
+        change = self.at(time_s + _AROUND_S, columns) - self.at(time_s - _AROUND_S, columns)
         return np.asarray(change / (2.0 * _AROUND_S))
 
 
@@ -278,20 +286,26 @@ def _turns(
     """Compare turns of the reference, (k, 3) rad, with the gyros; scale and mounting are any matrix."""
     from_s = legs.from_s - delay_s
     to_s = legs.to_s - delay_s
-    measured = (integrals.at(to_s) - integrals.at(from_s))[:, :3]
-    changed = (integrals.mean_around(from_s) - integrals.mean_around(to_s))[:, :3]
+    measured = integrals.at(to_s, _TURNS) - integrals.at(from_s, _TURNS)
     length_s = (legs.to_s - legs.from_s)[:, None, None]
     bias = length_s * np.eye(3)
     earth = length_s * np.swapaxes(mat_nb[legs.first], 1, 2)
     mounted = np.einsum("kj,il->kilj", measured, np.eye(3)).reshape(len(measured), 3, 9)
-    # The derivative is turned and scaled as the turns are.
-    factor, *_ = np.linalg.lstsq(measured, turns, rcond=None)
-    return Difference(turns, changed @ factor, np.concatenate([mounted, bias, earth], axis=2))
+
+    def by_delay() -> Floats:
+        """Differentiate; what changes is turned and scaled as the turns are."""
+        at_start = integrals.mean_around(from_s, _TURNS)
+        at_end = integrals.mean_around(to_s, _TURNS)
+        factor, *_ = np.linalg.lstsq(measured, turns, rcond=None)
+        return np.asarray((at_start - at_end) @ factor)
+
+    return Difference(turns, np.concatenate([mounted, bias, earth], axis=2), by_delay)
 
 
 def _is_aligned(legs: _Legs, turns: Floats, integrals: _Integrals, delay_s: float) -> bool:
     """Return whether the turns of the reference are those of the gyros in the same axes, as far as they tell."""
-    measured = (integrals.at(legs.to_s - delay_s) - integrals.at(legs.from_s - delay_s))[:, :3]
+    at_start = integrals.at(legs.from_s - delay_s, _TURNS)
+    measured = integrals.at(legs.to_s - delay_s, _TURNS) - at_start
     power = measured.T @ measured
     apart = turns.T @ measured - power
     return bool(np.abs(apart).max() <= _ALIGNED * max(float(np.trace(power)), _TINY))
@@ -351,27 +365,33 @@ class _Forces:
         """Return what the changes have more than the accelerometers say, at a delay of the velocity."""
         from_s = self.legs.from_s - delay_s
         length_s = self.legs.to_s - self.legs.from_s
-        totals = self.integrals.at(from_s[:, None] + length_s[:, None] * _ENDS_AND_MIDDLES)
-        at_row = self.integrals.at(self.legs.from_s - self.attitude_s)[:, None, :3]
-        rotations = mat_from_vector(totals[:, :, :3] - at_row)
-        pushed = np.diff(totals[:, ::2, 3:], axis=1)
-        gained = np.einsum("kpij,kpj->ki", rotations[:, 1::2], pushed)
+        to_s = from_s + length_s
+        pushed = np.diff(self._inside(from_s, length_s, _ENDS, _FORCES), axis=1)
+        turned = self._inside(from_s, length_s, _ATTITUDES, _TURNS)
+        at_row = self.integrals.at(self.legs.from_s - self.attitude_s, _TURNS)[:, None]
+        rotations = mat_from_vector(turned - at_row)
+        gained = np.einsum("kpij,kpj->ki", rotations[:, 1:-1], pushed)
         of_start = rotations[:, 0]
         of_end = rotations[:, -1]
-        at_start = self.integrals.mean_around(from_s)
-        at_end = self.integrals.mean_around(from_s + length_s)
-        force_start = np.einsum("kij,kj->ki", of_start, at_start[:, 3:])
-        force_end = np.einsum("kij,kj->ki", of_end, at_end[:, 3:])
+        rate_start = self.integrals.mean_around(from_s, _TURNS)
+        rate_end = self.integrals.mean_around(to_s, _TURNS)
         bias = length_s[:, None, None] * np.eye(3)
         gravity = length_s[:, None, None] * self.mat_bn
-        arm = of_end @ _cross(at_end[:, :3]) - of_start @ _cross(at_start[:, :3])
+        arm = of_end @ skew(rate_end) - of_start @ skew(rate_start)
+
+        def by_delay() -> Floats:
+            at_start = self.integrals.mean_around(from_s, _FORCES)
+            at_end = self.integrals.mean_around(to_s, _FORCES)
+            force_start = np.einsum("kij,kj->ki", of_start, at_start)
+            force_end = np.einsum("kij,kj->ki", of_end, at_end)
+            return np.asarray(force_start - force_end)
+
         constants = np.concatenate([bias, gravity, arm], axis=2)
-        return Difference(self.changes_b - gained, force_start - force_end, constants)
+        return Difference(self.changes_b - gained, constants, by_delay)
 
-
-def _cross(vectors: Floats) -> Floats:
-    """Return the matrices of cross products, (k, 3, 3)."""
-    return np.asarray(np.cross(vectors[:, None, :], np.eye(3)).swapaxes(1, 2))
+    def _inside(self, from_s: Floats, length_s: Floats, parts: Floats, columns: slice) -> Floats:
+        """Return integrated readings at p parts of each leg, (k, p, 3)."""
+        return self.integrals.at(from_s[:, None] + length_s[:, None] * parts, columns)
 
 
 # --- The fit.
@@ -419,7 +439,7 @@ def _fitted(compared: Compared, legs: _Legs, start_s: float, signal: float) -> D
 def _solved(difference: Difference, legs: _Legs) -> tuple[float, float, float] | None:
     """Return the change of the delay and its standard error, s, and the squares that are left, without outliers."""
     count = len(difference.values)
-    both = np.stack([difference.values, difference.by_delay], axis=2)
+    both = np.stack([difference.values, difference.by_delay()], axis=2)
     weight = np.ones((count, 3))
     for _ in range(2):  # first to learn the scatter of each axis, and which legs jump
         weighted = (weight[:, :, None] * both).reshape(3 * count, 2)

@@ -192,7 +192,7 @@ def test_what_was_put_in_is_found(found: Calibration) -> None:
 
 
 def test_a_straight_line_shows_neither_arm_nor_whose_axes_are_turned() -> None:
-    held = calibrated(beside("straight", 2, duration_s=250.0))
+    held = calibrated(beside("straight", 2, duration_s=150.0))
     assert held.reference is not None
     rows = {row.parameter: row for row in held.reference.rows}
     for name in ("reference_arm_x", "reference_arm_y", "reference_arm_z", "reference_mounting_z"):

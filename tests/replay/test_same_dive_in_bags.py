@@ -12,10 +12,12 @@ from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 
+# With the paper's settings, for which nothing has to be fitted.
+SETTINGS = ("--preset", "levy-klein", "--starts", "1")
+
+
 def tables(log: Path, output: Path) -> dict[str, bytes]:
-    assert (
-        run_command_line(["run", str(log), "-o", str(output), "--set", "evaluation.starts=1"]) == 0
-    )
+    assert run_command_line(["run", str(log), "-o", str(output), *SETTINGS]) == 0
     [folder] = [path for path in output.iterdir() if path.is_dir()]
     return {path.name: path.read_bytes() for path in folder.glob("*.csv")}
 

@@ -18,8 +18,6 @@ PAPER_NOISE = CONFIG.with_name("paper_noise.toml")
 RUNS = ("01", "02", "05", "07", "08", "09", "11", "12")
 STRAIGHT = "12"
 
-pytestmark = pytest.mark.all_starts
-
 
 @pytest.fixture(scope="module")
 def replays(snapir: Path) -> dict[str, Replay]:
