@@ -105,18 +105,22 @@ class _Integrals:
 
     def at(self, time_s: Floats, columns: slice) -> Floats:
         """Interpolate three columns at times, (..., 3)."""
+        last = len(self.at_s) - 1
         after = np.searchsorted(self.at_s, time_s)
-        after = np.minimum(np.maximum(after, 1), len(self.at_s) - 1)
+        after = np.maximum(after, 1)
+        after = np.minimum(after, last)
         from_s = self.at_s[after - 1]
         share = (time_s - from_s) / (self.at_s[after] - from_s)
         total = self.total[:, columns]
         before = total[after - 1]
-        return np.asarray(before + share[..., None] * (total[after] - before))
+        change = total[after] - before
+        return np.asarray(before + share[..., None] * change)
 
     def mean_around(self, time_s: Floats, columns: slice) -> Floats:
         """Return readings averaged around times, (..., 3): rad/s or m/s^2."""
-        change = self.at(time_s + _AROUND_S, columns) - self.at(time_s - _AROUND_S, columns)
-        return np.asarray(change / (2.0 * _AROUND_S))
+        before = self.at(time_s - _AROUND_S, columns)
+        after = self.at(time_s + _AROUND_S, columns)
+        return np.asarray((after - before) / (2.0 * _AROUND_S))
 
 
 @dataclass(frozen=True)
@@ -366,10 +370,12 @@ class _Forces:
         from_s = self.legs.from_s - delay_s
         length_s = self.legs.to_s - self.legs.from_s
         to_s = from_s + length_s
-        pushed = np.diff(self._inside(from_s, length_s, _ENDS, _FORCES), axis=1)
+        pushed = self._inside(from_s, length_s, _ENDS, _FORCES)
+        pushed = np.diff(pushed, axis=1)
         turned = self._inside(from_s, length_s, _ATTITUDES, _TURNS)
-        at_row = self.integrals.at(self.legs.from_s - self.attitude_s, _TURNS)[:, None]
-        rotations = mat_from_vector(turned - at_row)
+        row_s = self.legs.from_s - self.attitude_s
+        at_row = self.integrals.at(row_s, _TURNS)
+        rotations = mat_from_vector(turned - at_row[:, None])
         gained = np.einsum("kpij,kpj->ki", rotations[:, 1:-1], pushed)
         of_start = rotations[:, 0]
         of_end = rotations[:, -1]
@@ -377,7 +383,9 @@ class _Forces:
         rate_end = self.integrals.mean_around(to_s, _TURNS)
         bias = length_s[:, None, None] * np.eye(3)
         gravity = length_s[:, None, None] * self.mat_bn
-        arm = of_end @ skew(rate_end) - of_start @ skew(rate_start)
+        arm_start = of_start @ skew(rate_start)
+        arm_end = of_end @ skew(rate_end)
+        arm = arm_end - arm_start
 
         def by_delay() -> Floats:
             at_start = self.integrals.mean_around(from_s, _FORCES)
@@ -391,7 +399,8 @@ class _Forces:
 
     def _inside(self, from_s: Floats, length_s: Floats, parts: Floats, columns: slice) -> Floats:
         """Return integrated readings at p parts of each leg, (k, p, 3)."""
-        return self.integrals.at(from_s[:, None] + length_s[:, None] * parts, columns)
+        parts_s = length_s[:, None] * parts
+        return self.integrals.at(from_s[:, None] + parts_s, columns)
 
 
 # --- The fit.

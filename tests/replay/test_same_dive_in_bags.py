@@ -11,7 +11,6 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
-
 # With the paper's settings, for which nothing has to be fitted.
 SETTINGS = ("--preset", "levy-klein", "--starts", "1")
 
