@@ -29,6 +29,7 @@ from insdvl_replay.document.render import render
 from insdvl_replay.document.tables import number, percent, table_csv
 from insdvl_replay.document.text import as_markdown, for_terminal
 from insdvl_replay.evaluation.answers import pooled_evidence
+from insdvl_replay.evaluation.sentences import why_in_spite
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.show.answers import Failure, verdict_in_table
 from insdvl_replay.show.dive import (
@@ -191,11 +192,11 @@ def test_tables_say_why_a_verdict_is_not_that_of_its_interval() -> None:
     ]
     told = msgspec.structs.replace(made, credibility=[near, far, beyond], consistency=innovations)
     text = as_markdown(dive_document(report(used=told)))
-    assert (
-        f"velocity, north ({Reason.NEAR}); accelerometer bias, x ({Reason.BEYOND_3_SD})." in text
-    )
-    assert f"baseline velocity ({Reason.NEAR})." in text
-    assert Reason.NEAR not in as_markdown(dive_document(report()))
+    of_near = why_in_spite(Reason.NEAR)
+    of_beyond = why_in_spite(Reason.BEYOND_3_SD)
+    assert f"velocity, north ({of_near}); accelerometer bias, x ({of_beyond})." in text
+    assert f"baseline velocity ({of_near})." in text
+    assert of_near not in as_markdown(dive_document(report()))
 
 
 def test_no_gain_is_next_to_a_filter_that_is_not_evaluated() -> None:
