@@ -1,30 +1,20 @@
 """Logs of MOOS replay as the MCAP of the same dive does, by settings that name their variables."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import instrument_logs
 import msgspec
 import numpy as np
 import pytest
-from teledyne_logs import dvl_told
+from moos_logs import alog, told_dive, whole
 
 from insdvl_replay.core.config import Config, Dvl, Imu, Reference
-from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.inspection.proposal import propose_settings
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.moos_alog import TYPE
 from insdvl_replay.logs.formats.recording import open_recording
 
-APPLICATIONS = {"imu": "iIMU", "dvl": "iDVL", "reference": "pNavTruth"}
-VARIABLES = {
-    "imu": ("ACC_X", "ACC_Y", "ACC_Z", "GYRO_X", "GYRO_Y", "GYRO_Z"),
-    "dvl": ("VEL_X", "VEL_Y", "VEL_Z"),
-    "reference": ("LAT", "LONG", "HEIGHT", "VN", "VE", "VD", "ROLL", "PITCH", "YAW"),
-}
-PREFIXES = {"imu": "IMU", "dvl": "DVL", "reference": "NAV"}
 SETTINGS = Config(
     imu=Imu(
         topic="IMU",
@@ -38,50 +28,6 @@ SETTINGS = Config(
         angle_unit="rad",
     ),
 )  # fmt: skip
-START_S = 1_704_067_200
-
-
-def told_dive() -> Dive:
-    """A dive with the velocities of a DVL."""
-    return dvl_told().of_velocities().dive
-
-
-def readings(dive: Dive) -> Iterator[tuple[int, str, Floats]]:
-    """Give the time, the role and the numbers of each reading."""
-    imu = dive.imu
-    reference = dive.reference
-    assert reference is not None
-    assert dive.dvl.velocity_d is not None
-    motion = [reference.position, reference.velocity_n, rpy_from_mat(reference.mat_nb)]
-    tables = {
-        "imu": (imu.time_ns, np.hstack([imu.specific_force_b, imu.angular_rate_b])),
-        "dvl": (dive.dvl.time_ns, dive.dvl.velocity_d),
-        "reference": (reference.time_ns, np.hstack(motion)),
-    }
-    for role, (times, numbers) in tables.items():
-        for time_ns, row in zip(times.tolist(), numbers, strict=True):
-            yield time_ns, role, row
-
-
-def alog(dive: Dive, *, marked: bool = False, whole_times: bool = False) -> list[str]:
-    """Write the lines of a log, each value some tens of microseconds after the one before."""
-    lines = [
-        "%" * 60,
-        "%% LOG FILE:       ./LOG_1/LOG_1.alog",
-        "%% FILE OPENED ON  Mon Jan  1 00:00:00 2024",
-        f"%% LOGSTART        {START_S:20}",
-        "%" * 60,
-    ]
-    for time_ns, role, row in sorted(readings(dive), key=lambda reading: reading[0]):
-        since_start_s = time_ns / 1e9 - START_S
-        for place, (name, value) in enumerate(zip(VARIABLES[role], row.tolist(), strict=True)):
-            time_s = since_start_s + 2e-5 * place
-            if whole_times:
-                time_s += START_S
-            text = f"D:{value!r}" if marked else f"{value!r}"
-            variable = f"{PREFIXES[role]}_{name}"
-            lines.append(f"{time_s:<15.6f} {variable:<19} {APPLICATIONS[role]:<15} {text}   ")
-    return lines
 
 
 def with_others(lines: list[str]) -> list[str]:
@@ -98,31 +44,31 @@ def with_others(lines: list[str]) -> list[str]:
 @pytest.mark.parametrize(("marked", "whole_times"), [(False, False), (True, False), (False, True)])
 def test_log_has_the_readings_of_the_mcap(marked: bool, whole_times: bool, tmp_path: Path) -> None:
     dive = told_dive()
-    (tmp_path / "m.alog").write_text("\n".join(alog(dive, marked=marked, whole_times=whole_times)))
+    (tmp_path / "m.alog").write_text(whole(alog(dive, marked=marked, whole_times=whole_times)))
     found = read_dive(tmp_path / "m.alog", SETTINGS)
-    whole = read_dive(instrument_logs.write_whole(tmp_path, dive), Config())
+    expected = read_dive(instrument_logs.write_whole(tmp_path, dive), Config())
     atol_ns = 1_000 if whole_times else 510
-    instrument_logs.assert_same_dvl(found, whole, 1e-12, atol_ns)
-    np.testing.assert_allclose(found.imu.time_ns, whole.imu.time_ns, rtol=0, atol=atol_ns)
+    instrument_logs.assert_same_dvl(found, expected, 1e-12, atol_ns)
+    np.testing.assert_allclose(found.imu.time_ns, expected.imu.time_ns, rtol=0, atol=atol_ns)
     np.testing.assert_array_equal(found.imu.specific_force_b, dive.imu.specific_force_b)
     assert found.reference is not None
-    assert whole.reference is not None
-    assert len(found.reference.time_ns) == len(whole.reference.time_ns)
+    assert expected.reference is not None
+    assert len(found.reference.time_ns) == len(expected.reference.time_ns)
 
 
 def test_replay_is_that_of_the_mcap(tmp_path: Path) -> None:
     dive = told_dive()
-    (tmp_path / "m.alog").write_text("\n".join(with_others(alog(dive))))
-    whole = instrument_logs.write_whole(tmp_path, dive)
+    (tmp_path / "m.alog").write_text(whole(with_others(alog(dive))))
+    log = instrument_logs.write_whole(tmp_path, dive)
     settings = msgspec.structs.replace(
         SETTINGS, reference=msgspec.structs.replace(SETTINGS.reference, topic="NAV/pNavTruth")
     )
-    apart_m = instrument_logs.assert_same_replay([tmp_path / "m.alog"], whole, 1e-4, settings)
+    apart_m = instrument_logs.assert_same_replay([tmp_path / "m.alog"], log, 1e-4, settings)
     assert apart_m > 0.0
 
 
 def test_tables_are_those_of_applications_and_the_rest_is_counted(tmp_path: Path) -> None:
-    (tmp_path / "m.alog").write_text("\n".join(with_others(alog(told_dive()))))
+    (tmp_path / "m.alog").write_text(whole(with_others(alog(told_dive()))))
     log = open_recording(tmp_path / "m.alog")
     topics = {channel.topic: channel for channel in log.channels}
     assert topics.keys() == {"IMU", "DVL", "NAV/pNavTruth", "NAV/pNodeReporter", "USBL"}
@@ -134,7 +80,7 @@ def test_tables_are_those_of_applications_and_the_rest_is_counted(tmp_path: Path
 
 
 def test_settings_are_proposed(tmp_path: Path) -> None:
-    (tmp_path / "m.alog").write_text("\n".join(alog(told_dive())))
+    (tmp_path / "m.alog").write_text(whole(alog(told_dive())))
     proposal = propose_settings(tmp_path / "m.alog", Config())
     found = {setting.key: setting.value for setting in proposal.settings}
     assert found["imu.topic"] == "IMU"
@@ -148,7 +94,7 @@ def test_slow_variables_leave_gaps_and_no_wrong_rows(tmp_path: Path) -> None:
         if number % 3 == 0:
             lines.append(f"{0.1 * number + 0.0001:.5f} A_Y app {10 * number}")
         lines.append(f"{0.1 * number + 0.05:.5f} A_Z app {100 * number}")
-    (tmp_path / "m.alog").write_text("\n".join(lines))
+    (tmp_path / "m.alog").write_text(whole(lines))
     log = open_recording(tmp_path / "m.alog")
     (times,) = log.log_times().values()
     assert len(times) == 12
@@ -165,9 +111,11 @@ def test_damaged_lines(tmp_path: Path) -> None:
     lines[100] = lines[100][10:]
     lines[200] = "12.5 IMU"
     lines[300] = lines[300].replace(".", ",", 1)
-    (tmp_path / "m.alog").write_text("\n".join(lines))
+    (tmp_path / "m.alog").write_text(whole(lines)[:-5])
     log = open_recording(tmp_path / "m.alog")
-    assert {note.code: note.count for note in log.notes} == {"log_damaged": 3}
+    (note,) = log.notes
+    assert note.code == "log_damaged"
+    assert note.count == 4
 
 
 def test_log_of_texts_alone_is_refused(tmp_path: Path) -> None:

@@ -87,6 +87,9 @@ class AlogFile(InstrumentFile):
             if start:
                 self._set_start(record, float(start[1]))
             return
+        if record.offset + len(record.content) == len(self.file):
+            self.lose(record.offset, "the file ends within a line")
+            return
         words = text.split(None, 3)
         time_s = _number(words[0])
         if time_s is None or abs(time_s) >= LATEST_S or len(words) < 3:
