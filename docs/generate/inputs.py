@@ -86,10 +86,10 @@ PARTS = {
             for name, kinds in ENCODINGS.items()
         ],
     ),
-    "imu": lambda: _types("imu", "imu_of_drivers"),
+    "imu": lambda: _types("imu", "imu_of_drivers", "imu_if_named"),
     "dvl": lambda: _types("dvl_beams", "dvl_velocity", "dvl_if_named"),
     "reference": lambda: _types(
-        "nav_solution", "odometry", "fix", "extended_fix", "poses", "truth"
+        "nav_solution", "odometry", "fix", "extended_fix", "poses", "flown", "truth"
     ),
     "sensors": _sensors,
     "instruments": lambda: markdown_table(

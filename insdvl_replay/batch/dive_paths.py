@@ -25,6 +25,7 @@ INSTRUMENT_SUFFIXES: Final = frozenset(
     {
         ".000",
         ".alog",
+        ".bin",
         ".csv",
         ".dat",
         ".ens",
@@ -37,6 +38,7 @@ INSTRUMENT_SUFFIXES: Final = frozenset(
         ".pd5",
         ".pd6",
         ".txt",
+        ".ulg",
     }
 )
 """Endings under which files of instruments are looked for, by their bytes: those of `known_formats.toml`."""

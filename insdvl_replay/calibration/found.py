@@ -96,6 +96,11 @@ def as_given(found: Config, given: Given) -> Config:
                 values[key] = getattr(now, key)
         found = with_values(found, section, **values)
     are_given = given.has("filters") or given.config.filters != Config().filters
-    if are_given:
-        return msgspec.structs.replace(found, filters=given.config.filters)
-    return found
+    if not are_given:
+        return found
+    filters = dict(given.config.filters)
+    if not given.has("filters"):
+        # A search adds the solution of a log.
+        for name in found.solutions:
+            filters[name] = found.filters[name]
+    return msgspec.structs.replace(found, filters=filters)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+import msgspec
 import numpy as np
 
 from insdvl_replay.calibration.fitted_noise import (
@@ -29,7 +30,7 @@ from insdvl_replay.calibration.found import (
 from insdvl_replay.calibration.free_mounting import angle_between
 from insdvl_replay.calibration.noise import imu_class
 from insdvl_replay.checks.reference_delay import is_late, with_reference_delay
-from insdvl_replay.core.config import Config, Initial
+from insdvl_replay.core.config import Config, Filter, Initial, Solution
 from insdvl_replay.core.config_file import given_keys_in, load_config, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ReferenceColumns, nanoseconds
 from insdvl_replay.core.errors import LogError, Note, UserError, counted, listed
@@ -43,6 +44,7 @@ from insdvl_replay.inspection.proposal import propose_settings
 from insdvl_replay.inspection.roles import UNKNOWN_LATITUDE_DEG, read_roles, with_roles
 from insdvl_replay.inspection.settings import Setting, settings_toml
 from insdvl_replay.inspection.trials import CONSISTENT
+from insdvl_replay.logs.columns.topics import TYPES
 from insdvl_replay.logs.formats.log_file import joined_bounds
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.preparation.prepared import (
@@ -67,6 +69,7 @@ MOST_DIFFERENCES: Final = 4  # that are named
 _CALIBRATED: Final = (*GROUPS.values(), "velocity_sd_mps", "beam_sd_mps")
 CALIBRATED_RAD: Final = 5.0 * DEG  # turns of the DVL up to which are a calibration's
 SCALES: Final = {"specific_force_scale": "accelerometers", "angular_rate_scale": "gyros"}
+_ONBOARD: Final = "onboard"  # the name of a filter that was flown
 Paths = Sequence[Path]
 
 
@@ -129,11 +132,28 @@ def find_settings(
         )
     if whole.keys:
         notes.append(note("found_given", keys=listed(whole.keys)))
+    config = with_flown(first, as_given(config, whole), given, notes)
     return FoundSettings(
-        as_given(config, whole),
+        config,
         tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING)),
         tuple(whole.keys),
     )
+
+
+def with_flown(paths: Paths, config: Config, given: Given, notes: list[Note]) -> Config:
+    """Evaluate the filter that steered the vehicle, too, if the log has one and nobody has given filters."""
+    if given.has("filters"):
+        return config
+    flown = []
+    for channel in open_recording(paths, allow_damaged=True).channels:
+        if channel.type_name in TYPES["flown"] and channel.messages:
+            flown.append(channel.topic)
+    if len(flown) != 1:
+        return config
+    topic = flown[0]
+    notes.append(note("found_flown", topic=topic, name=_ONBOARD))
+    onboard = Filter(solution=Solution(topic=topic))
+    return msgspec.structs.replace(config, filters={**config.filters, _ONBOARD: onboard})
 
 
 def _at_imu(dives: Sequence[Dive], config: Config) -> list[Dive]:

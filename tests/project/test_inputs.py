@@ -73,11 +73,11 @@ def test_file_that_is_not_read_is_reported_by_its_bytes_with_the_step_that_helps
 
 @pytest.mark.parametrize("command", ["run", "inspect"])
 def test_commands_tell_it(command: str, tmp_path: Path) -> None:
-    (tmp_path / "00000042.BIN").write_bytes(b"\xa3\x95\x80" + bytes(90))
-    result: Any = CliRunner().invoke(app, [command, str(tmp_path / "00000042.BIN")])
+    (tmp_path / "dive.tlog").write_bytes(TLOG)
+    result: Any = CliRunner().invoke(app, [command, str(tmp_path / "dive.tlog")])
     text = " ".join((result.output + (result.stderr if result.stderr_bytes else "")).split())
+    assert "a telemetry log of MAVLink" in text
     assert "LOG_REPLAY=1" in text
-    assert "dive_to_bag" in text
 
 
 def test_other_bytes_are_no_known_format(tmp_path: Path) -> None:

@@ -87,7 +87,15 @@ _COVARIANCES: Final = {
         "position_cov_type": "position_covariance_type",
     },
 }
-_SOLUTIONS: Final = ("nav_solution", "odometry", "poses", "fix", "onboard", "extended_fix")
+_SOLUTIONS: Final = (
+    "nav_solution",
+    "odometry",
+    "poses",
+    "fix",
+    "onboard",
+    "flown",
+    "extended_fix",
+)
 for _group in _SOLUTIONS:
     TYPES[_group] = {
         name: msgspec.structs.replace(entry, fields={**entry.fields, **_COVARIANCES.get(name, {})})
@@ -125,8 +133,8 @@ _MAVLINK: Final = re.compile(r"(?:^|/)mavlink/\d+/\d+/([A-Z][A-Z0-9_]+)$")
 # Of MAVLink, too slow to be replayed.
 _TELEMETRY: Final = re.compile(r"(^|/)(RAW_IMU|SCALED_IMU\d?|HIGHRES_IMU)$")
 _FULL_RATE: Final = (
-    "convert the vehicle's .BIN with clydemcqueen/dive_to_bag; it has every sample if LOG_REPLAY was 1; see "
-    "docs/inputs.md"
+    "give the vehicle's .BIN, which has every sample if LOG_REPLAY was 1: beside this log with --one-dive, or alone; "
+    "see docs/inputs.md"
 )
 Section = TypeVar("Section", bound=msgspec.Struct)
 
@@ -393,6 +401,7 @@ ROLES: Final = {
         "imu",
         quantities=(*_IMU, "increment_s"),
         groups=("imu", "imu_of_drivers"),
+        if_named=["imu_if_named"],
         enough=[set(_IMU)],
     ),
     "dvl": TopicRole(

@@ -98,9 +98,9 @@ class InstrumentFile(RowsFile):
     def tables(self) -> Iterator[InstrumentTable]:
         """Decode the file; what cannot be decoded goes to `lose`, what is of other kinds to `pass_over`."""
 
-    def lose(self, offset: int, found: str) -> None:
-        """Leave out a damaged record that begins at a place of the file."""
-        self._lost_count += 1
+    def lose(self, offset: int, found: str, count: int = 1) -> None:
+        """Leave out a damaged record, or several, that begin at a place of the file."""
+        self._lost_count += count
         if len(self._lost) < _KEPT:
             self._lost.append(Damage(offset, found))
 

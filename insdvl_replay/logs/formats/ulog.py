@@ -1,0 +1,234 @@
+"""Messages of ULog files (.ulg): each has its size and kind in front, and the layouts are in the file.
+
+There is no checksum. A message of data counts where it has the size of its topic, any other where another one follows.
+Behind damage the reading goes on at the next message of data. Source: PX4 User Guide, "ULog File Format" v1.16,
+https://docs.px4.io/v1.16/en/dev_log/ulog_file_format.html.
+"""
+
+import re
+import struct
+from collections.abc import Set as AbstractSet
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from insdvl_replay.core.dive_columns import Array
+from insdvl_replay.core.notes import note
+from insdvl_replay.logs.formats.instrument_file import LATEST_S, InstrumentFile
+
+Messages = dict[tuple[str, int], Array]
+"""Rows, (k,), structured, by topic and instance."""
+_HEADER: Final = 16  # bytes
+_LONGEST: Final = (1 << 16) + 3  # bytes of a message
+_PIECE: Final = 1 << 22
+_DATA: Final = ord("D")
+_SUBSCRIPTION: Final = ord("A")
+# Kinds of messages but those of data, and how long they are: None where that differs.
+_SIZES: Final = {"B": 40, "F": None, "I": None, "M": None, "P": None, "Q": None, "A": None, "R": 2, "L": None,
+                 "C": None, "S": 8, "O": 2}  # fmt: skip
+_FLAGS: Final = struct.Struct(
+    "<8x8s3Q"
+)  # behind the head of the message B: flags, and where data were appended
+_SCALARS: Final = {
+    "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
+    "int64_t": "<i8", "uint64_t": "<u8", "float": "<f4", "double": "<f8", "bool": "u1",
+}  # fmt: skip
+_UNREAD: Final = {"char": 1}  # bytes
+_FIELD: Final = re.compile(r"(\w+)(?:\[(\d{1,5})\])? (\w+)")
+_DEEPEST: Final = 8  # layouts within each other
+_LATEST_US: Final = int(LATEST_S / 4) * 10**6  # since the start of the vehicle
+
+
+class _Topic(NamedTuple):
+    """A topic as it was subscribed to."""
+
+    name: str
+    instance: int
+    dtype: np.dtype[Any] | None  # None where its layout is not known
+    parts: list[Array]  # its messages
+
+
+class UlogFile(InstrumentFile):
+    """A file of such messages; a class for what their topics mean has `tables`."""
+
+    records = "messages"
+
+    def read_messages(self, wanted: AbstractSet[str]) -> Messages:
+        """Return the messages of some topics that have a possible time; the others are passed over."""
+        self._wanted = wanted
+        self._layouts: dict[str, str] = {}
+        self._dtypes: dict[str, np.dtype[Any] | None] = {}
+        self._topics: dict[int, _Topic] = {}
+        self._dropouts_ms: list[int] = []
+        starts = [_HEADER, *self._appended()]
+        for start, end in zip(starts, [*starts[1:], len(self.file)], strict=True):
+            self._read(start, end)
+        if self._dropouts_ms:
+            count = len(self._dropouts_ms)
+            lost_s = sum(self._dropouts_ms) / 1000
+            self.add_note(note("recorder_dropouts", count, file=self.path.name, lost_s=lost_s))
+        return self._messages()
+
+    def _appended(self) -> list[int]:
+        """Return where data were appended to the file, whose last message before them may be cut."""
+        start = bytes(self.file.read(_HEADER, _HEADER + 3 + _FLAGS.size))
+        if len(start) < 3 + _FLAGS.size or start[2] != ord("B"):
+            return []
+        flags, *offsets = _FLAGS.unpack_from(start, 3)
+        if not flags[0] & 1:
+            return []
+        places: list[int] = []
+        for offset in offsets:
+            if offset and not max([_HEADER, *places]) < offset < len(self.file):
+                self.lose(_HEADER, f"data are said to be appended at byte {offset}")
+            elif offset:
+                places.append(offset)
+        return places
+
+    def _read(self, start: int, end: int) -> None:
+        """Read the messages of a part of the file."""
+        while start < end:
+            data = bytes(self.file.read(start, min(start + _PIECE + 2 * _LONGEST, end)))
+            is_last = start + len(data) == end
+            start += self._read_piece(start, data, len(data) if is_last else _PIECE)
+
+    def _read_piece(self, start: int, data: bytes, end: int) -> int:
+        """Read the messages that begin before some place of a piece; return where the next one does."""
+        places: dict[int, list[int]] = {}
+        at = 0
+        while at < end:
+            stop = self._stop(data, at)
+            if stop and data[at + 2] == _DATA:
+                places.setdefault(data[at + 3] | data[at + 4] << 8, []).append(at)
+                at = stop
+            elif stop and self._is_sound(data, at, stop):
+                self._read_other(start + at, chr(data[at + 2]), data[at + 3 : stop])
+                at = stop
+            else:
+                begin = at
+                at = self._next(data, at + 1, end)
+                what = f"{at - begin} bytes are no message of a known topic"
+                self.lose(start + begin, what, 1 + (at - begin) // 256)
+        array = np.frombuffer(data, np.uint8)
+        for number, found in places.items():
+            topic = self._topics[number]
+            if topic.dtype is None or topic.name not in self._wanted:
+                self.pass_over(topic.name, len(found))
+                continue
+            bytes_at = np.array(found)[:, None] + np.arange(5, 5 + topic.dtype.itemsize)
+            topic.parts.append(array[bytes_at].view(topic.dtype)[:, 0])
+        return at
+
+    def _is_sound(self, data: bytes, at: int, stop: int) -> bool:
+        """Return whether a message that is none of data is one: a subscription to a layout, or what one follows."""
+        if (
+            data[at + 2] == _SUBSCRIPTION
+            and data[at + 6 : stop].decode("latin-1") in self._layouts
+        ):
+            return True
+        return stop == len(data) or self._stop(data, stop) > 0
+
+    def _stop(self, data: bytes, at: int) -> int:
+        """Return where the message at a place ends; 0 where there can be none."""
+        if at + 3 > len(data):
+            return 0
+        size = data[at] | data[at + 1] << 8
+        stop = at + 3 + size
+        if stop > len(data):
+            return 0
+        if data[at + 2] != _DATA:
+            expected = _SIZES.get(chr(data[at + 2]), -1)
+            return stop if expected in (None, size) else 0
+        topic = self._topics.get(data[at + 3] | data[at + 4] << 8) if size > 2 else None
+        if topic is None or (topic.dtype is not None and topic.dtype.itemsize != size - 2):
+            return 0
+        return stop
+
+    def _next(self, data: bytes, at: int, end: int) -> int:
+        """Return where the next message of data begins, behind damage."""
+        heads: list[bytes] = []
+        for number, topic in self._topics.items():
+            if topic.dtype is not None:
+                heads.append(struct.pack("<HcH", topic.dtype.itemsize + 2, b"D", number))
+        if not heads:
+            return end
+        found = re.compile(b"|".join(map(re.escape, heads))).search(data, at)
+        return end if found is None else min(found.start(), end)
+
+    def _read_other(self, offset: int, kind: str, content: bytes) -> None:
+        """Read a message that is none of data: a layout, a subscription, a dropout."""
+        if kind == "F":
+            name, _, fields = content.decode("ascii", "replace").partition(":")
+            self._layouts.setdefault(name, fields)
+        elif kind == "A" and len(content) > 3:
+            name = content[3:].decode("ascii", "replace")
+            number = content[1] | content[2] << 8
+            topic = _Topic(name, content[0], self._subscribed(name), [])
+            known = self._topics.setdefault(number, topic)
+            if known[:3] != topic[:3]:
+                self.lose(offset, f"{name} has the number of {known.name}")
+        elif kind == "O":
+            self._dropouts_ms.append(content[0] | content[1] << 8)
+
+    def _dtype(self, name: str, level: int = 0) -> np.dtype[Any] | None:
+        """Return the type of the messages of a layout; None where it is not known, or cannot be."""
+        if name not in self._dtypes:
+            self._dtypes[name] = None
+            if level <= _DEEPEST:
+                self._dtypes[name] = self._dtype_of_fields(self._layouts.get(name, ""), level)
+        return self._dtypes[name]
+
+    def _dtype_of_fields(self, texts: str, level: int) -> np.dtype[Any] | None:
+        """Return the type of a message with some fields, such as `float[3] velocity`."""
+        fields: dict[str, Any] = {}
+        for text in texts.rstrip(";").split(";"):
+            field = _FIELD.fullmatch(text.strip())
+            if field is None or field[3] in fields:
+                return None
+            field_type = self._field_type(field[1], int(field[2] or 1), level)
+            if field_type is None:
+                return None
+            fields[field[3]] = field_type
+        dtype = np.dtype(list(fields.items()))
+        return dtype if dtype.itemsize < _LONGEST else None
+
+    def _field_type(self, type_name: str, count: int, level: int) -> Any:
+        """Return the type of a field; what is read of no message is its bytes."""
+        if type_name in _SCALARS:
+            return (_SCALARS[type_name], (count,)) if count > 1 else _SCALARS[type_name]
+        size = _UNREAD.get(type_name)
+        if size is None:
+            inner = self._dtype(type_name, level + 1)
+            if inner is None:
+                return None
+            size = inner.itemsize
+        return f"V{size * count}" if size * count < _LONGEST else None
+
+    def _subscribed(self, name: str) -> np.dtype[Any] | None:
+        """Return the type of the messages of a topic: what fills up their end is not written."""
+        dtype = self._dtype(name)
+        if dtype is None:
+            return None
+        labels = list(dtype.names or ())
+        while labels and labels[-1].startswith("_padding"):
+            del labels[-1]
+        if not labels:
+            return None
+        return np.dtype([(label, dtype[label]) for label in labels])
+
+    def _messages(self) -> Messages:
+        """Return the messages of all topics and instances that have a possible time."""
+        found: Messages = {}
+        for topic in self._topics.values():
+            if not topic.parts or topic.dtype is None:
+                continue
+            rows = np.concatenate(topic.parts)
+            if topic.dtype.names is None or "timestamp" not in topic.dtype.names:
+                self.pass_over(f"{topic.name} without a time", len(rows))
+                continue
+            possible = rows["timestamp"] < _LATEST_US
+            late = int(np.count_nonzero(~possible))
+            if late:
+                self.lose(0, f"{late} messages of {topic.name} have impossible times", late)
+            found[topic.name, topic.instance] = rows[possible]
+        return found
