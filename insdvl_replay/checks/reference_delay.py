@@ -26,16 +26,24 @@ from insdvl_replay.core.dive_columns import (
     nanoseconds,
     seconds,
 )
-from insdvl_replay.core.dive_record import Delay, ReferenceDelay
+from insdvl_replay.core.dive_record import (
+    LATE_S,
+    SIGNIFICANT_SDS,
+    Delay,
+    ReferenceDelay,
+)
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.words import DelayStatus
 from insdvl_replay.geometry.rotation import mat_from_vector, skew, vector_from_mat
 
-LATE_S: Final = 0.02  # smaller delays matter to no verdict
-SIGNIFICANT_SDS: Final = 3.0
 SURE_S: Final = 0.01  # standard error with which a delay of `LATE_S` would have been seen
 FARTHEST_S: Final = 2.0  # delay that is looked for, either sign
+# The same where gyros and reference turn, but not together.
+VERY_FAR_S: Final = 30.0
+OTHER_CLOCK_S: Final = 1.0  # such a delay is no latency, but that of another clock
+CLEAR_TURN: Final = 0.02  # rad, root mean square over the legs, of a vehicle that turns
+LATE_NOTES: Final = ("reference_late", "reference_other_clock")
 COARSE_S: Final = 0.1  # steps of the first search
 LEG_S: Final = 1.0
 LONGEST_LEG_S: Final = 2.5
@@ -47,7 +55,9 @@ FEWEST_BLOCKS: Final = 2.5  # that tell the delay, each by as much as the others
 EXPLAINED: Final = 0.5  # least part of the signal that a fit explains
 ROUNDS: Final = 4
 SMALLEST_PAUSE_S: Final = 0.5  # nobody saw what happened in one of the IMU
+_SAME_CLOCK: Final = 0.1  # part of a delay
 _COARSE_LEGS: Final = 1000
+_FAR_LEGS: Final = 300
 _FORCE_LEGS: Final = 1500  # each takes several rotations
 _SEARCHED_LEGS: Final = 250
 # Of the misfit at the delay of the attitude, before another one is tried.
@@ -156,7 +166,9 @@ def reference_delay(imu: ImuColumns, reference: ReferenceColumns | None) -> Refe
     integrals = _Integrals.of(imu)
     # Readings may be averages before their stamps, or around them.
     of_step_s = _UNIFORM * imu.usual_step_s
-    by_turns, is_aligned = _by_turns(imu, reference, integrals)
+    by_turns, is_aligned = _by_turns(imu, reference, integrals, FARTHEST_S)
+    if by_turns is None and _both_turn(imu, reference, integrals):
+        by_turns, is_aligned = _by_turns(imu, reference, integrals, VERY_FAR_S)
     by_accelerations = None
     if is_aligned:
         attitude_s = 0.0 if by_turns is None else by_turns.delay_s
@@ -176,23 +188,49 @@ def _delay_notes(found: ReferenceDelay, count: int, latency_s: float) -> tuple[N
     """Warn of a late or early reference; the latency is the one that its stamps are without already."""
     turns = found.by_turns
     accelerations = found.by_accelerations
-    is_contradictory = found.status == DelayStatus.CONTRADICTORY
-    if is_contradictory and turns is not None and accelerations is not None:
+    late_s = surely_late_s(found)
+    if late_s is None:
+        if not found.is_late or turns is None or accelerations is None:
+            return ()
         both = {"turns_s": turns.delay_s, "accelerations_s": accelerations.delay_s}
         return (note("reference_late in_part", count, **both),)
-    if not is_late(found) or found.delay_s is None:
-        return ()
-    late = "late" if found.delay_s > 0.0 else "early"
-    setting = latency_s + found.delay_s
-    size = {"size_s": abs(found.delay_s), "sd_s": found.sd_s}
-    return (note("reference_late", count, late=late, setting=setting, **size),)
+    shown = {
+        "late": "late" if late_s > 0.0 else "early",
+        "setting": latency_s + late_s,
+        "size_s": abs(late_s),
+        "sd_s": found.sd_s,
+    }
+    if abs(late_s) >= OTHER_CLOCK_S:
+        return (note("reference_other_clock", count, **shown),)
+    return (note("reference_late", count, **shown),)
 
 
-def is_late(found: ReferenceDelay) -> bool:
-    """Return whether a delay is large enough to matter, and surely none by chance."""
-    if found.delay_s is None or found.sd_s is None:
-        return False
-    return abs(found.delay_s) > max(LATE_S, SIGNIFICANT_SDS * found.sd_s)
+def surely_late_s(found: ReferenceDelay) -> float | None:
+    """Return how late a reference is, s; None where its delay is unknown or too little to matter.
+
+    Turns and accelerations that contradict each other by less than a tenth of both are by the same other clock.
+    """
+    if not found.is_late:
+        return None
+    if found.status != DelayStatus.CONTRADICTORY:
+        return found.delay_s
+    if found.by_turns is None or found.by_accelerations is None:
+        return None
+    turns_s = found.by_turns.delay_s
+    apart_s = abs(turns_s - found.by_accelerations.delay_s)
+    if abs(turns_s) >= OTHER_CLOCK_S and apart_s < _SAME_CLOCK * abs(turns_s):
+        return turns_s
+    return None
+
+
+def reference_on_time(dive: Dive) -> ReferenceColumns | None:
+    """Return the reference of a dive at the times of the IMU, as far as its delay is known."""
+    if dive.reference is None or dive.reference_delay is None:
+        return dive.reference
+    late_s = surely_late_s(dive.reference_delay)
+    if late_s is None:
+        return dive.reference
+    return replace(dive.reference, time_ns=dive.reference.time_ns - nanoseconds(late_s))
 
 
 def _widened(found: Delay | None, of_step_s: float) -> Delay | None:
@@ -221,7 +259,7 @@ def _together(by_turns: Delay | None, by_accelerations: Delay | None) -> Referen
         sd_s = larger.sd_s
         status = DelayStatus.CONTRADICTORY
     found = ReferenceDelay(delay_s, sd_s, status, by_turns, by_accelerations)
-    if sd_s <= SURE_S or is_late(found):
+    if sd_s <= SURE_S or found.is_late:
         return found
     return ReferenceDelay(delay_s, sd_s, DelayStatus.LITTLE_MOTION, by_turns, by_accelerations)
 
@@ -229,7 +267,7 @@ def _together(by_turns: Delay | None, by_accelerations: Delay | None) -> Referen
 # --- What is compared.
 
 
-def _legs(imu: ImuColumns, time_s: Floats, known: Mask) -> _Legs:
+def _legs(imu: ImuColumns, time_s: Floats, known: Mask, farthest_s: float) -> _Legs:
     """Return the legs between known rows of a reference, s since the first sample, that the IMU saw at any delay."""
     rows = np.flatnonzero(known)
     rows = rows[is_new(np.floor(time_s[rows] / _ROW_APART_S + 1e-6).astype(np.int64))]
@@ -242,9 +280,9 @@ def _legs(imu: ImuColumns, time_s: Floats, known: Mask) -> _Legs:
     from_s = row_s[begin]
     to_s = row_s[end]
     end_of_imu_s = float(imu.time_ns[-1] - imu.time_ns[0]) * 1e-9
-    seen = (from_s > FARTHEST_S) & (to_s < end_of_imu_s - FARTHEST_S)
+    seen = (from_s > farthest_s) & (to_s < end_of_imu_s - farthest_s)
     seen &= to_s - from_s <= LONGEST_LEG_S
-    margin_ns = nanoseconds(FARTHEST_S)
+    margin_ns = nanoseconds(farthest_s)
     from_ns = imu.time_ns[0] + np.rint(from_s * 1e9).astype(np.int64)
     to_ns = imu.time_ns[0] + np.rint(to_s * 1e9).astype(np.int64)
     seen &= ~in_pauses(
@@ -253,25 +291,56 @@ def _legs(imu: ImuColumns, time_s: Floats, known: Mask) -> _Legs:
     return _Legs(from_s, to_s, rows[begin], rows[end]).where(seen)
 
 
-def _by_turns(
-    imu: ImuColumns, reference: ReferenceColumns, integrals: _Integrals
-) -> tuple[Delay | None, bool]:
-    """Compare turns with the gyros; return also whether the reference has the axes of the IMU."""
+@dataclass(frozen=True)
+class _Turns:
+    """Turns of a reference over legs."""
+
+    legs: _Legs
+    values: Floats  # (k, 3) rad
+
+    def some(self, most: int) -> "_Turns":
+        """Choose at most so many, evenly."""
+        stride = -(-len(self.values) // most)
+        return _Turns(self.legs.some(most), self.values[:: max(stride, 1)])
+
+
+def _turns_of(imu: ImuColumns, reference: ReferenceColumns, farthest_s: float) -> _Turns:
+    """Return the turns of a reference without jumps, over legs that the IMU saw at any delay."""
     time_s = seconds(reference.time_ns, imu.time_ns[0])
-    legs = _legs(imu, time_s, reference.known["attitudes"]).some(MOST_LEGS)
+    legs = _legs(imu, time_s, reference.known["attitudes"], farthest_s).some(MOST_LEGS)
     mat_nb = reference.mat_nb
     turns = vector_from_mat(np.swapaxes(mat_nb[legs.first], 1, 2) @ mat_nb[legs.last])
     usual = np.linalg.norm(turns, axis=1) < LARGEST_TURN
-    legs = legs.where(usual)
-    turns = turns[usual]
+    return _Turns(legs.where(usual), turns[usual])
+
+
+def _both_turn(imu: ImuColumns, reference: ReferenceColumns, integrals: _Integrals) -> bool:
+    """Return whether gyros and reference turn clearly, so that their delay would be seen."""
+    found = _turns_of(imu, reference, FARTHEST_S)
+    legs = found.legs
+    if len(legs.first) < FEWEST_LEGS:
+        return False
+    measured = integrals.at(legs.to_s, _TURNS) - integrals.at(legs.from_s, _TURNS)
+    least = len(legs.first) * CLEAR_TURN**2
+    return min(_size(measured), _size(found.values)) > least
+
+
+def _by_turns(
+    imu: ImuColumns, reference: ReferenceColumns, integrals: _Integrals, farthest_s: float
+) -> tuple[Delay | None, bool]:
+    """Compare turns with the gyros; return also whether the reference has the axes of the IMU."""
+    found = _turns_of(imu, reference, farthest_s)
+    legs = found.legs
+    turns = found.values
+    mat_nb = reference.mat_nb
     if len(legs.first) < FEWEST_LEGS:
         return None, True
-    searched = legs.some(_COARSE_LEGS)
-    turns_searched = turns[:: -(-len(turns) // _COARSE_LEGS)]
-    coarse_s = np.arange(-FARTHEST_S + COARSE_S, FARTHEST_S, COARSE_S)
+    searched = found.some(_COARSE_LEGS if farthest_s == FARTHEST_S else _FAR_LEGS)
+    coarse_s = np.arange(-farthest_s + COARSE_S, farthest_s, COARSE_S)
     misfits = []
-    for delay_s in coarse_s.tolist():
-        misfits.append(_misfit(_turns(searched, turns_searched, mat_nb, integrals, delay_s)))
+    for tried_s in coarse_s.tolist():
+        tried = _turns(searched.legs, searched.values, mat_nb, integrals, tried_s)
+        misfits.append(_misfit(tried))
     best = int(np.argmin(misfits))
     if not 0 < best < len(coarse_s) - 1:
         return None, True
@@ -279,9 +348,9 @@ def _by_turns(
     def compared(delay_s: float) -> Difference:
         return _turns(legs, turns, mat_nb, integrals, delay_s)
 
-    found = _fitted(compared, legs, float(coarse_s[best]), _size(turns))
-    delay_s = found.delay_s if found is not None else 0.0
-    return found, _is_aligned(legs, turns, integrals, delay_s)
+    delay = _fitted(compared, legs, float(coarse_s[best]), _size(turns))
+    delay_s = delay.delay_s if delay is not None else 0.0
+    return delay, _is_aligned(legs, turns, integrals, delay_s)
 
 
 def _turns(
@@ -326,7 +395,11 @@ def _by_accelerations(
         return None
     time_s = seconds(reference.time_ns, imu.time_ns[0])
     known = reference.known["velocities"] & reference.known["attitudes"]
-    legs = _legs(imu, time_s, known).some(_FORCE_LEGS)
+    centre_s = 0.0
+    if abs(attitude_s) > FARTHEST_S:
+        centre_s = attitude_s
+    farthest_s = FARTHEST_S + abs(centre_s)
+    legs = _legs(imu, time_s, known, farthest_s).some(_FORCE_LEGS)
     if len(legs.first) < FEWEST_LEGS:
         return None
     mat_bn = np.swapaxes(reference.mat_nb[legs.first], 1, 2)
@@ -337,7 +410,8 @@ def _by_accelerations(
     searched = forces.some(_SEARCHED_LEGS)
     start_s = attitude_s
     misfit = _CLEARLY_LESS * _misfit(searched.compared(start_s))
-    for delay_s in np.arange(-FARTHEST_S, FARTHEST_S, 2.0 * COARSE_S).tolist():
+    around_s = np.arange(-FARTHEST_S, FARTHEST_S, 2.0 * COARSE_S)
+    for delay_s in (centre_s + around_s).tolist():
         tried = _misfit(searched.compared(delay_s))
         if tried < misfit:
             start_s = delay_s

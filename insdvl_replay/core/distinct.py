@@ -1,11 +1,13 @@
 """Which of several results are of dives of their own: copies count once, and parts of one recording are told.
 
+So are vehicles that are probably mistyped, since each would count as one more vehicle.
+
 Dives are the same if their logs are, or if the IMU's readings are equal where their times overlap, whatever the logs
-are called and however they are encoded. Times of a copy may be later by a constant, as in another time zone.
+are called and however they are encoded. Times of a copy may be later by any constant: no two dives have the same noise.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Final, Protocol, TypeVar
 
@@ -14,7 +16,8 @@ from insdvl_replay.core.errors import Note, listed
 from insdvl_replay.core.notes import note
 
 LEAST_EQUAL: Final = 0.5  # share of the samples of a time that both have; rounding changes a few
-LEAST_MOVED: Final = 3  # different readings at one distance in time; two may be equal by chance
+LEAST_MOVED: Final = 4  # different readings at one distance in time; a few may be equal by chance
+SAME_DISTANCE_MS: Final = 100  # by which stamps of a copy scatter, as those by arrival do
 CONTINUED_S: Final = 60.0  # between the end of one file and the beginning of the next
 
 
@@ -57,15 +60,14 @@ def distinct_dives(reports: Sequence[AnyReport]) -> tuple[list[AnyReport], list[
     first_of = list(range(len(reports)))  # the first known report of the same dive, by report
     seen: dict[object, list[int]] = {}  # reports by what two of one dive have in common
     for number, report in enumerate(reports):
-        keys = _keys(report)
-        alike: set[int] = set()  # by what they have in common
-        for key in keys:
-            alike.update(seen.get(key, ()))
+        sure = _sure_keys(report)
+        marks = _marks(report)
+        alike = _having(sure, seen, at_least=1) | _having(marks, seen, at_least=LEAST_MOVED)
         same = {first_of[other] for other in alike if is_same_dive(report, reports[other])}
         first = min(same, default=number)
         if same:
             first_of = [first if known in same or known == number else known for known in first_of]
-        for key in keys:
+        for key in sure | marks:
             seen.setdefault(key, []).append(number)
     kept: list[AnyReport] = []
     notes: list[Note] = []
@@ -77,19 +79,35 @@ def distinct_dives(reports: Sequence[AnyReport]) -> tuple[list[AnyReport], list[
         kept.append(longest)
         if len(group) > 1:
             notes.append(_same_note(group, longest))
-    return kept, [*notes, *_continued_notes(kept)]
+    return kept, [*notes, *_continued_notes(kept), *_mistyped_vehicles(kept)]
 
 
-def _keys(report: DiveReport) -> set[object]:
-    """Return digests, of which two reports of one dive have at least one in common."""
+def _having(
+    keys: Iterable[object], seen: Mapping[object, Sequence[int]], at_least: int
+) -> set[int]:
+    """Return the reports that have at least so many of some keys."""
+    counts = Counter[int]()
+    for key in keys:
+        counts.update(seen.get(key, ()))
+    return {number for number, count in counts.items() if count >= at_least}
+
+
+def _sure_keys(report: DiveReport) -> set[object]:
+    """Return digests, of which two reports of one dive with the same times have at least one in common."""
     found = report.imu_fingerprint
     keys = set[object]()
     if report.log.sha256:
         keys.add(report.log.sha256)
     if found is not None:
         keys.update(zip(found.at_s, found.digests, strict=True))
-        keys.update(_readings_met_once(found))
     return keys
+
+
+def _marks(report: DiveReport) -> set[object]:
+    """Return the marks of a report, of which two of one dive have several in common."""
+    if report.imu_fingerprint is None:
+        return set()
+    return set(report.imu_fingerprint.marks)
 
 
 def is_same_dive(one: DiveReport, other: DiveReport) -> bool:
@@ -100,46 +118,50 @@ def is_same_dive(one: DiveReport, other: DiveReport) -> bool:
     theirs = other.imu_fingerprint
     if ours is None or theirs is None:
         return False
-    both, equal = _compared(ours, theirs)
+    both, equal = _at_equal_times(ours, theirs)
     if both > 0 and equal >= LEAST_EQUAL * both:
         return True
     return _is_moved_copy(ours, theirs)
 
 
-def _compared(ours: ImuFingerprint, theirs: ImuFingerprint, moved_s: int = 0) -> tuple[int, int]:
-    """Count the times that both have, and those with equal readings; their times are later by ``moved_s``."""
+def _at_equal_times(ours: ImuFingerprint, theirs: ImuFingerprint) -> tuple[int, int]:
+    """Count the times that both have, and those with equal readings."""
     known = dict(zip(ours.at_s, ours.digests, strict=True))
     both = 0
     equal = 0
     for at_s, digest in zip(theirs.at_s, theirs.digests, strict=True):
-        if at_s - moved_s in known:
+        if at_s in known:
             both += 1
-            equal += known[at_s - moved_s] == digest
+            equal += known[at_s] == digest
     return both, equal
 
 
 def _is_moved_copy(ours: ImuFingerprint, theirs: ImuFingerprint) -> bool:
-    """Return whether most readings of the shorter one are in the other, all at one distance in time.
-
-    The distances are those between times of fingerprints, whole tens of seconds, as of two time zones.
-    """
-    ours_at = _readings_met_once(ours)
-    theirs_at = _readings_met_once(theirs)
-    common = ours_at.keys() & theirs_at.keys()
-    distances = Counter(theirs_at[digest] - ours_at[digest] for digest in common)
-    if not distances:
-        return False
-    moved_s, count = distances.most_common(1)[0]
-    both, equal = _compared(ours, theirs, moved_s)
-    shorter = min(len(ours.at_s), len(theirs.at_s))
-    return count >= LEAST_MOVED and equal >= LEAST_EQUAL * both and both >= LEAST_EQUAL * shorter
+    """Return whether most marks of the shorter one are in the other, all at one distance in time."""
+    ours_ms = dict(zip(ours.marks, ours.marked_ms, strict=True))
+    theirs_ms = dict(zip(theirs.marks, theirs.marked_ms, strict=True))
+    common = ours_ms.keys() & theirs_ms.keys()
+    distances_ms = sorted(theirs_ms[mark] - ours_ms[mark] for mark in common)
+    equal = _most_at_one_distance(distances_ms)
+    one_in = max(ours.one_in, theirs.one_in)
+    fewest = min(_marks_of_one_in(one_in, ours), _marks_of_one_in(one_in, theirs))
+    return equal >= LEAST_MOVED and equal >= LEAST_EQUAL * fewest
 
 
-def _readings_met_once(fingerprint: ImuFingerprint) -> dict[str, int]:
-    """Return the time of each reading that comes once; at rest, a coarse IMU repeats others."""
-    times = Counter(fingerprint.digests)
-    samples = zip(fingerprint.at_s, fingerprint.digests, strict=True)
-    return {digest: at_s for at_s, digest in samples if times[digest] == 1}
+def _most_at_one_distance(distances_ms: Sequence[int]) -> int:
+    """Return how many of sorted distances are nearly equal, at most."""
+    most = 0
+    first = 0
+    for last, distance_ms in enumerate(distances_ms):
+        while distance_ms - distances_ms[first] > SAME_DISTANCE_MS:
+            first += 1
+        most = max(most, last - first + 1)
+    return most
+
+
+def _marks_of_one_in(one_in: int, fingerprint: ImuFingerprint) -> float:
+    """Return how many marks there would be of one in so many samples."""
+    return len(fingerprint.marks) * fingerprint.one_in / one_in
 
 
 def _length_ns(report: DiveReport) -> int:
@@ -189,3 +211,43 @@ def _continued_notes(reports: Sequence[DiveReport]) -> list[Note]:
                     )
                 )
     return notes
+
+
+def _mistyped_vehicles(reports: Sequence[DiveReport]) -> list[Note]:
+    """Note vehicles of one dive whose name differs by one letter from that of a vehicle with several dives."""
+    dives = Counter(report.vehicle for report in reports if report.vehicle)
+    notes = []
+    for report in reports:
+        if dives[report.vehicle] != 1:
+            continue
+        for other, count in dives.items():
+            if count > 1 and _differ_by_one_letter(report.vehicle, other):
+                found = note(
+                    "vehicle_mistyped", name=report.log.name, vehicle=report.vehicle, other=other
+                )
+                notes.append(found)
+                break
+    return notes
+
+
+def _differ_by_one_letter(one: str, other: str) -> bool:
+    """Return whether a letter of one name is another, missing or added, or only capitals differ; digits are numbers."""
+    ours = one.casefold()
+    theirs = other.casefold()
+    if ours == theirs:
+        return one != other
+    begin = _letters_in_common(ours, theirs)
+    end = _letters_in_common(ours[begin:][::-1], theirs[begin:][::-1])
+    left = ours[begin : len(ours) - end]
+    right = theirs[begin : len(theirs) - end]
+    return max(len(left), len(right)) == 1 and not (left + right).isdigit()
+
+
+def _letters_in_common(one: str, other: str) -> int:
+    """Return with how many equal letters two texts begin."""
+    count = 0
+    for ours, theirs in zip(one, other, strict=False):
+        if ours != theirs:
+            break
+        count += 1
+    return count

@@ -18,6 +18,8 @@ LOG_SUFFIXES: Final = (".mcap", ".db3", ".bag")
 # Endings of tables. Those of a folder without logs are one dive. HDF5 is not read, but its files are found, so that
 # they are refused with what helps.
 TABLE_SUFFIXES: Final = (".csv", ".tsv", ".npy", ".npz", ".parquet", ".mat", ".h5", ".hdf5")
+LATE_S: Final = 0.02  # smaller delays of a reference matter to no verdict
+SIGNIFICANT_SDS: Final = 3.0
 LONGEST_NAME: Final = 255  # Bytes of a name that file systems keep.
 
 
@@ -73,6 +75,13 @@ class ReferenceDelay:
         """Whether the delay is known well enough to rely on."""
         return self.status == DelayStatus.DETERMINED
 
+    @property
+    def is_late(self) -> bool:
+        """Whether the delay is large enough to matter, and surely none by chance."""
+        if self.delay_s is None or self.sd_s is None:
+            return False
+        return abs(self.delay_s) > max(LATE_S, SIGNIFICANT_SDS * self.sd_s)
+
 
 @dataclass(frozen=True)
 class StartHeading:
@@ -94,6 +103,11 @@ class ImuFingerprint:
     # whole seconds of the log's clock, at or after which the first sample is digested
     at_s: tuple[int, ...] = ()
     digests: tuple[str, ...] = ()
+    # One of so many samples is marked: which ones, its readings decide and not its time.
+    one_in: int = 1
+    # marked samples whose readings come only once: ms since the first sample, and their digests
+    marked_ms: tuple[int, ...] = ()
+    marks: tuple[str, ...] = ()
 
 
 def dive_name(path: Path) -> str:

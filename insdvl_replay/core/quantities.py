@@ -43,6 +43,12 @@ CREDIBILITY_GROUPS: Final = {
 # Further rows of a filter that estimates its position.
 POSITION_QUANTITIES: Final = ("position_n", "position_e", "position_d")
 ALL_CREDIBILITY_GROUPS: Final = {**CREDIBILITY_GROUPS, "position": POSITION}
+# Rows of the baseline after it has settled, by which it is fit to judge by or not; without the heading, which keeps the
+# error of the start, of a compass or of the mounting.
+SETTLED_PREFIX: Final = "settled_"
+SETTLED_VELOCITY: Final = f"{SETTLED_PREFIX}velocity"
+SETTLED_LEVEL: Final = f"{SETTLED_PREFIX}level"
+SETTLED: Final = (SETTLED_VELOCITY, SETTLED_LEVEL)
 # The row of all compared states together, in which small errors of some may hide large ones of others.
 JOINT: Final = "all"
 AXES: Final = ("x", "y", "z")  # Axes of a measurement in b.

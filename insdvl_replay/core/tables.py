@@ -22,6 +22,7 @@ from insdvl_replay.core.quantities import (
     OUTAGE_WINDOWS_S,
     POSITION_QUANTITIES,
     REFERENCE_QUANTITIES,
+    SETTLED,
     TRACK_FIT_QUANTITIES,
     VERDICTS_BEST_FIRST,
     axis_of,
@@ -184,6 +185,7 @@ _CREDIBILITY: Final = (
     *POSITION_QUANTITIES,
     *ALL_CREDIBILITY_GROUPS,
     JOINT,
+    *SETTLED,
 )
 _REASON_CODES: Final = [code for code in ReasonCode if code]
 
@@ -423,7 +425,8 @@ class CredibilityRow(Struct, frozen=True):
     log: Annotated[
         str,
         Col(
-            "Dive, filter, and a quantity or group of quantities; all is all compared states together."
+            "Dive, filter, and a quantity or group of quantities; all is all compared states together, settled_ is of "
+            "the baseline with the noise of the reference, and without errors that grow with the speed."
         ),
     ]
     filter: str
@@ -433,7 +436,8 @@ class CredibilityRow(Struct, frozen=True):
     mean_nees: Annotated[
         Number,
         Col(
-            "Mean normalised estimation error squared, and the interval that holds 95 % of consistent filters.",
+            "Mean normalised estimation error squared, and the interval that holds 95 % of consistent filters; of "
+            "settled_ the limits within which a baseline is fit to judge by.",
             head="NEES",
             better="nearer dof",
             primary=True,

@@ -29,6 +29,11 @@ FEWEST_PAIRS: Final = 10  # With fewer pairs of neighbours: ``insufficient data`
 # 10 % less, than that of white noise.
 SMALL_AUTOCORRELATION: Final = 0.1
 NORMAL_95: Final = 1.96  # 95 % of a normal variable are within this number of standard deviations.
+# Beyond these, over its degrees of freedom, a baseline is not fit to judge by. Innovations or errors three times as
+# large as predicted come from wrong axes, units, clocks or noise.
+LARGEST_PER_DOF: Final = 10.0
+# With a noise variance that is ten times too large a filter is not the one that was tuned.
+SMALLEST_PER_DOF: Final = 0.1
 
 
 # --- The mean of a NIS or NEES, its chi-square interval and its verdict.

@@ -20,6 +20,7 @@ from insdvl_replay.core.dive_columns import (
     ReferenceColumns,
     TimeNs,
     TruthColumns,
+    seconds,
 )
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import (
@@ -28,12 +29,16 @@ from insdvl_replay.core.quantities import (
     CREDIBILITY_QUANTITIES,
     JOINT,
     POSITION_QUANTITIES,
+    SETTLED_LEVEL,
+    SETTLED_VELOCITY,
 )
-from insdvl_replay.core.states import BA, PHI
+from insdvl_replay.core.states import BA, DV, PHI
 from insdvl_replay.core.tables import CredibilityRow
 from insdvl_replay.core.words import Consistency, Reason
 from insdvl_replay.evaluation.consistency import (
     CONFIDENCE,
+    LARGEST_PER_DOF,
+    SMALLEST_PER_DOF,
     MeanVerdict,
     chi_square_quantile,
     mean_verdict,
@@ -49,6 +54,11 @@ FAR_SMALLER: Final = 0.25
 # A smaller share of errors beyond three sigma is near enough to the 0.3 % of a consistent filter.
 MANY_FAR_OFF: Final = 0.01
 LEVEL: Final = slice(PHI.start, PHI.stop - 1)
+# A mean NEES of a baseline that is off by less than this factor is sound. Beyond the limits of the baseline, few
+# effective samples must be less probable than this in a sound filter.
+SOUND: Final = 3.0
+UNLIKELY: Final = 1e-3
+FEWEST_SETTLED: Final = 10  # times of the reference
 
 States = Integers
 
@@ -83,7 +93,10 @@ class StateErrors:
 
     def after(self, time_ns: int) -> "StateErrors":
         """Keep the times after one, such as the start, where a filter is set to the reference."""
-        rows = slice(int(np.searchsorted(self.time_ns, time_ns, side="right")), None)
+        return self.rows(slice(int(np.searchsorted(self.time_ns, time_ns, side="right")), None))
+
+    def rows(self, rows: slice | Mask) -> "StateErrors":
+        """Keep some times."""
         kept = {name: getattr(self, name)[rows] for name in ("time_ns", "error", "cov", "heading")}
         return replace(self, **kept)
 
@@ -232,6 +245,107 @@ def _rows_of_groups(
             yield _compared_row(log, group, errors, states, samples_of_each)
     if errors.has_sd.any():
         yield _compared_row(log, JOINT, errors, np.flatnonzero(is_known), samples_of_each)
+
+
+# --- Whether a baseline is fit to judge by.
+
+
+def settled_table(
+    log: str,
+    errors: StateErrors,  # of the baseline
+    reference: ReferenceColumns,  # independent of the filters and on time
+    start_ns: int,
+    settled_s: Mapping[str, float],  # after the start, of velocity_along and level
+    *,
+    velocity_sd_mps: float,  # of the reference; 0 where nobody said
+    attitude_sd_rad: float,
+) -> list[CredibilityRow]:
+    """Return whether the settled errors of a baseline are of the size that it predicts, by the limits of a fit one.
+
+    The noise of the reference is added to P. Where nobody said how large it is, errors may be the reference's, so that
+    there is no upper limit. The level has no lower one: a filter that starts on the reference has a smaller error for
+    long. What grows with the speed is an error of the DVL's mounting or scale, and no noise.
+    """
+    since_s = seconds(errors.time_ns, start_ns)
+    rows = []
+    for quantity, sd in ((SETTLED_VELOCITY, velocity_sd_mps), (SETTLED_LEVEL, attitude_sd_rad)):
+        from_s = settled_s.get("level", 0.0)
+        if quantity == SETTLED_VELOCITY:
+            from_s = settled_s.get("velocity_along", 0.0)
+        own = errors.rows(since_s >= from_s)
+        error, cov = _settled_level(own)
+        if quantity == SETTLED_VELOCITY:
+            error, cov = _settled_velocity(own, reference)
+        known = np.isfinite(error).all(axis=1)
+        if known.sum() < FEWEST_SETTLED:
+            continue
+        noise = sd**2 * np.eye(error.shape[1])
+        standardised = whitened(error[known], cov[known] + noise)
+        if np.isfinite(standardised).all():
+            row = _settled_row(log, errors.filter, quantity, standardised, has_noise=sd > 0.0)
+            rows.append(row)
+    return rows
+
+
+def _settled_level(errors: StateErrors) -> tuple[Floats, Floats]:
+    """Return roll and pitch errors, shape (k, 2), with their P."""
+    turned = about_vehicle(errors)
+    return turned.error[:, LEVEL], turned.cov[:, LEVEL, LEVEL]
+
+
+def _settled_velocity(errors: StateErrors, reference: ReferenceColumns) -> tuple[Floats, Floats]:
+    """Return velocity errors along, across and down, shape (k, 3), without what grows with the speed, with their P."""
+    cos = np.cos(errors.heading)
+    sin = np.sin(errors.heading)
+    turn = np.zeros((len(cos), 3, 3))
+    turn[:, 0, 0] = cos
+    turn[:, 0, 1] = sin
+    turn[:, 1, 0] = -sin
+    turn[:, 1, 1] = cos
+    turn[:, 2, 2] = 1.0
+    error_mps = np.einsum("kij,kj->ki", turn, errors.error[:, DV])
+    cov = turn @ errors.cov[:, DV, DV] @ np.swapaxes(turn, 1, 2)
+    rows = np.searchsorted(reference.time_ns, errors.time_ns)
+    velocity_n = reference.velocity_n[rows]
+    along_mps = cos * velocity_n[:, 0] + sin * velocity_n[:, 1]
+    known = np.isfinite(error_mps).all(axis=1) & np.isfinite(along_mps)
+    power = float(np.sum(along_mps[known] ** 2))
+    if power > 0.0:
+        share = along_mps[known] @ error_mps[known] / power
+        error_mps = error_mps - along_mps[:, None] * share
+    return error_mps, cov
+
+
+def _settled_row(
+    log: str, name: str, quantity: str, standardised: Floats, *, has_noise: bool
+) -> CredibilityRow:
+    samples, dof = standardised.shape
+    squared = np.sum(standardised**2, axis=1)
+    independent = samples_in_mean_square(standardised)
+    low, high = fit_limits(dof, independent)
+    if quantity == SETTLED_LEVEL:
+        low = np.nan
+    if not has_noise:
+        high = np.nan
+    mean = float(squared.mean())
+    word = Consistency.CONSISTENT
+    if mean < low:
+        word = Consistency.CONSERVATIVE
+    elif mean > high:
+        word = Consistency.OVERCONFIDENT
+    found = MeanVerdict(mean, low, high, word)
+    shares_pct = (_within_pct(squared, 1.0, dof), _within_pct(squared, 3.0, dof))
+    return _row(log, name, quantity, dof, samples, found, shares_pct, independent)
+
+
+def fit_limits(dof: int, samples: float) -> tuple[float, float]:
+    """Return the limits of the mean NEES of a baseline that is fit to judge by; wider for few effective samples."""
+    count = dof * samples
+    unlikely_low = chi_square_quantile(UNLIKELY, count) / count / SOUND
+    unlikely_high = chi_square_quantile(1.0 - UNLIKELY, count) / count * SOUND
+    low = min(SMALLEST_PER_DOF, unlikely_low)
+    high = max(LARGEST_PER_DOF, unlikely_high)
+    return dof * low, dof * high
 
 
 def _standardised(errors: StateErrors, states: States) -> tuple[Floats, Floats]:

@@ -15,16 +15,17 @@ from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, Time
 from insdvl_replay.core.dive_record import ReferenceDelay
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import DRAWN_HEADING, TRACK
-from insdvl_replay.core.states import POSITION
+from insdvl_replay.core.states import DEG, POSITION
 from insdvl_replay.core.tables import (
     ConvergenceRow,
+    CredibilityRow,
     JumpRow,
     OutageRow,
     ReferenceErrorRow,
     Tables,
     finite,
 )
-from insdvl_replay.core.words import ReferenceStatus
+from insdvl_replay.core.words import DelayStatus, ReferenceStatus
 from insdvl_replay.evaluation.consistency import consistency_table
 from insdvl_replay.evaluation.convergence import (
     ConvergenceCurves,
@@ -34,7 +35,12 @@ from insdvl_replay.evaluation.convergence import (
     improvement_table,
     measured_convergences,
 )
-from insdvl_replay.evaluation.credibility import credibility_table, state_errors
+from insdvl_replay.evaluation.credibility import (
+    StateErrors,
+    credibility_table,
+    settled_table,
+    state_errors,
+)
 from insdvl_replay.evaluation.drift import drift_table, track_fit_table
 from insdvl_replay.evaluation.evidence import (
     HEADING_FREE,
@@ -132,6 +138,8 @@ def tables_of_filters(
     reference_error = reference_error_table(log, histories, errors, bridged_gaps=bridged_gaps)
     consistency = consistency_table(log, histories, sensor_sd)
     credibility = credibility_table(log, names, in_states)
+    if independent:
+        credibility += _settled_rows(dive, in_states, baseline.filter, start_ns, settled_s, noise)
 
     in_time = accuracy_series(
         histories, errors, reference, noise, settled_s, bridged_gaps=bridged_gaps
@@ -172,6 +180,35 @@ def tables_of_filters(
         track_fit=fits,
         jumps=jumps,
     )
+
+
+def _settled_rows(
+    dive: Dive,
+    in_states: Mapping[str, StateErrors],  # by filter
+    baseline: str,
+    start_ns: int,
+    settled_s: Mapping[str, float],  # by quantity
+    noise: ReferenceNoise,
+) -> list[CredibilityRow]:
+    """Return whether the baseline is fit to judge by; nothing without a reference that is on time."""
+    if dive.reference is None or not is_on_time(dive.reference_delay):
+        return []
+    return settled_table(
+        dive.name,
+        in_states[baseline],
+        dive.reference,
+        start_ns,
+        settled_s,
+        velocity_sd_mps=noise.velocity_mps,
+        attitude_sd_rad=noise.attitude_deg * DEG,
+    )
+
+
+def is_on_time(delay: ReferenceDelay | None) -> bool:
+    """Return whether the errors against a reference hold no motion in its delay, as far as this can be known."""
+    if delay is None or delay.status == DelayStatus.NO_ATTITUDE:
+        return False
+    return not delay.is_late
 
 
 def _convergence_rows(

@@ -19,6 +19,8 @@ from insdvl_replay.core.notes import note
 from insdvl_replay.core.of_reference import OfReference
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
+    SETTLED,
+    SETTLED_PREFIX,
     VERDICTS_BEST_FIRST,
     WITHOUT_VERDICT,
     is_beam,
@@ -34,7 +36,12 @@ from insdvl_replay.core.tables import (
 )
 from insdvl_replay.core.words import Consistency, ReferenceStatus, Role
 from insdvl_replay.evaluation.answers import median_of, pooled_candidate, primary_of
-from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejected
+from insdvl_replay.evaluation.consistency import (
+    LARGEST_PER_DOF,
+    MANY_REJECTED,
+    SMALLEST_PER_DOF,
+    rejected,
+)
 from insdvl_replay.evaluation.convergence import (
     mean_over_nine,
     nearest_over_nine,
@@ -57,10 +64,6 @@ COMPARED: Final = (
 WORST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.INSUFFICIENT)
 MANY_REOPENED: Final = 0.01  # Share of the pings; each comes after several that were rejected.
 FEW: Final = 2  # Up to this number of rejections prove nothing, even in a short dive.
-# Innovations three times as large as predicted come from wrong axes, units or clocks.
-LARGEST_NIS_PER_DOF: Final = 10.0
-# With a noise variance that is ten times too large a filter is not the one that was tuned.
-SMALLEST_NIS_PER_DOF: Final = 0.1
 # Percent of the distance, with the DVL available. Dead reckoning by a DVL without an INS drifts less.
 FARTHEST_PCT: Final = 20.0
 # Notes on columns of a dive that contradict each other.
@@ -72,6 +75,7 @@ CONTRADICTIONS: Final = (
     "imu_gyro_sign",
     "imu_upside_down",
     "reference_contradiction",
+    "reference_other_clock",
     "start_heading_contradiction",
     "track_contradiction",
 )
@@ -130,12 +134,13 @@ def not_evaluated(
 
     Where columns of the dive contradict each other, as a note then says, no filter is evaluated.
     If only one of the two filters is far off, the evidence shows it. A baseline whose noise is far from what its
-    innovations show is none to judge by (`misfit`), nor is a candidate that misreads a sensor of its own (`misread`).
+    innovations or errors show is none to judge by (`misfit`), nor is a candidate that misreads a sensor of its own
+    (`misread`).
     """
     invalid = _invalid_filters(histories, notes) | diverged_filters(histories)
     suspect = _suspect_filters(histories, errors, tables)
     baseline, *candidates = (history.filter for history in histories)
-    unusable = _contradictions(notes) or misfit(baseline, tables.consistency)
+    unusable = _contradictions(notes) or misfit(baseline, tables)
     unsound = {}
     for candidate in candidates:
         wrong = [invalid[name] for name in (baseline, candidate) if name in invalid]
@@ -288,12 +293,18 @@ def _rejected_pings(beams: Sequence[Innovations]) -> Mask:
     return pings
 
 
-def misfit(name: str, rows: Sequence[ConsistencyRow]) -> str:
-    """Say that the noise of a baseline is far from what its innovations show, so that nothing can be judged by it.
+def misfit(name: str, tables: Tables) -> str:
+    """Say that a baseline predicts errors of another size than it has, so that nothing can be judged by it.
 
-    Empty if the mean NIS per degree of freedom of its DVL is between `SMALLEST_NIS_PER_DOF` and `LARGEST_NIS_PER_DOF`,
-    or if it has none.
+    Empty if the mean NIS per degree of freedom of its DVL is between `SMALLEST_PER_DOF` and `LARGEST_PER_DOF`, and the
+    NEES of its settled errors too, or where it has none of these.
     """
+    return _misfit_by_innovations(name, tables.consistency) or _misfit_by_errors(
+        name, tables.credibility
+    )
+
+
+def _misfit_by_innovations(name: str, rows: Sequence[ConsistencyRow]) -> str:
     for row in rows:
         is_dvl = row.measurement == "velocity" or is_beam(row.measurement)
         if row.filter != name or not is_dvl or not row.dof:
@@ -301,17 +312,30 @@ def misfit(name: str, rows: Sequence[ConsistencyRow]) -> str:
         size = finite(row.mean_nis) / row.dof
         if not size > 0.0 or row.verdict == Consistency.INSUFFICIENT:
             continue
-        if size < SMALLEST_NIS_PER_DOF:
-            off = f"{1.0 / size:.0f} times too large"
-        elif size > LARGEST_NIS_PER_DOF:
-            off = f"{size:.0f} times too small"
-        else:
+        if SMALLEST_PER_DOF <= size <= LARGEST_PER_DOF:
             continue
-        return (
-            f"the noise variance of {name} is {off} (NIS / dof of its {row.measurement} is {size:.2g}, "
-            "expected 1); --control fits it"
-        )
+        found = f"NIS / dof of its {row.measurement} is {size:.2g}, expected 1"
+        return f"the noise variance of {name} is {_off(size)} ({found}); --control fits it"
     return ""
+
+
+def _misfit_by_errors(name: str, rows: Sequence[CredibilityRow]) -> str:
+    for row in rows:
+        is_sized = row.verdict in (Consistency.OVERCONFIDENT, Consistency.CONSERVATIVE)
+        if row.filter != name or row.quantity not in SETTLED or not is_sized:
+            continue
+        size = finite(row.mean_nees) / row.dof
+        part = row.quantity.removeprefix(SETTLED_PREFIX)
+        found = f"NEES / dof of its {part} against the reference is {size:.2g}, expected 1"
+        return f"the variance that {name} predicts is {_off(size)} ({found}); --control fits it"
+    return ""
+
+
+def _off(size: float) -> str:
+    """Say how far off a variance is, by NIS or NEES over its degrees of freedom."""
+    if size < 1.0:
+        return f"{1.0 / size:.0f} times too large"
+    return f"{size:.0f} times too small"
 
 
 def misread(name: str, rows: Sequence[ConsistencyRow]) -> str:
@@ -331,7 +355,7 @@ def surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
         if row.filter != name or not is_used(row.measurement):
             continue
         nis = finite(row.mean_nis)
-        if nis > LARGEST_NIS_PER_DOF * row.dof:
+        if nis > LARGEST_PER_DOF * row.dof:
             return (
                 f"the {row.measurement} innovations of {name} are far too large "
                 f"(NIS {nis:.3g}, expected {row.dof})"

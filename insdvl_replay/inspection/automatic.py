@@ -29,7 +29,11 @@ from insdvl_replay.calibration.found import (
 )
 from insdvl_replay.calibration.free_mounting import angle_between
 from insdvl_replay.calibration.noise import imu_class
-from insdvl_replay.checks.reference_delay import is_late, with_reference_delay
+from insdvl_replay.checks.reference_delay import (
+    LATE_NOTES,
+    surely_late_s,
+    with_reference_delay,
+)
 from insdvl_replay.core.config import Config, Filter, Initial, Solution
 from insdvl_replay.core.config_file import given_keys_in, load_config, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ReferenceColumns, nanoseconds
@@ -278,12 +282,9 @@ def _read_with_reference(
 
 def _late_reference_s(dive: Dive, given: Given) -> float:
     """Return how late the reference of a dive is, s; 0 where that is given, not known or too little to matter."""
-    found = dive.reference_delay
-    if found is None or found.delay_s is None or not found.is_checked or not is_late(found):
+    if dive.reference_delay is None or given.has(REFERENCE_LATENCY):
         return 0.0
-    if given.has(REFERENCE_LATENCY):
-        return 0.0
-    return found.delay_s
+    return surely_late_s(dive.reference_delay) or 0.0
 
 
 def _with_reference_latency(
@@ -305,7 +306,7 @@ def _with_reference_latency(
     if given.has(REFERENCE_LATENCY) or not weights:
         return list(dives), config
     rest_s = float(np.average(delays_s, weights=weights))
-    if first_s == proposed_s and not any(map(is_late, known)):
+    if first_s == proposed_s and not any(one.is_late for one in known):
         return list(dives), config
     latency_s = round(first_s + rest_s, LATENCY_DIGITS)
     config = with_values(config, "reference", latency_s=latency_s)
@@ -327,7 +328,7 @@ def _reference_later(dive: Dive, config: Config, latency_s: float) -> Dive:
     if dive.reference is None:
         return dive
     reference = replace(dive.reference, time_ns=dive.reference.time_ns - nanoseconds(latency_s))
-    notes = tuple(note for note in dive.notes if note.code != "reference_late")
+    notes = tuple(note for note in dive.notes if note.code not in LATE_NOTES)
     return with_reference_delay(replace(dive, reference=reference, notes=notes), config)
 
 

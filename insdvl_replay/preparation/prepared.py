@@ -10,7 +10,7 @@ from msgspec.structs import replace as changed
 
 from insdvl_replay.checks.imu import length_refusal
 from insdvl_replay.checks.reference import plausibility_notes, without_frozen
-from insdvl_replay.checks.reference_delay import with_reference_delay
+from insdvl_replay.checks.reference_delay import reference_on_time, with_reference_delay
 from insdvl_replay.checks.sensors import (
     contradiction_notes,
     depth_at_start_notes,
@@ -111,11 +111,13 @@ def read_checked_dive(
     if dive.reference is not None:
         reference, frozen = without_frozen(dive.imu, dive.dvl, dive.reference)
         dive = replace(dive, reference=reference)
-    notes = frozen + plausibility_notes(place, dive.imu, dive.dvl, dive.reference, config)
-    notes += sensor_notes(dive.sensors, dive.reference, config)
-    notes += solution_notes(dive.solutions, dive.reference, config)
-    dive = replace(dive, name=name or dive.name, notes=(*dive.notes, *notes))
-    return with_reference_delay(dive, config)
+    # A late reference would seem to contradict the sensors in all that it says.
+    dive = with_reference_delay(dive, config)
+    on_time = reference_on_time(dive)
+    notes = frozen + plausibility_notes(place, dive.imu, dive.dvl, on_time, config)
+    notes += sensor_notes(dive.sensors, on_time, config)
+    notes += solution_notes(dive.solutions, on_time, config)
+    return replace(dive, name=name or dive.name, notes=(*dive.notes, *notes))
 
 
 def with_reference_at_imu(dive: Dive, config: Config) -> Dive:

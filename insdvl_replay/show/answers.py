@@ -296,7 +296,7 @@ def answer_on_dive(report: Report, name: str) -> CandidateAnswer:
 
 def has_misfit(report: Report) -> bool:
     """Return whether nothing is evaluated on a dive since the noise of its baseline is far off."""
-    return bool(misfit(report.baseline, report.tables.consistency))
+    return bool(misfit(report.baseline, report.tables))
 
 
 def predicted_unchecked(reports: Sequence[Report], name: str) -> str:

@@ -1,7 +1,7 @@
 """The terminal screens of a run: the answer for each candidate, then the evidence, then the dives one by one."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Final
 
@@ -10,7 +10,7 @@ from insdvl_replay.core.errors import counted, natural_key
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_beam, label
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite, share_text
-from insdvl_replay.core.words import GateStatus, Role, Severity, Verdict
+from insdvl_replay.core.words import Consistency, GateStatus, Role, Severity, Verdict
 from insdvl_replay.document.parts import (
     Callout,
     Code,
@@ -32,11 +32,16 @@ from insdvl_replay.evaluation.sentences import (
     assay_line,
     headline,
     interval_text,
+    plan_line,
     ratio_text,
     shouted,
     word_of,
 )
-from insdvl_replay.evaluation.verdicts import consistency_of, trust_sentence
+from insdvl_replay.evaluation.verdicts import (
+    consistency_of,
+    credibility_of,
+    trust_sentence,
+)
 from insdvl_replay.show.answers import (
     TONES,
     Failure,
@@ -101,6 +106,7 @@ def _answer_parts(
         yield _answer_table(answers)
         if start:
             yield f"start: {start}"
+        yield from _plan_lines(answers)
         return
     lines: list[str | Callout] = []
     for answer in answers:
@@ -113,6 +119,15 @@ def _answer_parts(
             lines += _in_spite_of_misfit(answer.filter, reports)
     if lines:
         yield Sentences(tuple(lines))
+
+
+def _plan_lines(answers: Sequence[CandidateAnswer]) -> Iterator[str]:
+    """Yield what would decide the first candidate that is undecided, or none where all are decided."""
+    for answer in answers:
+        line = plan_line(answer)
+        if line and answer.verdict == Verdict.UNDECIDED:
+            yield f"to decide on {answer.filter}: {line}"
+            return
 
 
 def _in_spite_of_misfit(name: str, reports: Sequence[Report]) -> Iterator[str]:
@@ -457,24 +472,45 @@ def _facts_of_dives(outcomes: Sequence[Outcome]) -> str:
 
 
 def _consistency_counts(reports: Sequence[Report]) -> Iterator[str]:
-    """Yield a line with the number of dives with each consistency of the innovations, for each filter."""
-    counts: dict[str, Counter[str]] = {}  # of dives, by filter and word
+    """Yield how many dives have each consistency of the innovations, for each filter; then of errors too large."""
+    by_innovations = _words_on_dives(
+        reports, lambda report, name: consistency_of(report.tables.consistency, name)
+    )
+    if not by_innovations:
+        return
     far_off = 0
     for report in reports:
         far_off += is_noise_far_off(report.tables, report.baseline)
+    line = f"consistency (NIS): {_counted_words(by_innovations)}"
+    if far_off:
+        line += f". The noise settings are far off on {counted(far_off, 'dive')}: try --control"
+    yield line
+    by_errors = _words_on_dives(
+        reports, lambda report, name: credibility_of(report.tables.credibility, name)
+    )
+    for words in by_errors.values():
+        if 2 * words[Consistency.OVERCONFIDENT] >= len(reports):
+            yield f"errors against the reference (NEES): {_counted_words(by_errors)}"
+            return
+
+
+def _words_on_dives(
+    reports: Sequence[Report], word_of_filter: Callable[[Report, str], str]
+) -> dict[str, Counter[str]]:
+    """Count the dives by the word that a filter has on each, by filter."""
+    counts: dict[str, Counter[str]] = {}
+    for report in reports:
         for name in (report.baseline, *report.filters):
-            word = consistency_of(report.tables.consistency, name)
-            counts.setdefault(name, Counter()).update([word])
+            counts.setdefault(name, Counter()).update([word_of_filter(report, name)])
+    return counts
+
+
+def _counted_words(counts: Mapping[str, Counter[str]]) -> str:
     texts = []
     for name, words in counts.items():
         counted_words = [f"{count} {word}" for word, count in words.most_common()]
         texts.append(f"{name} {', '.join(counted_words)}")
-    if not texts:
-        return
-    line = f"consistency (NIS): {'; '.join(texts)}"
-    if far_off:
-        line += f". The noise settings are far off on {counted(far_off, 'dive')}: try --control"
-    yield line
+    return "; ".join(texts)
 
 
 def _dives_table(

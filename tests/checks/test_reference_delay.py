@@ -1,21 +1,24 @@
 """The delay of a reference against the IMU: how well it is found, when it is told, and what tells nothing."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from insdvl_replay.checks.reference_delay import (
-    LATE_S,
-    is_late,
     reference_delay,
     with_reference_delay,
 )
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, nanoseconds
-from insdvl_replay.core.words import DelayStatus
+from insdvl_replay.core.dive_record import LATE_S
+from insdvl_replay.core.words import DelayStatus, Verdict
 from insdvl_replay.geometry.rotation import mat_from_vector
+from insdvl_replay.logs import write_dive
+from insdvl_replay.preparation.prepared import read_checked_dive
+from insdvl_replay.preparation.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 RATES_HZ = (1.0, 5.0, 20.0)
@@ -52,7 +55,7 @@ def noisy(reference: ReferenceColumns, seed: int) -> ReferenceColumns:
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
-@pytest.mark.parametrize("delay_s", [0.2, 0.05, 0.005, 0.0, -0.1, 1.3])
+@pytest.mark.parametrize("delay_s", [0.2, 0.05, 0.005, 0.0, -0.1, 1.3, 2.0])
 def test_delay_of_an_exact_reference_is_found_to_a_millisecond(
     turning: dict[float, Dive], rate_hz: float, delay_s: float
 ) -> None:
@@ -60,7 +63,7 @@ def test_delay_of_an_exact_reference_is_found_to_a_millisecond(
     found = reference_delay(dive.imu, later(reference_of(dive), delay_s))
     assert found.delay_s == pytest.approx(delay_s, abs=1e-3)
     assert found.status == DelayStatus.DETERMINED
-    assert is_late(found) == (abs(delay_s) > LATE_S)
+    assert found.is_late == (abs(delay_s) > LATE_S)
 
 
 @pytest.mark.parametrize(
@@ -81,9 +84,9 @@ def test_delay_of_a_noisy_reference_is_within_its_standard_error(
             assert abs(found.delay_s - delay_s) < 3.0 * found.sd_s
             assert found.sd_s < 0.012
             if delay_s:
-                assert is_late(found)
+                assert found.is_late
             else:
-                false_alarms += is_late(found)
+                false_alarms += found.is_late
     assert false_alarms == 0
 
 
@@ -111,7 +114,7 @@ def test_a_vehicle_that_does_not_turn_tells_nothing(scenario: str) -> None:
     for delay_s in (0.0, 0.3):
         found = reference_delay(dive.imu, later(noisy(reference_of(dive), 1), delay_s))
         assert found.status == DelayStatus.LITTLE_MOTION
-        assert not is_late(found)
+        assert not found.is_late
 
 
 def test_without_attitude_or_reference_nothing_is_said(turning: dict[float, Dive]) -> None:
@@ -155,3 +158,22 @@ def test_note_names_the_setting(turning: dict[float, Dive], delay_s: float, late
     assert (note.code, note.severity) == ("reference_late", "warning")
     assert late in note.text
     assert note.hint == f"reference.latency_s = {0.03 + delay_s:.3f}"
+
+
+@pytest.mark.parametrize("delay_s", [2.0, -10.0])
+def test_other_clocks_are_told_before_any_contradiction(
+    turning: dict[float, Dive], tmp_path: Path, delay_s: float
+) -> None:
+    dive = turning[5.0]
+    moved = replace(dive, reference=later(reference_of(dive), delay_s))
+    log = tmp_path / "dive.mcap"
+    write_dive(log, moved)
+    config = load_config("mems")
+    read = read_checked_dive(log, config)
+    warnings = [note for note in read.notes if note.severity == "warning"]
+    assert [note.code for note in warnings] == ["reference_other_clock"]
+    assert f"reference.latency_s = {delay_s:.3f}" in warnings[0].hint
+    replay = replay_dive(read, config)
+    verdicts = {found.verdict for found in replay.verdicts.values()}
+    assert verdicts == {Verdict.NOT_EVALUATED}
+    assert all("clocks differ" in found.reason for found in replay.verdicts.values())

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from insdvl_replay.checks.fingerprint import MOST_DIGESTS, imu_fingerprint
+from insdvl_replay.checks.fingerprint import MOST_DIGESTS, MOST_MARKS, imu_fingerprint
 from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.dive_columns import ImuColumns, nanoseconds
 from insdvl_replay.core.dive_record import ImuFingerprint
@@ -69,6 +69,20 @@ def other_axes(imu: ImuColumns) -> ImuColumns:
     )
 
 
+def whole(imu: ImuColumns) -> ImuColumns:
+    return imu
+
+
+def every_second(imu: ImuColumns) -> ImuColumns:
+    return imu.rows(slice(None, None, 2))
+
+
+def by_arrival(imu: ImuColumns) -> ImuColumns:
+    """Stamp as a recorder does, which is late by up to 9 ms."""
+    late_ns = np.random.default_rng(5).integers(0, 9_000_000, len(imu.time_ns))
+    return replace(imu, time_ns=np.sort(imu.time_ns + late_ns))
+
+
 def cut(imu: ImuColumns) -> ImuColumns:
     return between(imu, 61.0, 133.0)
 
@@ -82,10 +96,19 @@ def test_a_copy_counts_once(imu: ImuColumns, change: Callable[[ImuColumns], ImuC
     assert kept == ["whole" if change is cut else kept[0], "other"]
 
 
-@pytest.mark.parametrize("by_s", [3600.0, -7200.0, 100_000.0])
-def test_a_copy_in_another_time_zone_counts_once(imu: ImuColumns, by_s: float) -> None:
-    reports = [made("whole", imu, "a"), made("moved", moved(cut(imu), by_s), "b")]
-    assert names(reports) == (["whole"], ["dives_same"])
+@pytest.mark.parametrize("by_s", [0.02, -0.003, 3600.0, 3603.0, -7200.0, 100_000.7])
+def test_a_copy_with_moved_stamps_counts_once(imu: ImuColumns, by_s: float) -> None:
+    for change in (whole, cut, single_precision, in_text, other_axes, every_second, by_arrival):
+        copy = made("moved", moved(change(imu), by_s), "b")
+        kept, codes = names([made("whole", imu, "a"), copy])
+        assert (len(kept), codes) == (1, ["dives_same"]), change
+
+
+def test_dives_of_the_same_way_at_other_times_are_two(imu: ImuColumns) -> None:
+    for seed in range(2, 5):
+        other = simulate_dive("figure-eight", seed=seed, duration_s=200.0, grade="mems").imu
+        reports = [made("one", imu), made("other", moved(other, 5000.0))]
+        assert names(reports) == (["one", "other"], [])
 
 
 def test_a_coarse_imu_at_rest_repeats_its_readings_in_other_dives() -> None:
@@ -185,10 +208,45 @@ def test_thousand_dives_are_compared_in_seconds() -> None:
     reports = []
     for number in range(1000):
         digests = tuple(map(str, draw.integers(0, 1 << 32, len(at_s)).tolist()))
-        reports.append(
-            Made(Logged(str(number)), ImuFingerprint(0, nanoseconds(3000.0), at_s, digests))
-        )
+        marks = tuple(map(str, draw.integers(0, 1 << 16, MOST_MARKS).tolist()))
+        marked_ms = tuple(sorted(draw.integers(0, 3_000_000, MOST_MARKS).tolist()))
+        fingerprint = ImuFingerprint(0, nanoseconds(3000.0), at_s, digests, 2048, marked_ms, marks)
+        reports.append(Made(Logged(str(number)), fingerprint))
     begun_s = time.process_time()
     kept, _ = distinct_dives(reports)
     assert len(kept) == 1000
     assert time.process_time() - begun_s < 5.0
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "codes"),
+    [
+        ("girona", []),
+        ("girana", ["vehicle_mistyped"]),
+        ("giron", ["vehicle_mistyped"]),
+        ("gironna", ["vehicle_mistyped"]),
+        ("Girona", ["vehicle_mistyped"]),
+        ("girona2", []),
+        ("sparus", []),
+        ("", []),
+    ],
+)
+def test_a_vehicle_that_differs_by_one_letter_is_told(vehicle: str, codes: list[str]) -> None:
+    reports = [made(name, None, name, "girona") for name in ("a", "b")]
+    reports.append(made("c", None, "c", vehicle))
+    kept, found = names(reports)
+    assert (kept, found) == (["a", "b", "c"], codes)
+    if codes:
+        _, notes = distinct_dives(reports)
+        assert notes[0].text.endswith("did you mean girona?")
+        assert notes[0].count == 1
+
+
+def test_numbered_vehicles_and_single_ones_are_no_mistakes() -> None:
+    numbered = [
+        made(name, None, name, vehicle)
+        for name, vehicle in (("a", "auv_1"), ("b", "auv_1"), ("c", "auv_2"))
+    ]
+    single = [made("a", None, "a", "girona"), made("b", None, "b", "girana")]
+    assert [note.code for note in distinct_dives(numbered)[1]] == []
+    assert [note.code for note in distinct_dives(single)[1]] == []

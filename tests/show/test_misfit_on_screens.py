@@ -6,6 +6,7 @@ from functools import cache
 from msgspec.structs import replace
 
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.quantities import SETTLED
 from insdvl_replay.core.report import Report, build_report
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.document.parts import Sentences
@@ -57,7 +58,8 @@ def test_nothing_is_said_of_a_filter_that_diverged_beside_a_baseline_in_order() 
         replace(row, mean_nis=float(row.dof)) if row.filter == "baseline" else row
         for row in report().tables.consistency
     ]
-    tables = replace(report().tables, consistency=rows)
+    errors = [row for row in report().tables.credibility if row.quantity not in SETTLED]
+    tables = replace(report().tables, consistency=rows, credibility=errors)
     dead = replace(
         report().filters["aided"], verdict=Verdict.NOT_EVALUATED, reason="aided diverged"
     )

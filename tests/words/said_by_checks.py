@@ -134,10 +134,12 @@ def of_late_references() -> Cases:
     )
     reference = reference_of(dive)
     late = replace(reference, time_ns=reference.time_ns + SECOND // 5)
+    other_clock = replace(reference, time_ns=reference.time_ns - 4 * SECOND)
     rows = 6
     velocity_n = np.roll(reference.velocity_n, rows, axis=0)
     mixed = replace(reference, velocity_n=velocity_n).rows(slice(rows, None))
-    for name, columns in (("late", late), ("whose velocity is late", mixed)):
+    references = {"late": late, "of another clock": other_clock, "whose velocity is late": mixed}
+    for name, columns in references.items():
         notes = list(
             with_reference_delay(replace(dive, reference=columns, notes=()), Config()).notes
         )
