@@ -255,6 +255,17 @@ class Dataflash:
         return self.content()
 
 
+def ardupilot(told: Told) -> bytes:
+    """A log with LOG_REPLAY in which a replay has a use for every record."""
+    log = Dataflash(told)
+    log.add_increments()
+    log.add_displacements("VISO")
+    log.add_fixes()
+    log.add_pressure()
+    log.add_attitude()
+    return log.content()
+
+
 # --- ULog. Source: PX4 User Guide, "ULog File Format"; the layouts are those of px4_msgs.
 
 ULOG_MAGIC = b"ULog\x01\x125\x01"
@@ -429,6 +440,15 @@ class Ulog:
         self.add_raw(int(self.told.time_ns[5]), message("S", SYNC))
         self.add_raw(int(self.told.time_ns[6]), message("L", b"6" + bytes(8) + b"dive"))
         return self.content()
+
+
+def px4(told: Told) -> bytes:
+    """A log in which a replay has a use for every message."""
+    log = Ulog(told)
+    log.add_samples()
+    log.add_velocities()
+    log.add_fixes()
+    return log.content()
 
 
 def quaternion_of(rpy: Floats) -> list[float]:

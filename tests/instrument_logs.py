@@ -118,17 +118,6 @@ def write_rest(folder: Path, dive: Dive, *, imu: bool = True) -> Path:
     return path
 
 
-def write_reference(folder: Path, dive: Dive) -> Path:
-    """Write the MCAP of a dive with its reference alone, beside what an autopilot wrote."""
-    path = folder / "reference" / "reference.mcap"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    never = np.empty(0, np.int64)
-    nothing = np.empty((0, 3))
-    imu = ImuColumns(never, nothing, nothing)
-    write_dive(path, replace(dive, imu=imu, dvl=DvlColumns(never, velocity_d=nothing)))
-    return path
-
-
 def assert_same_dvl(found: Dive, expected: Dive, atol_mps: float, atol_ns: int = 0) -> float:
     """Compare the columns of two DVLs; return the largest difference, m/s."""
     np.testing.assert_allclose(found.dvl.time_ns, expected.dvl.time_ns, rtol=0, atol=atol_ns)

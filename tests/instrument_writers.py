@@ -10,6 +10,7 @@ from operator import xor
 from typing import Any
 
 import numpy as np
+from autopilot_logs import ardupilot, px4
 from instrument_logs import Told
 
 Report = dict[str, Any]
@@ -243,4 +244,8 @@ FORMATS = {
     "nucleus": Written(
         "nucleus_log.csv", nucleus, Told.single, 1e-12, has_imu=True, is_protected=False
     ),
+    "ardupilot": Written(
+        "00000042.BIN", ardupilot, Told.of_velocities, 2e-7, has_imu=True, is_protected=False
+    ),
+    "px4": Written("log_7.ulg", px4, Told.of_velocities, 2e-7, has_imu=True, is_protected=False),
 }

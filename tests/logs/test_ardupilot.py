@@ -34,7 +34,7 @@ def write(folder: Path, log: Dataflash) -> list[Path]:
     """Write a log, and the MCAP of the reference."""
     path = folder / "00000042.BIN"
     path.write_bytes(log.content())
-    return [path, instrument_logs.write_reference(folder, log.told.dive)]
+    return [path, instrument_logs.write_rest(folder, log.told.dive, imu=False)]
 
 
 def whole_log(told: Told) -> Dataflash:

@@ -27,7 +27,7 @@ def write(folder: Path, log: Ulog) -> list[Path]:
     """Write a log, and the MCAP of the reference."""
     path = folder / "log_7.ulg"
     path.write_bytes(log.content())
-    return [path, instrument_logs.write_reference(folder, log.told.dive)]
+    return [path, instrument_logs.write_rest(folder, log.told.dive, imu=False)]
 
 
 def without_solution(told: Told) -> Ulog:

@@ -196,7 +196,9 @@ class ArdupilotFile(DataflashFile):
                 last = np.searchsorted(states.offsets, timed.records.offsets) - 1
                 primary = states.whole("PI")[last.clip(0)]
             is_primary = core == primary
-            self.pass_over("XKF1 of other cores", int(np.count_nonzero(~is_primary)))
+            others = int(np.count_nonzero(~is_primary))
+            if others:
+                self.pass_over("XKF1 of other cores", others)
             timed = timed.chosen(is_primary)
         table = self._table(kind, timed, 0, is_main=True)
         origins = self._found.get("ORGN")
