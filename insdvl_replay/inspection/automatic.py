@@ -152,7 +152,7 @@ def with_flown(paths: Paths, config: Config, given: Given, notes: list[Note]) ->
     for channel in open_recording(paths, allow_damaged=True).channels:
         if channel.type_name in TYPES["flown"] and channel.messages:
             flown.append(channel.topic)
-    if len(flown) != 1:
+    if len(flown) != 1 or flown[0] == config.reference.topic:
         return config
     topic = flown[0]
     notes.append(note("found_flown", topic=topic, name=_ONBOARD))

@@ -37,7 +37,7 @@ from insdvl_replay.inspection.table_clocks import table_clock_settings
 from insdvl_replay.inspection.unit_by_size import force_units, is_rate_in_degrees
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import Table, clock_notes, read_tables
-from insdvl_replay.logs.columns.topics import PROPOSED, Source
+from insdvl_replay.logs.columns.topics import PROPOSED, TYPES, Source
 from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.read import Finding, find_roles
@@ -172,6 +172,10 @@ def _unknown_topics(
     for finding in findings:
         if finding.role != "reference":
             taken.update(source.topic for source in finding.sources)
+    # The filter that was flown is judged, and judges none.
+    for channel in log.channels:
+        if channel.type_name in TYPES["flown"]:
+            taken.add(channel.topic)
     free = [channel for channel in log.channels if channel.topic not in taken]
     seen, unseen = probe_topics(log, free)
     settings: list[Setting] = []

@@ -13,10 +13,11 @@ from instrument_logs import Told, told
 
 from insdvl_replay import replay_log
 from insdvl_replay.calibration.found import Given, as_given
-from insdvl_replay.core.config import Config, Depth, Dvl, Filter, Imu, Solution
+from insdvl_replay.core.config import Config, Depth, Dvl, Filter, Imu, Reference, Solution
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.inspection.automatic import find_settings, with_flown
+from insdvl_replay.inspection.proposal import propose_settings
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.recording import open_recording
 
@@ -116,6 +117,23 @@ def test_the_ekf_is_added_where_no_filters_are_given(tmp_path: Path) -> None:
     log = Dataflash(dive())
     log.add_samples()
     assert with_flown(write(tmp_path, log), without.config, without, notes) == without.config
+
+
+def test_the_ekf_is_not_proposed_as_reference(tmp_path: Path) -> None:
+    log = Dataflash(dive())
+    log.add_increments()
+    log.add_displacements("VISO")
+    log.add_solution()
+    path = write(tmp_path, log)[0]
+    proposed = {
+        setting.key: setting.value for setting in propose_settings(path, Config()).settings
+    }
+    assert proposed["initial.source"] == "level"
+    assert "reference.topic" not in proposed
+    named = Config(reference=Reference(topic="ekf3"))
+    given = Given(named, ["reference.topic"])
+    assert with_flown([path], named, given, []) == named
+    assert read_dive(path, named).reference is not None
 
 
 @pytest.mark.nightly

@@ -415,7 +415,7 @@ ROLES: Final = {
         "reference",
         quantities=TOPIC_KEYS,
         groups=("nav_solution", "odometry"),
-        if_named=(*_FIXES, "poses"),
+        if_named=(*_FIXES, "poses", "flown"),
         enough=_MOTION,
         together=_ANGLES,
     ),
