@@ -209,3 +209,22 @@ def test_a_table_whose_lines_do_not_end_is_refused(tmp_path: Path) -> None:
     (tmp_path / "nucleus_log.csv").write_bytes(content * 3)
     with pytest.raises(LogError, match="has no rows that can be used"):
         read_dive(tmp_path / "nucleus_log.csv", Config())
+
+
+def test_sentences_that_lost_their_ends_and_what_is_in_front_of_them(tmp_path: Path) -> None:
+    lines = FORMATS["nortek"].write(told()).split(b"\r\n")
+    path = tmp_path / "dvl.nmea"
+    stamped = [
+        b"2026-05-01 10:%02d:%02d,%03d " % (n // 60, n % 60, n) + line
+        for n, line in enumerate(lines[:-1])
+    ]
+    path.write_bytes(b"\r\n".join([*stamped, b""]))
+    assert not open_recording(path).notes
+
+    joined = [lines[0] + lines[1], *lines[2:8], lines[8][30:-3] + lines[9], *lines[10:]]
+    path.write_bytes(b"\r\n".join(joined))
+    log = open_recording(path)
+    assert log.channels[0].messages == len(lines) - 2
+    (note,) = log.notes
+    assert note.code == "log_damaged"
+    assert "something else is in front of a sentence in its line" in note.text

@@ -7,6 +7,7 @@ that begin with ``$``; makers have others of the same form.
 import math
 import re
 from abc import abstractmethod
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import ClassVar, Final, NamedTuple
 
@@ -21,8 +22,12 @@ from insdvl_replay.logs.formats.instrument_file import (
     InstrumentFile,
     Record,
 )
+from insdvl_replay.logs.formats.log_file import FileBytes
 
-LONGEST_SENTENCE: Final = 1024  # bytes, with what is in front of it in its line
+_NUMBERS: Final = re.compile(rb"\d+")
+_LONGEST_SHAPE: Final = 40  # bytes of what is in front of a sentence, by which it is told apart
+_MOST_SHAPES: Final = 1000
+_OTHER_SHAPES: Final = b"others"
 _AT_A_TIME: Final = 1 << 14  # sentences whose checksums are computed together
 Bytes = NDArray[np.uint8]  # (k, n): lines side by side, with zeros in front of short ones
 
@@ -54,8 +59,14 @@ class SentenceFile(InstrumentFile):
     """A file of sentences; a reader knows how they begin, and their checksum."""
 
     records = "sentences"
-    # A sentence in a line: group 1 is what the checksum covers, group 2 the checksum.
-    form: ClassVar[re.Pattern[bytes]] = re.compile(rb"\$([^$*]*)\*([0-9A-Fa-f]{2})\s*$")
+    # A sentence: group 1 is what the checksum covers, group 2 the checksum.
+    form: ClassVar[re.Pattern[bytes]] = re.compile(rb"\$([^$*]{0,1000})\*([0-9A-Fa-f]{2})")
+
+    def __init__(self, file: FileBytes) -> None:
+        # How many sentences begin their lines so, by the shape of what is in front of them, and where the first does.
+        self._in_front = Counter[bytes]()
+        self._first_in_front: dict[bytes, int] = {}
+        super().__init__(file)
 
     @staticmethod
     def checksums(lines: Bytes) -> Bytes:
@@ -85,24 +96,14 @@ class SentenceFile(InstrumentFile):
                     of_piece.setdefault(decoded.kind, []).append(row)
             for kind, rows in of_piece.items():
                 parts.setdefault(kind, []).append(np.array(rows))
+        self._lose_beginnings()
         return {kind: np.concatenate(found) for kind, found in parts.items()}
 
     def _sound(self, records: Sequence[Record]) -> Iterator[Sentence]:
         """Give the sentences of some lines whose checksum is right."""
         found: list[_Candidate] = []
         for record in records:
-            match = self.form.search(record.content[-LONGEST_SENTENCE:])
-            if match is not None:
-                candidate = _Candidate(
-                    offset=record.offset,
-                    body=match[1],
-                    checksum=int(match[2], 16),
-                )
-                found.append(candidate)
-            elif b"," in record.content or b"*" in record.content:
-                self.lose(record.offset, "a line has no beginning of a sentence, or no checksum")
-            elif record.content.strip():
-                self.pass_over("other text")
+            found += self._candidates(record)
         for start in range(0, len(found), _AT_A_TIME):
             some = found[start : start + _AT_A_TIME]
             for candidate, is_right in zip(some, self._are_right(some), strict=True):
@@ -111,6 +112,39 @@ class SentenceFile(InstrumentFile):
                 else:
                     what = "the checksum of a sentence is not that of its bytes"
                     self.lose(candidate.offset, what)
+
+    def _candidates(self, record: Record) -> Iterator[_Candidate]:
+        """Give what looks like a sentence in a line; more than one has lost the ends of lines between them."""
+        content = record.content
+        end = 0
+        for match in self.form.finditer(content):
+            before = content[end : match.start()]
+            if not end:
+                shape = _NUMBERS.sub(b"0", before)[:_LONGEST_SHAPE]
+                if len(self._in_front) >= _MOST_SHAPES and shape not in self._in_front:
+                    shape = _OTHER_SHAPES
+                self._in_front[shape] += 1
+                self._first_in_front.setdefault(shape, record.offset)
+            elif before.strip():
+                self.lose(record.offset + end, "something else is between two sentences")
+            end = match.end()
+            yield _Candidate(
+                offset=record.offset + match.start(),
+                body=match[1],
+                checksum=int(match[2], 16),
+            )
+        if end and content[end:].strip():
+            self.lose(record.offset + end, "something else is behind a sentence in its line")
+        elif not end and (b"," in content or b"*" in content):
+            self.lose(record.offset, "a line has no beginning of a sentence, or no checksum")
+        elif not end and content.strip():
+            self.pass_over("other text")
+
+    def _lose_beginnings(self) -> None:
+        """Lose what is in front of single sentences: what is in front of most is of the program that recorded them."""
+        for shape, count in self._in_front.most_common()[1:]:
+            what = "something else is in front of a sentence in its line"
+            self.lose(self._first_in_front[shape], what, count)
 
     def _are_right(self, found: Sequence[_Candidate]) -> Mask:
         """Return which checksums are right, (k,)."""

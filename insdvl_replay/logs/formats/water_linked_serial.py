@@ -60,7 +60,9 @@ _CRC: Final = _crc_table()
 class WaterLinkedSerial(SentenceFile):
     """A file of sentences of a DVL; those of transducers are joined to the velocities beside them."""
 
-    form: ClassVar[re.Pattern[bytes]] = re.compile(rb"(w[rc][^*]*)\*([0-9a-fA-F]{2})\s*$")
+    form: ClassVar[re.Pattern[bytes]] = re.compile(
+        rb"(w[rc][a-z?!][^*]{0,1000})\*([0-9a-fA-F]{2})"
+    )
 
     @staticmethod
     def checksums(lines: Bytes) -> Bytes:
