@@ -220,10 +220,10 @@ def packets(dive: Told) -> list[Report]:
     return rows
 
 
-def as_table(rows: Sequence[Report]) -> bytes:
+def as_table(rows: Sequence[Report], titles: Sequence[str] = TITLES) -> bytes:
     """Write packets as the logger of the driver does."""
     text = StringIO(newline="")
-    writer = csv.DictWriter(text, TITLES)
+    writer = csv.DictWriter(text, titles)
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue().encode()

@@ -7,11 +7,23 @@ import instrument_logs
 import numpy as np
 import pytest
 from instrument_logs import Told, told
-from instrument_writers import FORMATS, Written, as_table, nmea, nucleus, packets, wl, wru, wrz
+from instrument_writers import (
+    FORMATS,
+    TITLES,
+    Written,
+    as_table,
+    nmea,
+    nucleus,
+    packets,
+    wl,
+    wru,
+    wrz,
+)
 
 from insdvl_replay.batch.dive_paths import INSTRUMENT_SUFFIXES
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config import Config, Filter, Solution
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats import known_formats
 from insdvl_replay.logs.formats.recording import open_recording
@@ -91,7 +103,7 @@ def test_a_dvl_alone_says_how_to_add_the_imu(kind: str, tmp_path: Path) -> None:
         return
     with pytest.raises(LogError, match="has no IMU: it has dvl/") as raised:
         read_dive(paths[0], Config())
-    assert f"insdvl-replay run --one-dive {known.name} imu.csv" in raised.value.hint
+    assert f"insdvl-replay run --one-dive {paths[0]} imu.csv" in raised.value.hint
 
 
 def test_folders_are_searched_for_the_endings_of_all_formats() -> None:
@@ -228,3 +240,44 @@ def test_sentences_that_lost_their_ends_and_what_is_in_front_of_them(tmp_path: P
     (note,) = log.notes
     assert note.code == "log_damaged"
     assert "something else is in front of a sentence in its line" in note.text
+
+
+@pytest.mark.parametrize("ending", ["txt", "dat", "asc"])
+def test_a_table_may_be_named_as_a_text(ending: str, tmp_path: Path) -> None:
+    text = "".join(f"{0.1 * n:.1f} {n} {2 * n}\n" for n in range(50))
+    path = tmp_path / f"imu.{ending}"
+    path.write_text(f"time_s x y\n{text}")
+    (channel,) = open_recording(path).channels
+    assert (channel.type_name, channel.messages) == ("table", 50)
+    path.write_text("calm sea\nno wind\n")
+    with pytest.raises(LogError, match="is no table"):
+        open_recording(path)
+
+
+def test_solution_of_a_nucleus_can_be_judged(tmp_path: Path) -> None:
+    dive = told().single()
+    reference = dive.dive.reference
+    assert reference is not None
+    rows = packets(dive)
+    rpy_deg = np.rad2deg(rpy_from_mat(reference.mat_nb))
+    for number, time_ns in enumerate(reference.time_ns.tolist()):
+        latitude, longitude = np.rad2deg(reference.position[number, :2])
+        row = {"id": 220, "timeStamp": time_ns // 10**9, "microSeconds": time_ns % 10**9 // 1000}
+        row |= {
+            "latitude": latitude,
+            "longitude": longitude,
+            "statusIns.latLonIsValid": number > 4,
+        }
+        for place, axis in enumerate("XYZ"):
+            row[f"velocityNed{axis}"] = reference.velocity_n[number, place]
+        for place, angle in enumerate(("roll", "pitch", "heading")):
+            row[f"ahrsData.{angle}"] = rpy_deg[number, place]
+        rows.append(row)
+    path = tmp_path / "nucleus_log.csv"
+    path.write_bytes(as_table(rows, [*TITLES, "statusIns.latLonIsValid"]))
+    config = Config(filters={"own": Filter(solution=Solution(topic="nucleus/ins"))})
+    found = read_dive(path, config).solutions["own"].motion
+    np.testing.assert_array_equal(found.time_ns, reference.time_ns)
+    assert np.isnan(found.position[:5, :2]).all()
+    np.testing.assert_allclose(found.position[5:, :2], reference.position[5:, :2], atol=1e-12)
+    np.testing.assert_allclose(found.mat_nb[5:], reference.mat_nb[5:], atol=1e-9)

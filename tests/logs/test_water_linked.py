@@ -135,7 +135,7 @@ def test_dvl_alone_says_what_is_missing_and_how_to_add_it(tmp_path: Path) -> Non
         LogError, match="has no IMU: it has dvl/velocity of an instrument"
     ) as raised:
         read_dive(path, Config())
-    assert "insdvl-replay run --one-dive 'my dvl.json' imu.csv" in raised.value.hint
+    assert f"insdvl-replay run --one-dive '{path}' imu.csv" in raised.value.hint
 
 
 def test_single_damaged_reports_are_a_note_and_many_are_refused(tmp_path: Path) -> None:

@@ -47,11 +47,7 @@ def test_lines_for_arrays_write_a_dive(tmp_path: Path) -> None:
 TLOG = (1_700_000_000_000_000).to_bytes(8, "big") + b"\xfd\x1c\x00\x00" + bytes(40)
 FILES = [
     (known, bytes.fromhex(start) + bytes(60)) for known in OTHER_FORMATS for start in known.starts
-] + [
-    (known, TLOG if ".tlog" in known.endings else b"time,ax,ay\n" * 9)
-    for known in OTHER_FORMATS
-    if not known.starts
-]
+] + [(known, TLOG) for known in OTHER_FORMATS if not known.starts]
 
 
 @pytest.mark.parametrize(("known", "data"), FILES, ids=lambda value: getattr(value, "name", ""))

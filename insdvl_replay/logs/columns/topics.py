@@ -560,7 +560,7 @@ class Topics:
     def _error_for_instruments(self, role: TopicRole, lack: str) -> LogError:
         """Return the error for a role that no file of an instrument plays, such as the IMU beside a DVL alone."""
         what = f"{lack}: it has {listed(sorted(self._channels))} of an instrument"
-        name = shlex.quote(Path(self.place).name)
+        name = shlex.quote(self.place)
         other = "imu.csv" if role.name == "imu" else f"{role.name}.csv"
         hint = (
             f"add the file that has it: `insdvl-replay run --one-dive {name} {other}`, or put both into one folder "

@@ -11,7 +11,10 @@ from typing import Any, Final
 
 import msgspec
 
+from insdvl_replay.core.dive_record import TABLE_SUFFIXES
+
 START: Final = 4096  # bytes by which a file is known
+TEXT_SUFFIXES: Final = (".txt", ".dat", ".asc")  # of texts that may be tables
 
 
 class Format(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
@@ -49,7 +52,6 @@ class OtherFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     endings: tuple[str, ...]
     step: str
     any_name: bool = False
-    is_text: bool = False
 
 
 FORMATS: Final = msgspec.toml.decode(
@@ -102,9 +104,7 @@ def other_format(path: Path, start: bytes) -> OtherFormat | None:
         ending = ".tlog"
     for known in OTHER_FORMATS:
         # An ending that belongs to bytes which are not there tells nothing.
-        if known.starts or ending not in known.endings:
-            continue
-        if not known.is_text or _is_text(start):
+        if not known.starts and ending in known.endings:
             return known
     return None
 
@@ -121,6 +121,9 @@ def _is_telemetry(start: bytes) -> bool:
     return 10**15 < int.from_bytes(start[:8]) < 4 * 10**15
 
 
-def _is_text(start: bytes) -> bool:
-    """Return whether bytes hold no control characters but those between words and lines."""
-    return all(byte >= 0x20 or byte in b"\t\n\r" for byte in start)
+def may_be_table(path: Path, start: bytes) -> bool:
+    """Return whether a file is named as a table, or as a text that may be one, and begins as a text."""
+    ending = path.suffix.lower()
+    if ending in TEXT_SUFFIXES:
+        return all(byte >= 0x20 or byte in b"\t\n\r" for byte in start)
+    return ending in TABLE_SUFFIXES

@@ -26,8 +26,10 @@ from insdvl_replay.core.notes import note
 from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.known_formats import (
     START,
+    TEXT_SUFFIXES,
     instrument_format,
     known_format,
+    may_be_table,
     other_format,
 )
 from insdvl_replay.logs.formats.log_file import (
@@ -61,8 +63,8 @@ def open_log_file(path: Path) -> LogFile:
         opened: LogFile = known.open(file)
         return opened
     other = other_format(path, start[:16])
-    is_other = other is not None and other.any_name
-    if path.suffix.lower() in TABLE_SUFFIXES and not is_other:
+    is_other = other is not None and (other.any_name or path.suffix.lower() in TEXT_SUFFIXES)
+    if may_be_table(path, start) and not is_other:
         from insdvl_replay.logs.formats.table_file import TableFile
 
         return TableFile(file)
