@@ -184,8 +184,10 @@ def attempts(seed: int, cleans: Sequence[Clean], folder: Path) -> Iterator[Outco
         path = folder / clean.known.name
         path.write_bytes(content)
         whole_lines = set(clean.content.split(b"\r\n"))
-        # Whole lines that are left out or repeated leave no trace.
-        same_content = not set(LINE_ENDS.split(content)) <= whole_lines
+        lines = LINE_ENDS.split(content)
+        # Whole lines that are left out or repeated leave no trace, and so does a cut at the end of a line.
+        same_content = not set(lines) <= whole_lines
+        same_content &= not ("cut" in harms and {lines[0], lines[-1]} <= whole_lines)
         same_content &= "_numbers" not in harms and "_lines" not in harms
         for allow in (False, True):
             output = folder / "columns"

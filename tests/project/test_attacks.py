@@ -44,6 +44,13 @@ def test_damaged_logs_end_in_a_sentence_or_in_tables_that_say_what_is_lost() -> 
     assert sum(row("differs, noted", found.stdout)) > 10
 
 
+@pytest.mark.nightly
+def test_damaged_files_of_instruments_end_in_a_sentence_or_in_notes() -> None:
+    found = attacked("formats", "--seed", "1000", "--count", "20", "--jobs", "1")
+    assert found.returncode == 0, found.stdout + found.stderr
+    assert all(number > 10 for number in row("differs, noted", found.stdout))
+
+
 def ended(code: int, said: str = "", peak_mb: float = 300.0) -> victim.Ended:
     return victim.Ended(code, peak_mb, said)
 
