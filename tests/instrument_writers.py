@@ -10,6 +10,7 @@ from operator import xor
 from typing import Any
 
 import numpy as np
+import teledyne_logs
 from autopilot_logs import ardupilot, px4
 from instrument_logs import Told
 
@@ -234,6 +235,42 @@ def nucleus(dive: Told) -> bytes:
     return as_table(packets(dive))
 
 
+# --- Teledyne; the beams of these DVLs point elsewhere than those of a dive without a maker.
+
+_PD6 = [teledyne_logs.Setup(teledyne_logs.INSTRUMENT)]
+_IN_SHIP = teledyne_logs.Setup(teledyne_logs.SHIP)
+
+
+def beams_of_teledyne(_: Told) -> Told:
+    """What a DVL with Teledyne's beams says."""
+    return teledyne_logs.dvl_told()
+
+
+def velocities_of_teledyne(_: Told) -> Told:
+    """What a DVL with Teledyne's beams makes of them."""
+    return teledyne_logs.dvl_told().of_velocities()
+
+
+def pd0(dive: Told) -> bytes:
+    return b"".join(teledyne_logs.pd0(beams_of_teledyne(dive)))
+
+
+def pd4(dive: Told) -> bytes:
+    told = velocities_of_teledyne(dive)
+    return b"".join(teledyne_logs.pd45(told, _IN_SHIP, is_pd5=False))
+
+
+def pd5(dive: Told) -> bytes:
+    told = velocities_of_teledyne(dive)
+    return b"".join(teledyne_logs.pd45(told, _IN_SHIP, is_pd5=True))
+
+
+def pd6(dive: Told) -> bytes:
+    told = velocities_of_teledyne(dive)
+    return "".join(teledyne_logs.pd6(told, _PD6, has_others=False)).encode()
+
+
+# A sum does not tell bytes that have changed places from others, and PD6 has none.
 FORMATS = {
     "water_linked_json": Written(
         "dvl.json", water_linked_json, lambda dive: dive, 1e-12, is_protected=False
@@ -248,4 +285,8 @@ FORMATS = {
         "00000042.BIN", ardupilot, Told.of_velocities, 2e-7, has_imu=True, is_protected=False
     ),
     "px4": Written("log_7.ulg", px4, Told.of_velocities, 2e-7, has_imu=True, is_protected=False),
+    "pd0": Written("dvl.pd0", pd0, beams_of_teledyne, 0.000501, is_protected=False),
+    "pd4": Written("dvl.pd4", pd4, velocities_of_teledyne, 0.000501, is_protected=False),
+    "pd5": Written("dvl.pd5", pd5, velocities_of_teledyne, 0.000501, is_protected=False),
+    "pd6": Written("dvl.pd6", pd6, velocities_of_teledyne, 0.000501, is_protected=False),
 }

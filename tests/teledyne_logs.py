@@ -251,8 +251,8 @@ def pd45(dive: Told, setup: Setup, *, is_pd5: bool) -> list[bytes]:
 # --- PD6.
 
 
-def pd6(dive: Told, setups: list[Setup]) -> list[str]:
-    """The lines of each ensemble of a dive, with velocities in some coordinates."""
+def pd6(dive: Told, setups: list[Setup], *, has_others: bool = True) -> list[str]:
+    """The lines of each ensemble of a dive, with velocities in some coordinates; others are those of the water."""
     names = {INSTRUMENT: "BI", SHIP: "BS", EARTH: "BE"}
     ensembles = []
     pings = zip(dive.time_ns.tolist(), dive.velocity_d, poses(dive), strict=True)
@@ -261,8 +261,9 @@ def pd6(dive: Told, setups: list[Setup]) -> list[str]:
         lines = [
             f":SA,{pose.pitch / 100:+6.2f},{pose.roll / 100:+6.2f},{pose.heading / 100:6.2f}",
             f":TS,{second:%y%m%d%H%M%S}{hundredths:02},35.0,+12.3,{pose.depth_m:6.1f},1500.0,  0",
-            ":WI,-32768,-32768,-32768,-32768,V",
         ]
+        if has_others:
+            lines.append(":WI,-32768,-32768,-32768,-32768,V")
         for setup in setups:
             numbers = vessel_words(velocity_d, pose, setup)
             status = "V" if MISSING in numbers else "A"
@@ -270,6 +271,7 @@ def pd6(dive: Told, setups: list[Setup]) -> list[str]:
                 numbers = numbers[:3]
             shown = ",".join(f"{number:+6d}" for number in numbers)
             lines.append(f":{names[setup.coordinates]},{shown},{status}")
-        lines.append(":BD,       +0.00,       +0.00,       +0.00,  12.34,  0.00")
+        if has_others:
+            lines.append(":BD,       +0.00,       +0.00,       +0.00,  12.34,  0.00")
         ensembles.append("".join(line + "\r\n" for line in lines))
     return ensembles

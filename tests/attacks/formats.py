@@ -45,6 +45,7 @@ LINES = (
     b",,,,",
     b"wrz,",
     b"$PNORBT7,",
+    b":BI,",
     b'{"type":"velocity"',
     b"0" * 5000,
 )
