@@ -40,6 +40,7 @@ class Setup:
     uses_tilts: bool = False
     alignment_deg: float = 0.0
     looks_up: bool = False
+    is_convex: bool = True
     beam_angle: int = 2  # 30 deg; 3: in a byte of its own
     has_century: bool = True
 
@@ -154,6 +155,8 @@ def fixed_leader(setup: Setup) -> bytes:
     system = 0x4048 | 0x02 | setup.beam_angle << 8  # 4 beams, convex, attached, 300 kHz
     if setup.looks_up:
         system |= 0x80
+    if not setup.is_convex:
+        system ^= 0x08
     struct.pack_into("<HBBH", content, 0, 0x0000, 50, 40, system)
     content[8] = 4
     content[25] = setup.transform

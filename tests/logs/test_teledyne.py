@@ -66,17 +66,25 @@ def test_beams_of_pd0_are_those_of_the_mcap(setup: Setup, tmp_path: Path) -> Non
     )
 
 
-def test_beams_that_look_up_are_told_so(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("setup", "azimuths_deg", "down"),
+    [
+        (Setup(looks_up=True), [90.0, 270.0, 0.0, 180.0], -1.0),
+        (Setup(is_convex=False), [90.0, 270.0, 180.0, 0.0], 1.0),
+        (Setup(is_convex=False, alignment_deg=45.0), [135.0, 315.0, 225.0, 45.0], 1.0),
+    ],
+)
+def test_beams_of_other_heads_point_elsewhere(
+    setup: Setup, azimuths_deg: list[float], down: float, tmp_path: Path
+) -> None:
     dive = teledyne_logs.dvl_told()
-    content = b"".join(teledyne_logs.pd0(dive, Setup(looks_up=True)))
-    (tmp_path / "dvl.pd0").write_bytes(content)
-    rest = instrument_logs.write_rest(tmp_path, dive.dive)
-    found = read_dive([tmp_path / "dvl.pd0", rest], Config())
-    vectors = found.dvl.beam_vectors_d
-    assert vectors is not None
+    content = b"".join(teledyne_logs.pd0(dive, setup))
+    found = read_with(tmp_path, "dvl.pd0", content, dive.dive)
     sine = np.sin(np.radians(30.0))
-    np.testing.assert_allclose(vectors[0], [0.0, sine, -np.cos(np.radians(30.0))], atol=1e-12)
-    np.testing.assert_allclose(vectors[2], [sine, 0.0, -np.cos(np.radians(30.0))], atol=1e-12)
+    azimuths = np.radians(azimuths_deg)
+    cosines = np.full(4, down * np.cos(np.radians(30.0)))
+    expected = np.column_stack([sine * np.cos(azimuths), sine * np.sin(azimuths), cosines])
+    np.testing.assert_allclose(found.dvl.beam_vectors_d, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -352,6 +360,14 @@ def test_replay_of_pd6_is_that_of_the_mcap(tmp_path: Path) -> None:
         paths, dive.dive, tmp_path, atol_mps=HALF_STEP_MPS, atol_m=0.004
     )
     assert apart_m > 0.0
+
+
+def test_lines_of_pd6_may_have_their_time_of_arrival_in_front(tmp_path: Path) -> None:
+    dive = teledyne_logs.dvl_told().of_velocities()
+    lines = "".join(teledyne_logs.pd6(dive, [Setup(INSTRUMENT)], has_others=False)).splitlines()
+    content = "".join(f"2026-05-01 10:00:00.123 {line}\n" for line in lines)
+    found = read_with(tmp_path, "dvl.log", content.encode(), dive.dive)
+    assert largest_mps(found.dvl, dive) < HALF_STEP_MPS
 
 
 def test_bad_velocities_and_other_axes_of_pd6_are_noted(tmp_path: Path) -> None:
