@@ -12,6 +12,7 @@ from autopilot_logs import Dataflash, flipped, format_records, record
 from instrument_logs import Told, told
 
 from insdvl_replay import replay_log
+from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.calibration.found import Given, as_given
 from insdvl_replay.core.config import Config, Depth, Dvl, Filter, Imu, Reference, Solution
 from insdvl_replay.core.config_file import load_config
@@ -80,6 +81,15 @@ def test_every_kind_of_record_has_the_readings_of_the_mcap(
     np.testing.assert_allclose(
         found.imu.angular_rate_b, whole.imu.angular_rate_b, rtol=0, atol=RATE_RADPS
     )
+
+
+def test_each_log_of_a_folder_is_a_dive(tmp_path: Path) -> None:
+    content = autopilot_logs.ardupilot(dive())
+    for name in ("00000041.BIN", "00000042.BIN"):
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "log_7.ulg").write_bytes(autopilot_logs.px4(dive()))
+    found = [one.path.name for one in find_dives([str(tmp_path)])]
+    assert found == ["00000041.BIN", "00000042.BIN", "log_7.ulg"]
 
 
 def test_pings_without_confidence_are_left_out(tmp_path: Path) -> None:
