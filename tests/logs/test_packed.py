@@ -3,6 +3,7 @@
 import gc
 import hashlib
 import tempfile
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,20 @@ def test_unpacked_copy_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert len(list((tmp_path / "temporary").iterdir())) == 1
     packed._unpacked.cache_clear()
     gc.collect()
+    assert not list((tmp_path / "temporary").iterdir())
+
+
+def test_worker_processes_remove_their_copies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    path = tmp_path / "dive.mcap.zstd"
+    path.write_bytes(zstandard.compress(written()))
+    worker = get_context("fork").Process(target=read_dive, args=(path, Config()))
+    worker.start()
+    worker.join()
+    assert worker.exitcode == 0
     assert not list((tmp_path / "temporary").iterdir())
 
 

@@ -7,8 +7,8 @@ They are unpacked piece by piece into a temporary file, which is removed with th
 import errno
 import os
 import tempfile
-import weakref
 from functools import lru_cache
+from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Final
 
@@ -36,13 +36,13 @@ class _Copy:
         os.close(descriptor)
         self.path = Path(name)
         self.damages: tuple[Damage, ...] = ()
-        weakref.finalize(self, _remove, name, os.getpid())
+        # Worker processes run such finalizers at their end, and only those of their own objects.
+        Finalize(self, _remove, (name,), exitpriority=0)
 
 
-def _remove(name: str, process: int) -> None:
-    """Remove an unpacked file, unless another process made it."""
-    if os.getpid() == process:
-        Path(name).unlink(missing_ok=True)
+def _remove(name: str) -> None:
+    """Remove an unpacked file."""
+    Path(name).unlink(missing_ok=True)
 
 
 class UnpackedBytes(FileBytes):
