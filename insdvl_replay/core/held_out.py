@@ -66,7 +66,7 @@ class HeldOut:
             return Why.OUTAGE
         return None
 
-    def told(self, aiding: Iterable[str]) -> tuple[str, ...]:
+    def given(self, aiding: Iterable[str]) -> tuple[str, ...]:
         """Return the part of a filter's aiding that it is told."""
         return tuple(aid for aid in aiding if aid not in self.sensors)
 

@@ -106,7 +106,7 @@ class ResolvedFilter:
     @property
     def used_aiding(self) -> tuple[str, ...]:
         """The part of its aiding that is not held out."""
-        return self.held_out.told(self.aiding)
+        return self.held_out.given(self.aiding)
 
     @property
     def constants(self) -> int:
@@ -212,7 +212,7 @@ class ResolvedFilter:
 def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter:
     """Resolve what a filter takes from the sections that all filters share."""
     held_out = config.held_out
-    needed = {*filter_.states, *states_for(held_out.told(filter_.aiding))}
+    needed = {*filter_.states, *states_for(held_out.given(filter_.aiding))}
     states = tuple(block for block in MORE_STATES if block in needed)
     more_sd = list[float]()
     fading = list[bool]()

@@ -414,32 +414,32 @@ def given_dive(
     if held_out == NOTHING:
         return dive
 
-    def is_told(role: str) -> bool:
+    def is_given(role: str) -> bool:
         return held_out.why(role) in (None, Why.OUTAGE)
 
     def rows(role: str, time_ns: TimeNs) -> Mask:
-        told = np.asarray(time_ns <= end_ns)
+        known = np.asarray(time_ns <= end_ns)
         if held_out.why(role) == Why.OUTAGE:
-            told &= ~in_spans(time_ns, held_out.outages)
-        return told
+            known &= ~in_spans(time_ns, held_out.outages)
+        return known
 
     reference = None
-    if dive.reference is not None and is_told("reference"):
+    if dive.reference is not None and is_given("reference"):
         reference = dive.reference.rows(rows("reference", dive.reference.time_ns))
     solutions = dict[str, SolutionColumns]()
     for name, solution in dive.solutions.items():
         role = solution_role(name)
-        if is_told(role):
+        if is_given(role):
             solutions[name] = solution.where(partial(rows, role))
     sensors = dict[str, SensorColumns]()
     for name, columns in dive.sensors.items():
-        if is_told(name):
+        if is_given(name):
             sensors[name] = columns.rows(rows(name, columns.time_ns))
     topics = dict[str, SensorColumns]()
     carried = _carried_roles(dive, config)
     for name, columns in dive.topics.items():
         role = carried.get(name, "")
-        if is_told(role):
+        if is_given(role):
             topics[name] = columns.rows(rows(role, columns.time_ns))
     return replace(
         dive,

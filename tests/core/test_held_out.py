@@ -64,9 +64,9 @@ def test_what_is_held_out_has_a_reason(held_out: HeldOut, role: str, why: Why | 
 
 def test_a_filter_predicts_what_it_is_told_and_what_is_held_out() -> None:
     aiding = ("velocity", "depth")
-    assert DEPTH.told(aiding) == ("velocity",)
+    assert DEPTH.given(aiding) == ("velocity",)
     assert DEPTH.met(("velocity",)) == {"velocity", "depth"}
-    assert NOTHING.told(aiding) == aiding
+    assert NOTHING.given(aiding) == aiding
 
 
 def test_a_measurement_says_which_sensor_is_held_out() -> None:

@@ -49,7 +49,7 @@ _ROLES: Final = msgspec.toml.decode(
     type=dict[str, list[_Kind]],
 )
 _SOLUTION: Final = "solution"
-_BESIDE: Final = ("RFRH", "RISH", "ORGN", "XKF4")  # what tells how the others are read
+_ON_OTHERS: Final = ("RFRH", "RISH", "ORGN", "XKF4")  # what tells how the others are read
 _IN_FRAMES: Final = ("RISI",)
 _MOST_INSTRUMENTS: Final = 1 << 8
 _INSTANCE_LABELS: Final = ("I", "Instance")
@@ -68,7 +68,7 @@ class ArdupilotFile(DataflashFile):
 
     def tables(self) -> Iterator[InstrumentTable]:
         """Decode the records."""
-        wanted = set(_BESIDE)
+        wanted = set(_ON_OTHERS)
         for kinds in _ROLES.values():
             for kind in kinds:
                 wanted.update(kind.names)
