@@ -14,7 +14,7 @@ from scipy import signal, stats
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.history import History
-from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES
+from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES, SETTLED
 from insdvl_replay.core.states import BA, DEG, PHI, STATES
 from insdvl_replay.core.words import Reason
 from insdvl_replay.evaluation.consistency import mean_interval, probability_beyond_3_sd
@@ -447,7 +447,7 @@ def test_biases_are_evaluated_where_the_truth_is_known(exact: Dive) -> None:
     )
     biases = [state.id for state in STATES[BA.start :]]
     assert [quantity for name, quantity in with_truth.index if name == "baseline"] == [
-        *CREDIBILITY_QUANTITIES, *CREDIBILITY_GROUPS, "all",
+        *CREDIBILITY_QUANTITIES, *CREDIBILITY_GROUPS, "all", *SETTLED,
     ]  # fmt: skip
     assert not set(biases) & {quantity for _, quantity in without_truth.index}
     assert without_truth.loc[("baseline", "all"), "dof"] == 6

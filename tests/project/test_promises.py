@@ -97,6 +97,16 @@ def uses(path: Path, wanted: tuple[str, ...]) -> bool:
     )
 
 
+def starts_processes(path: Path) -> bool:
+    """Return whether a module has what starts processes; a finalizer, which a process runs at its end, does not."""
+    for name in used_names(path):
+        if name in ("multiprocessing.util", "multiprocessing.util.Finalize"):
+            continue
+        if any(name == one or name.startswith(f"{one}.") for one in PROCESSES):
+            return True
+    return False
+
+
 def writes(path: Path) -> bool:
     """Return whether a module calls what makes, changes or removes a file."""
     for node in ast.walk(tree(path)):
@@ -132,7 +142,7 @@ def named(row: str) -> set[str]:
     ("row", "is_so"),
     [
         ("open connections", lambda path: uses(path, NETWORK)),
-        ("start processes", lambda path: uses(path, PROCESSES)),
+        ("start processes", starts_processes),
         ("write files", writes),
     ],
     ids=["connections", "processes", "files"],

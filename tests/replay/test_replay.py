@@ -23,6 +23,7 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.quantities import SETTLED
 from insdvl_replay.core.states import STATES
 from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, SMALL_EXCESS
 from insdvl_replay.logs import write_dive
@@ -171,7 +172,10 @@ def test_tables_have_a_row_for_every_state_quantity_and_measurement(straight: Di
     assert len(tables["reference_error"]) == 9
     measurements = tables["consistency"].loc[tables["consistency"]["dof"] == 3, "measurement"]
     assert measurements.tolist() == ["velocity", "velocity", "acceleration"]
-    assert len(tables["credibility"]) == 2 * (12 + 4 + 1)
+    settled = tables["credibility"]["quantity"].isin(SETTLED)
+    assert set(tables["credibility"].loc[settled, "filter"]) == {"baseline"}
+    assert settled.sum() == len(SETTLED)
+    assert len(tables["credibility"]) == 2 * (12 + 4 + 1) + len(SETTLED)
     assert {name for table in tables.values() if len(table) for name in table["log"]} == {
         "straight"
     }

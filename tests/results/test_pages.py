@@ -51,7 +51,9 @@ def test_index_leads_to_every_dive_and_says_why_one_failed() -> None:
     assert len(rows) == (1 + 3) + (1 + 4), "behind the dives a table of what both say together"
     assert re.findall(r"\d", document.texts["h1"][0]) == ["3", "1"]
     assert "three.mcap: is empty" in document.texts["td"]
-    assert document.texts["td"][:6] == ["a b", "aided", "undecided", "position", "1.20", "40 %"]
+    assert document.texts["td"][:6] == ["a b", "aided", "position", "1.20", "40 %", "6.7 %"], (
+        "one dive has no verdict"
+    )
 
 
 def test_index_has_no_columns_of_which_no_dive_can_say_anything() -> None:
@@ -60,7 +62,7 @@ def test_index_has_no_columns_of_which_no_dive_can_say_anything() -> None:
         Document(index_page(outcomes).decode()).texts["tr"][0]
         for outcomes in ([alone], [alone, report("two")])
     ]
-    assert "verdict" in heads[0]
+    assert "predicted" in heads[0]
     assert "position" not in heads[0]
     assert "position" in heads[1], "one dive with a reference is enough"
 

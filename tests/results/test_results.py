@@ -12,6 +12,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.quantities import SETTLED
 from insdvl_replay.preparation.replay import replay_log
 from insdvl_replay.results.folder import DIVE_FILES
 from insdvl_replay.show.result_files import save_replay
@@ -87,7 +88,7 @@ def test_mcap_ros2_support_reads_every_message_of_the_replay(results: tuple[Path
         "/insdvl/table/convergence": 12,
         "/insdvl/table/reference_error": 9,
         "/insdvl/table/consistency": 3 * 4,
-        "/insdvl/table/credibility": 2 * (12 + 4 + 1),
+        "/insdvl/table/credibility": 2 * (12 + 4 + 1) + len(SETTLED),
     }
     assert {topic: counts[topic] for topic in expected} == expected
     for name in ("baseline", "aided"):

@@ -11,13 +11,13 @@ from instants import instants
 from scipy.integrate import cumulative_simpson
 from scipy.spatial.transform import Rotation
 
+from insdvl_replay.batch import studies
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import BA, BG, DV, PHI, STATES
-from insdvl_replay.document import render
 from insdvl_replay.document.parts import Result
 from insdvl_replay.document.render import save_result
 from insdvl_replay.geometry.earth import normal_gravity
@@ -503,7 +503,7 @@ def test_interrupted_command_leaves_nothing(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(render, "save_result", interrupted)
+    monkeypatch.setattr(studies, "save_result", interrupted)
     assert (
         run_command_line(["study", "observability", "straight", "-o", str(tmp_path / "study")])
         == 130

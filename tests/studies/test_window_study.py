@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from scipy.interpolate import CubicSpline
 
+from insdvl_replay.batch import studies
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
@@ -22,7 +23,6 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.errors import ConfigError, LogError
-from insdvl_replay.document import render
 from insdvl_replay.evaluation.reference_errors import (
     acceleration_at,
     reference_acceleration,
@@ -330,7 +330,7 @@ def test_interrupted_command_leaves_nothing(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(render, "save_result", interrupted)
+    monkeypatch.setattr(studies, "save_result", interrupted)
     assert (
         run_command_line(["study", "window", simulated[0], "-o", str(tmp_path / "study")]) == 130
     )
