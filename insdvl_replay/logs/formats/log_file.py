@@ -24,7 +24,7 @@ import numpy as np
 import zstandard
 from zlib_ng import zlib_ng
 
-from insdvl_replay.core.dive_columns import Array, Integers, TimeNs, seconds
+from insdvl_replay.core.dive_columns import Array, Integers, Mask, TimeNs, seconds
 from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, listed
 from insdvl_replay.core.notes import note
 
@@ -399,17 +399,24 @@ class LogFile(ABC):
         """Go over all bytes of the file."""
         return self.file.digest()
 
+    def add_damage(self, damage: Damage) -> None:
+        """Keep a damaged place; one that is found again counts once."""
+        self.damages.setdefault(damage)
+
     @contextmanager
     def collected(self) -> Iterator[None]:
-        """Note a damaged place, and continue after it."""
+        """Keep a damaged place that is found inside, and go on behind the block."""
         try:
             yield
         except DamageError as error:
-            self.damages.setdefault(error.damage)
+            self.add_damage(error.damage)
 
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """Refuse the file if it has changed by the end, above all if that made something inside fail."""
+        """Raise a ChangedLogError if the file changes while the block runs.
+
+        It also replaces any error of the block, since a file that changes may well be the cause.
+        """
         try:
             yield
         except Exception:
@@ -420,41 +427,65 @@ class LogFile(ABC):
 
 # --- Files of chunks.
 
-_AHEAD: Final = 3  # chunks that are opened while the one before is read
-_MOST_OPEN: Final = 256 << 20  # bytes that they open to together, if they are more than one
-# Bytes of chunks that stay open, since samples of many topics are read from the same ones.
-_KEPT: Final = 16 << 20
-_SAMPLED: Final = 2  # chunks with which a sample begins
+# While a chunk is read, so many behind it are opened. Together they open to so many bytes at most,
+# but the next one is opened in any case.
+_AHEAD: Final = 3
+_MOST_OPEN: Final = 256 << 20
+# The first chunks of each reading stay open for the next one, because samples of many topics are
+# read from the same chunks. The oldest are closed where they have more than so many bytes.
+_FIRST_KEPT: Final = 2
+_MOST_KEPT: Final = 16 << 20
 _LISTED: Final = 4  # topics that a note lists
-_LONGEST_NS: Final = 10**15  # no recording covers more
+_LONGEST_NS: Final = 10**15  # 11 days; a chunk that says it covers more is not believed
 
-# (5, k): channel, log time, publish time, and start and size of the payload.
-Messages = Integers
+
+class Messages(NamedTuple):
+    """The messages of a chunk, in the order of the file; each column is (k,)."""
+
+    channel_ids: Integers
+    log_ns: TimeNs
+    publish_ns: TimeNs
+    starts: Integers  # bytes from the beginning of the open chunk to each payload
+    sizes: Integers  # bytes of each payload
+
+    def rows(self, chosen: Mask | Integers) -> "Messages":
+        """Return some of the messages."""
+        return Messages(*[column[chosen] for column in self])
+
+
+class MessageTimes(NamedTuple):
+    """Channel and log time of the messages of a chunk; each column is (k,)."""
+
+    channel_ids: Integers
+    log_ns: TimeNs
 
 
 @dataclass(eq=False)
 class Chunk:
-    """A part of a file with messages: compressed or not, with indexes behind it, or messages that are in no chunk."""
+    """A part of a file with messages: a chunk and the indexes behind it, or a run of messages that are in no chunk.
+
+    Places are bytes from the beginning of the file.
+    """
 
     start: int
-    end: int
-    is_loose: bool = False  # messages that are in no chunk
-    compression: str = ""
-    data_start: int = 0
-    data_size: int = 0  # bytes of its content as it says itself
-    size: int = 0  # bytes to which it opens
-    crc: int = 0  # of these; 0 where the recorder computed none
-    span_ns: Span = (0, 0)  # as it says itself
-    # Start and end of each index behind it.
-    indexes: list[tuple[int, int]] = field(default_factory=list)
-    # Messages by channel, as the indexes or the content say.
-    counts: Counter[int] = field(default_factory=Counter)
-    is_indexed: bool = True  # whether the indexes name all messages, as far as is known
-    is_cut: bool = False
+    end: int  # of the chunk; its indexes follow
+    is_loose: bool = False  # a run of messages that are in no chunk
+    # From its header, which may be wrong. Messages that are in no chunk have none of this.
+    compression: str = ""  # empty: it is not compressed
+    data_start: int = 0  # where its compressed bytes begin
+    data_size: int = 0  # how many these are
+    size: int = 0  # bytes to which they open
+    crc: int = 0  # CRC-32 of the open bytes; 0 where the recorder computed none
+    span_ns: Span = (0, 0)
+    # Learnt while the file is read.
+    indexes: list[tuple[int, int]] = field(default_factory=list)  # start and end of each
+    counts: Counter[int] = field(default_factory=Counter)  # messages by channel
+    is_indexed: bool = True  # False once the indexes are found not to name all messages
+    is_cut: bool = False  # its end is missing, since the recording stopped within it
 
     @property
     def index_end(self) -> int:
-        """Where the last of the indexes ends."""
+        """Where its last index ends; without indexes, where it ends itself."""
         if self.indexes:
             return self.indexes[-1][1]
         return self.end
@@ -468,15 +499,23 @@ class Content(NamedTuple):
 
     def counts(self) -> Counter[int]:
         """Count the messages of each channel."""
-        ids, counts = np.unique(self.messages[0], return_counts=True)
+        ids, counts = np.unique(self.messages.channel_ids, return_counts=True)
         return Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
 
     def blocks(self, channel_ids: Iterable[int]) -> Iterator[Block]:
         """Give the messages of some channels, channel by channel."""
         for channel_id in sorted(channel_ids):
-            _, log_ns, publish_ns, starts, sizes = self.messages[:, self.messages[0] == channel_id]
-            if starts.size:
-                yield Block(channel_id, self.buffer, starts, sizes, log_ns, publish_ns)
+            places = np.flatnonzero(self.messages.channel_ids == channel_id)
+            if places.size:
+                own = self.messages.rows(places)
+                yield Block(
+                    channel_id,
+                    self.buffer,
+                    offsets=own.starts,
+                    sizes=own.sizes,
+                    log_time=own.log_ns,
+                    publish_time=own.publish_ns,
+                )
 
 
 Opening = Future[tuple[memoryview, memoryview]]
@@ -490,11 +529,12 @@ def _may_be_opened(ahead: Collection[tuple[Chunk, Opening]], chunk: Chunk) -> bo
     return len(ahead) <= _AHEAD and size <= _MOST_OPEN
 
 
-def _by_channel(channel: Integers, log_ns: TimeNs) -> dict[int, TimeNs]:
+def _by_channel(messages: Messages | MessageTimes) -> dict[int, TimeNs]:
     """Return the log times of each channel, in the order of the file."""
-    return {
-        channel_id: log_ns[channel == channel_id] for channel_id in np.unique(channel).tolist()
-    }
+    times = dict[int, TimeNs]()
+    for channel_id in np.unique(messages.channel_ids).tolist():
+        times[channel_id] = messages.log_ns[messages.channel_ids == channel_id]
+    return times
 
 
 @dataclass
@@ -544,12 +584,12 @@ class ChunkedFile(LogFile):
         """Find the messages of an open chunk, behind which are its indexes."""
 
     @abstractmethod
-    def _listed(self, chunk: Chunk) -> Messages | None:
-        """Return channel and log time of the messages of a chunk, (2, k), None where only its content tells."""
+    def _listed(self, chunk: Chunk) -> MessageTimes | None:
+        """Return channel and log time of the messages of a chunk; None where only its content tells."""
 
     def damage(self, offset: int, found: str) -> None:
-        """Note a damaged place."""
-        self.damages.setdefault(Damage(offset, found))
+        """Keep a damaged place: its offset in the file, and what is there."""
+        self.add_damage(Damage(offset, found))
 
     def _limit_size(self) -> None:
         """Leave out the chunks beyond what a file of this size may open to: a bomb would be read for hours."""
@@ -575,7 +615,7 @@ class ChunkedFile(LogFile):
         """Open chunks, some ahead of the reader; those that cannot be opened are lost."""
         left = deque(chunks)
         ahead = deque[tuple[Chunk, Opening]]()
-        sampled = {chunk.start for chunk in list(left)[:_SAMPLED]}
+        kept_open = {chunk.start for chunk in list(left)[:_FIRST_KEPT]}
         opener = ThreadPoolExecutor(1)
         try:
             while left or ahead:
@@ -591,7 +631,7 @@ class ChunkedFile(LogFile):
                 content = self._content(chunk, opening)
                 if content is None:
                     continue
-                if chunk.start in sampled:
+                if chunk.start in kept_open:
                     self._keep(chunk, content)
                 yield content
         finally:
@@ -605,14 +645,14 @@ class ChunkedFile(LogFile):
             buffer, behind = opening.result()
             return Content(buffer, self._find_messages(chunk, buffer, behind))
         except DamageError as error:
-            self.damages.setdefault(error.damage)
+            self.add_damage(error.damage)
             self._lose(chunk)
             return None
 
     def _keep(self, chunk: Chunk, content: Content) -> None:
         """Keep a chunk open, and let go of the oldest ones where they are too many."""
         self._kept[chunk.start] = content
-        while sum(len(kept.buffer) for kept in self._kept.values()) > _KEPT:
+        while sum(len(kept.buffer) for kept in self._kept.values()) > _MOST_KEPT:
             del self._kept[next(iter(self._kept))]
 
     def _open(self, chunk: Chunk) -> tuple[memoryview, memoryview]:
@@ -643,10 +683,10 @@ class ChunkedFile(LogFile):
         for chunk in list(self._chunks):
             found = self._listed(chunk)
             if found is not None:
-                yield chunk, _by_channel(found[0], found[1])
+                yield chunk, _by_channel(found)
                 continue
             for content in self._contents([chunk]):
-                yield chunk, _by_channel(content.messages[0], content.messages[1])
+                yield chunk, _by_channel(content.messages)
 
     def log_times(self) -> dict[int, TimeNs]:
         """Return the log times of all messages by channel, (k,) ns."""
@@ -662,7 +702,7 @@ class ChunkedFile(LogFile):
         """Read all that can be read and give the log times, a chunk at a time; ns."""
         known = [channel.id for channel in self.channels]
         for _, messages in self._contents(list(self._chunks)):
-            yield messages[1, np.isin(messages[0], known)]
+            yield messages.log_ns[np.isin(messages.channel_ids, known)]
 
     def check_unopened(self) -> Iterator[None]:
         """Open the chunks that nobody has opened so far, one by one, for their checksums alone."""

@@ -33,6 +33,7 @@ from insdvl_replay.logs.formats.log_file import (
     FileBytes,
     LogChannel,
     Messages,
+    MessageTimes,
     UnusableFileError,
     damage_note,
     gather,
@@ -414,7 +415,14 @@ class McapFile(ChunkedFile):
             raise DamageError(start, what) from error
         data_start = start + HEADER_SIZE + 40 + name_size
         return Chunk(
-            start, end, False, name, data_start, data_size, size, crc, (first_ns, last_ns)
+            start,
+            end,
+            compression=name,
+            data_start=data_start,
+            data_size=data_size,
+            size=size,
+            crc=crc,
+            span_ns=(first_ns, last_ns),
         )
 
     def _take_attachment(self, begin: int, length: int) -> None:
@@ -577,7 +585,7 @@ class McapFile(ChunkedFile):
         content = Content(buffer, _messages(gather(buffer, starts, MESSAGE), starts))
         if not chunk.indexes:
             return content.messages
-        there = set(zip(content.messages[0].tolist(), starts.tolist(), strict=True))
+        there = set(zip(content.messages.channel_ids.tolist(), starts.tolist(), strict=True))
         wrong = _wrongly_named(named, there)
         if wrong:
             channels = listed(map(str, sorted(wrong)))
@@ -588,7 +596,7 @@ class McapFile(ChunkedFile):
             chunk.is_indexed = False
         return content.messages
 
-    def _entries(self, chunk: Chunk, behind: memoryview) -> Messages:
+    def _entries(self, chunk: Chunk, behind: memoryview) -> Integers:
         """Return what the indexes of a chunk say: channel, log time and place in the chunk of each message, (3, k)."""
         parts = [np.empty((3, 0), np.int64)]
         for start, end in chunk.indexes:
@@ -600,10 +608,11 @@ class McapFile(ChunkedFile):
             )
         return np.concatenate(parts, axis=1)
 
-    def _listed(self, chunk: Chunk) -> Messages | None:
-        """Return channel and log time of the messages of a chunk, (3, k), as its indexes say."""
+    def _listed(self, chunk: Chunk) -> MessageTimes | None:
+        """Return channel and log time of the messages of a chunk, as its indexes say."""
         if chunk.indexes and chunk.is_indexed:
-            return self._entries(chunk, self.file.read(chunk.end, chunk.index_end))
+            entries = self._entries(chunk, self.file.read(chunk.end, chunk.index_end))
+            return MessageTimes(entries[0], entries[1])
         return None
 
     def _take_definitions(self, chunk: Chunk, buffer: memoryview, found: Integers) -> None:
@@ -668,8 +677,13 @@ class McapFile(ChunkedFile):
 
 def _messages(heads: Array, starts: Integers) -> Messages:
     """Return the messages whose heads begin at some places of a chunk."""
-    columns = heads["channel"], heads["log"], heads["publish"], starts + MESSAGE.itemsize
-    return np.stack([*columns, heads["length"] - _MESSAGE_FIELDS], dtype=np.int64)
+    return Messages(
+        channel_ids=heads["channel"].astype(np.int64),
+        log_ns=heads["log"].astype(np.int64),
+        publish_ns=heads["publish"].astype(np.int64),
+        starts=starts + MESSAGE.itemsize,
+        sizes=(heads["length"] - _MESSAGE_FIELDS).astype(np.int64),
+    )
 
 
 def _loose_chunk(window: memoryview, place: int, found: Integers) -> Chunk:

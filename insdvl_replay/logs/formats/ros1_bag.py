@@ -24,6 +24,7 @@ from insdvl_replay.logs.formats.log_file import (
     FileBytes,
     LogChannel,
     Messages,
+    MessageTimes,
     damage_note,
     gather,
 )
@@ -189,43 +190,51 @@ class BagFile(ChunkedFile):
         if chunk.start in self._found:
             return self._found[chunk.start]
         try:
-            messages, others = messages_in(buffer)
+            records, others = messages_in(buffer)
             for record in others:
                 if record.kind == _CONNECTION:
                     self._take_connection(record, buffer[record.start : record.end])
         except DamageError as error:
             offset, what = error.damage
             raise DamageError(chunk.start, f"in the chunk, {offset} bytes on, {what}") from error
-        connection, time_ns, _, starts, sizes = messages
         indexes = self._indexes[chunk.start]
         with self.collected():
-            named = sum(self._count_named(index, messages) for index in indexes)
-            if (indexes or self.has_summary) and named != connection.size:
+            named = sum(self._count_named(index, records) for index in indexes)
+            if (indexes or self.has_summary) and named != records.connections.size:
                 what = "the indexes of a chunk do not agree with its messages"
                 raise DamageError(chunk.start, what)
-        numbers, rows, counts = np.unique(connection, return_inverse=True, return_counts=True)
+        numbers, rows, counts = np.unique(
+            records.connections, return_inverse=True, return_counts=True
+        )
         ids = np.array(self._ids(numbers.tolist()), np.int64)
         for number in numbers[ids < 0].tolist():
             self.damage(chunk.start, f"messages are of connection {number}, which is not defined")
         chunk.counts = Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
-        known = ids[rows] >= 0
-        self._found[chunk.start] = np.stack([ids[rows], time_ns, time_ns, starts, sizes])[:, known]
+        messages = Messages(
+            channel_ids=ids[rows],
+            log_ns=records.time_ns,
+            publish_ns=records.time_ns,
+            starts=records.starts,
+            sizes=records.sizes,
+        )
+        self._found[chunk.start] = messages.rows(messages.channel_ids >= 0)
         return self._found[chunk.start]
 
-    def _count_named(self, index: _Record, messages: Integers) -> int:
+    def _count_named(self, index: _Record, records: "_MessageRecords") -> int:
         """Return how many messages an index names, 0 if it is not right about all messages of its connection."""
         entries = np.sort(self._entries(index, _ENTRY), order="place", kind="stable")
-        connection, time_ns, places, _, _ = messages
-        is_own = connection == index.number(b"conn", 4)
-        if not np.array_equal(entries["place"], places[is_own]):
+        is_own = records.connections == index.number(b"conn", 4)
+        if not np.array_equal(entries["place"], records.places[is_own]):
             return 0
-        if not np.array_equal(_time_ns(entries["sec"], entries["nanosec"]), time_ns[is_own]):
+        time_ns = _time_ns(entries["sec"], entries["nanosec"])
+        if not np.array_equal(time_ns, records.time_ns[is_own]):
             return 0
         return len(entries)
 
-    def _listed(self, chunk: Chunk) -> Messages | None:
-        """Return channel and log time of the messages of a chunk and more, (5, k)."""
-        return self._found[chunk.start]
+    def _listed(self, chunk: Chunk) -> MessageTimes | None:
+        """Return channel and log time of the messages of a chunk, which was opened when the file was."""
+        found = self._found[chunk.start]
+        return MessageTimes(found.channel_ids, found.log_ns)
 
     def _entries(self, record: _Record, dtype: np.dtype[Any]) -> Array:
         """Read the entries of an index, (k,)."""
@@ -281,11 +290,18 @@ def _time_ns(sec: Array, nanosec: Array) -> TimeNs:
     return np.asarray(sec.astype(np.int64) * NS_PER_S + nanosec)
 
 
-def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
-    """Find the messages of an open chunk, and its other records; a DamageError has the place in it.
+class _MessageRecords(NamedTuple):
+    """The records of an open chunk that are messages; each column is (k,)."""
 
-    Of each message: connection, time, and where its record and its payload start and how long this is, (5, k).
-    """
+    connections: Integers
+    time_ns: TimeNs
+    places: Integers  # where each record starts in the chunk
+    starts: Integers  # where its payload starts
+    sizes: Integers  # bytes of the payload
+
+
+def messages_in(buffer: memoryview) -> tuple[_MessageRecords, list[_Record]]:
+    """Find the messages of an open chunk, and its other records; a DamageError has the place in it."""
     places, starts, ends = _bounds(buffer)
     connections = np.full(places.size, -1, np.int64)
     time_ns = np.zeros(places.size, np.int64)
@@ -311,7 +327,14 @@ def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
             time_ns[alike.rows] = alike.time_ns
         is_first = False
     is_message = connections >= 0
-    return np.stack([connections, time_ns, places, starts, ends - starts])[:, is_message], others
+    found = _MessageRecords(
+        connections=connections[is_message],
+        time_ns=time_ns[is_message],
+        places=places[is_message],
+        starts=starts[is_message],
+        sizes=(ends - starts)[is_message],
+    )
+    return found, others
 
 
 def _record_in(buffer: memoryview, place: int) -> _Record:
