@@ -66,16 +66,21 @@ class Answer(answers.Answer, frozen=True, kw_only=True):
     ] = ()
 
     @property
+    def is_equal(self) -> bool:
+        """Whether no value differs."""
+        return finite(self.largest_change) == 0.0
+
+    @property
     def is_same(self) -> bool:
         """Whether no value differs; or, of too few dives for an interval, none that may decide by 1 %."""
-        largest = finite(self.largest_change)
-        return largest == 0.0 or (largest < _NO_CHANGE and self.evaluated < FEWEST_DIVES)
+        if self.is_equal:
+            return True
+        return finite(self.largest_change) < _NO_CHANGE and self.evaluated < FEWEST_DIVES
 
     @property
     def sameness(self) -> str:
         """How small the changes are, for the end of a sentence."""
-        same = finite(self.largest_change) == 0.0
-        if same:
+        if self.is_equal:
             return "has the same evidence as before"
         return "changed by less than 1 % in all that may decide"
 
@@ -157,7 +162,10 @@ def _paired(name: str, pairs: list[Pair], *, is_equal: bool) -> _Paired:
 
 
 def _answer(paired: _Paired, level: float) -> Answer:
-    """Return the answer for one filter, at the level of its interval."""
+    """Return the answer for one filter, at the level of its interval.
+
+    Its verdict is that of the pooled evidence, unless the evidence is the same as before and no dive is lost.
+    """
     name = paired.name
     pooled = pooled_candidate(
         name,
@@ -185,12 +193,14 @@ def _answer(paired: _Paired, level: float) -> Answer:
         largest_change=paired.largest_change,
         by_dive=_by_dive(paired.evidence, pooled.primary),
     )
-    if not answer.is_same or answer.lost:
+    if answer.lost or not answer.is_same:
         return answer
-    is_equal = finite(answer.largest_change) == 0.0
+    verdict = Verdict.EQUIVALENT
+    if answer.is_equal:
+        verdict = Verdict.NO_EFFECT
     return replace(
         answer,
-        verdict=Verdict.NO_EFFECT if is_equal else Verdict.EQUIVALENT,
+        verdict=verdict,
         undecided=ReasonCode.NONE,
         sentence=f"{name} {answer.sameness}.",
     )
@@ -201,21 +211,32 @@ def _by_dive(evidence: Sequence[Sequence[EvidenceRow]], primary: str) -> tuple[D
     changes = list[DiveChange]()
     for row in chain.from_iterable(evidence):
         if row.quantity == primary:
-            was = finite(row.baseline)
-            now = finite(row.value)
-            changes.append(DiveChange(row.log, row.quantity, row.unit, was, now, row.ratio))
+            change = DiveChange(
+                log=row.log,
+                quantity=row.quantity,
+                unit=row.unit,
+                old=finite(row.baseline),
+                new=finite(row.value),
+                ratio=row.ratio,
+            )
+            changes.append(change)
     return tuple(changes)
 
 
 def _not_evaluated(report: StoredReport, name: str) -> str:
-    """Return why a filter is not evaluated, empty if it is. The baseline is evaluated, if any candidate is."""
+    """Return why a filter is not evaluated in a result, empty if it is.
+
+    The verdict on a candidate says it. The baseline has no verdict: it is evaluated if any candidate is, or if there is
+    no candidate.
+    """
     candidates = list(report.filters.values())
     if name in report.filters:
         candidates = [report.filters[name]]
-    if not candidates or any(
-        candidate.get("verdict") not in WITHOUT_VERDICT for candidate in candidates
-    ):
+    if not candidates:
         return ""
+    for candidate in candidates:
+        if candidate.get("verdict") not in WITHOUT_VERDICT:
+            return ""
     return str(candidates[0].get("reason") or "its result does not say why")
 
 
@@ -223,19 +244,23 @@ def _not_evaluated(report: StoredReport, name: str) -> str:
 
 
 class _Cell(Struct, frozen=True):
-    """One value of a filter that both sides have."""
+    """One value of a filter, as it is in the results of both sides."""
 
-    quantity: str
-    kind: str
-    role: str
-    column: str
+    quantity: str  # of the evidence, such as `position` or `outage_60s`
+    kind: str  # of the evidence, such as `accuracy` or `outage`
+    role: str  # what it may do to the verdict, one of `Role`
+    column: str  # which value of the pair
     pair: RowPair
 
 
 def _paired_evidence(name: str, dive: Pair) -> Iterator[EvidenceRow]:
-    """Yield the evidence of a filter that both sides have, new over old; of a filter alone, its drift and outage tests.
+    """Yield the evidence of a filter on one dive, new over old, of each quantity that is a number on both sides.
 
-    Of the baseline, the first row counts: candidates with a start of their own, which change its values, come last.
+    The evidence compares candidates with the baseline. If neither side has any, as in replays of the baseline alone,
+    the drift and outage tests of the filter take its place.
+
+    The baseline's values are in the rows of every candidate. The first row counts: candidates with a start of their
+    own, which change its values, come last.
     """
     report = dive.new.report
     rows = list(paired_rows(dive.old.report, report, _TABLES))
