@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from insdvl_replay.changes.cells import RowPair
 from insdvl_replay.changes.matching import Pair
@@ -34,28 +35,32 @@ class Difference(Struct, frozen=True):
 
 def differences(pairs: Iterable[Pair]) -> tuple[Difference, ...]:
     """Return all differences outside the tables, each once with its dives."""
-    logs: dict[tuple[str, str, str | None, str | None], list[str]] = {}
+    logs: dict[Difference, list[str]] = {}
     for old, new in pairs:
         before = _facts(old.report)
         after = _facts(new.report)
-        for place in dict.fromkeys((*before, *after)):
-            was = before.get(place)
-            is_ = after.get(place)
-            if was != is_:
-                logs.setdefault((*place, was, is_), []).append(new.name)
-    found = [Difference(*what, tuple(names)) for what, names in logs.items()]
+        for block, key in dict.fromkeys((*before, *after)):
+            value_before = before.get((block, key))
+            value_now = after.get((block, key))
+            if value_before != value_now:
+                difference = Difference(block, key, value_before, value_now, logs=())
+                logs.setdefault(difference, []).append(new.name)
+    found = [replace(difference, logs=tuple(names)) for difference, names in logs.items()]
     return tuple(sorted(found, key=lambda difference: BLOCKS.index(difference.block)))
 
 
 def _facts(report: StoredReport) -> dict[tuple[str, str], str]:
-    """Return all facts outside the tables as text, by block and key, without times of day and of computation."""
+    """Return the facts outside the tables as text, by block and key; a fact without a value is left out.
+
+    Times of day and of computation are no facts, since they differ between any two replays.
+    """
     blocks: dict[str, Mapping[str, Any]] = {
         "tool": {key: value for key, value in report.tool.items() if key in _OF_TOOL},
         "versions": report.versions,
         "config": dict(flattened(report.config)),
         "filters": {"names": ", ".join([report.baseline, *report.filters])},
         "log": _facts_of_log(report),
-        "notes": {note.code: f"{note.count} ({note.severity})" for note in report.notes},
+        "notes": _facts_of_notes(report),
     }
     facts = dict[tuple[str, str], str]()
     for block, values in blocks.items():
@@ -64,6 +69,17 @@ def _facts(report: StoredReport) -> dict[tuple[str, str], str]:
                 facts[block, key] = value
             elif value is not None:
                 facts[block, key] = json.dumps(value)
+    return facts
+
+
+def _facts_of_notes(report: StoredReport) -> dict[str, str]:
+    """Return counts and severities of the notes by their codes; several notes may share a code."""
+    facts = dict[str, str]()
+    for found in report.notes:
+        text = f"{found.count} ({found.severity})"
+        if found.code in facts:
+            text = f"{facts[found.code]}, {text}"
+        facts[found.code] = text
     return facts
 
 
@@ -78,9 +94,10 @@ def _facts_of_log(report: StoredReport) -> dict[str, Any]:
         "duration_s": log.duration_s,
     }
     for channel in log.channels:
+        count = channel.get("messages")
+        type_name = channel.get("type_name")
         role = channel.get("role") or "unused"
-        kind = f"{channel.get('messages')} {channel.get('type_name')}"
-        facts[f"channels {channel.get('topic')}"] = f"{kind} ({role})"
+        facts[f"channels {channel.get('topic')}"] = f"{count} {type_name} ({role})"
     return facts
 
 
@@ -88,21 +105,35 @@ def _facts_of_log(report: StoredReport) -> dict[str, Any]:
 
 
 def notes_on_names(pairs: Sequence[Pair], frames: Iterable[Sequence[RowPair]]) -> Iterator[Note]:
-    """Note the candidates and tables that are on one side only, or unknown; raise if no candidate is on both sides."""
+    """Note the candidates and tables that are on one side only, and the tables that this version does not know.
+
+    The frames are the rows that are compared, a frame for each pair. A ConfigError says that no candidate is on both
+    sides.
+    """
+    yield from _notes_on_candidates(pairs)
+    yield from _notes_on_tables(frames)
+    yield from _notes_on_unknown_tables(pairs)
+
+
+def _notes_on_candidates(pairs: Sequence[Pair]) -> Iterator[Note]:
     candidates = _Names()
     for old, new in pairs:
         candidates.add(old.report.filters.keys(), new.report.filters.keys())
-    theirs = sorted(candidates.ever_old)
-    ours = sorted(candidates.ever_new)
-    if theirs and ours and not candidates.ever_both:
+    names_before = sorted(candidates.ever_old)
+    names_now = sorted(candidates.ever_new)
+    if names_before and names_now and not candidates.ever_both:
         raise ConfigError(
-            f"no candidate of the old results ({', '.join(theirs)}) is in the new ones ({', '.join(ours)})",
-            f"match them by name: --pair {theirs[0]}={ours[0]}",
+            f"no candidate of the old results ({', '.join(names_before)}) "
+            f"is in the new ones ({', '.join(names_now)})",
+            f"match them by name: --pair {names_before[0]}={names_now[0]}",
         )
     code = "filter_on_one_side"
-    if candidates.ever_old - candidates.ever_new and candidates.ever_new - candidates.ever_old:
-        code = "filter_on_one_side renamed"
+    if candidates.may_be_renamed:
+        code += " renamed"  # the sentence of this code whose hint is --pair
     yield from candidates.notes(code)
+
+
+def _notes_on_tables(frames: Iterable[Sequence[RowPair]]) -> Iterator[Note]:
     tables = _Names()
     for frame in frames:
         tables.add(
@@ -110,28 +141,33 @@ def notes_on_names(pairs: Sequence[Pair], frames: Iterable[Sequence[RowPair]]) -
             {row.layout.name for row in frame if row.new},
         )
     yield from tables.notes("table_on_one_side")
-    yield from _notes_on_unknown_tables(pairs)
 
 
 class _Names:
-    """Names of one kind: on how many dives one side alone has each."""
+    """The names of candidates, or those of tables, on both sides of all dives."""
 
     def __init__(self) -> None:
-        self.gone = Counter[str]()
-        self.added = Counter[str]()
+        self.gone = Counter[str]()  # by name: dives on which only the old side has it
+        self.added = Counter[str]()  # likewise the new side
+        # Names that the old side, the new one, and both have on any dive.
         self.ever_old = set[str]()
         self.ever_new = set[str]()
         self.ever_both = set[str]()
 
     def add(self, old: Iterable[str], new: Iterable[str]) -> None:
         """Count the names of a dive on both sides."""
-        theirs = set(old)
-        ours = set(new)
-        self.gone.update(theirs - ours)
-        self.added.update(ours - theirs)
-        self.ever_old |= theirs
-        self.ever_new |= ours
-        self.ever_both |= theirs & ours
+        before = set(old)
+        now = set(new)
+        self.gone.update(before - now)
+        self.added.update(now - before)
+        self.ever_old |= before
+        self.ever_new |= now
+        self.ever_both |= before & now
+
+    @property
+    def may_be_renamed(self) -> bool:
+        """Whether each side has a name that the other never has: one may be the other's new name."""
+        return bool(self.ever_old - self.ever_new) and bool(self.ever_new - self.ever_old)
 
     def notes(self, code: str) -> Iterator[Note]:
         """Yield a note of a code for each name that one side lacks on some dive."""

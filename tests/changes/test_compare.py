@@ -336,6 +336,21 @@ def test_causes_are_named_key_by_key_with_both_values(tmp_path: Path) -> None:
     }
 
 
+def test_a_change_of_any_of_several_notes_of_one_code_is_reported(tmp_path: Path) -> None:
+    old, new = content(), content()
+    for side, first in ((old, 3), (new, 4)):
+        side["notes"] = [
+            {"code": "log_damaged", "text": "x", "count": first, "severity": "warning"},
+            {"code": "log_damaged", "text": "y", "count": 1, "severity": "warning"},
+        ]
+    (found,) = compared(tmp_path, old, new).differences
+    assert (found.key, found.old, found.new) == (
+        "log_damaged",
+        "3 (warning), 1 (warning)",
+        "4 (warning), 1 (warning)",
+    )
+
+
 def test_another_log_is_reported_before_all_settings(tmp_path: Path) -> None:
     new = content(sha256="other")
     new["config"] |= {f"key{number}": number for number in range(20)}
