@@ -7,7 +7,7 @@ from pathlib import Path
 
 from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.batch.found import Fetch, FoundDive
-from insdvl_replay.batch.jobs import Outcome, ReplayOptions, plan_jobs
+from insdvl_replay.batch.jobs import Outcome, ReplayJob, ReplayOptions, plan_jobs
 from insdvl_replay.batch.replaying import Replaying, unheard
 from insdvl_replay.batch.search import outcomes
 from insdvl_replay.changes.expected import require_expected, write_expected
@@ -21,15 +21,19 @@ from insdvl_replay.results.folder import COMPLETE
 Load = Callable[[Path | None], Config]
 """Loads settings, with a dive's own file of them if it has one."""
 Changed = tuple[str, Finding]
-"""A dive, and a cell of it with the value that was expected before."""
+"""The name of a dive, and a cell of it with the value that was expected before."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """Every how many-th dive is checked, and the first of them: several machines share the work."""
+    """Which share of the dives is checked, where several machines share the work: one of several parts."""
 
-    number: int = 1
-    parts: int = 1
+    number: int = 1  # of this part, from 1
+    parts: int = 1  # how many there are
+
+    def of(self, dives: Sequence[FoundDive]) -> Sequence[FoundDive]:
+        """Return the dives of this part: of four parts the first has the dives 1, 5, 9 and so on."""
+        return dives[self.number - 1 :: self.parts]
 
 
 @dataclass(frozen=True)
@@ -60,19 +64,21 @@ class Listener:
 
 def plan_check(
     gates: Gates,
-    names: Sequence[str],  # of the dives; without any those that the gate file names
+    names: Sequence[str],  # paths and patterns of dives, from the working directory
     load: Load,
     *,
     part: Part = Part(),
     allow_damaged: bool = False,
     histories: bool = False,
 ) -> Check:
-    """Find the dives of a check, or of a part of it, and their settings.
+    """Find the dives of a check, or of a part of it, and load their settings.
+
+    Without names, the dives are those that the gate file names, from its own folder.
 
     Raises
     ------
     ConfigError
-        No dive is named, a name is wrong, or a file of settings.
+        Neither the names nor the gate file name a dive, a name fits no dive, or settings are not valid.
     """
     content = gates.content
     folder = Path()
@@ -82,12 +88,15 @@ def plan_check(
     if not names:
         hint = f'`insdvl-replay check {gates.path} DIVE...`, or dives = ["*.mcap"]'
         raise ConfigError(f"{gates.path}: names no dives", hint)
-    dives = find_dives(names, folder, results=True)[part.number - 1 :: part.parts]
+    dives = part.of(find_dives(names, folder, results=True))
     options = ReplayOptions(
         load(None), allow_damaged=allow_damaged or content.allow_damaged, histories=histories
     )
-    own_files = {dive.settings for dive in dives if dive.settings is not None}
-    return Check(gates, dives, options, {file: load(file) for file in own_files})
+    configs: dict[Path | None, Config] = {}
+    for dive in dives:
+        if dive.settings is not None and dive.settings not in configs:
+            configs[dive.settings] = load(dive.settings)
+    return Check(gates, dives, options, configs)
 
 
 def checked_dives(
@@ -101,11 +110,13 @@ def checked_dives(
 ) -> CheckResult:
     """Replay the logs of a check, and evaluate its gates.
 
+    The listener is told in this order: of all results, of changed expected values, of each file of them that is stored.
+
     Raises
     ------
     ConfigError
-        A gate is about a filter that no replay has, results cannot be stored in the output, no gate has expected values
-        that could be updated, or gates do not agree on a file of them.
+        A gate is about a filter that no replay has, or results cannot be stored in the output. With ``update``: no gate
+        has expected values, or gates that differ share a file of them.
     """
     if update:
         require_expected(check.gates)
@@ -123,12 +134,11 @@ def _results_of(check: Check, output: Path, how: Replaying, fetch: Fetch) -> lis
     dives = fetch(check.dives)
     logs = [dive for dive in dives if not _is_result(dive)]
     jobs = plan_jobs(logs, output, check.options, check.configs)
-    if len(logs) == len(dives):  # stored results may have other filters
-        names = dict[str, None]()
-        for job in jobs:
-            names.update(dict.fromkeys(job.options.config.filters))
-        require_known_filters(check.gates, list(names))
+    # Stored results may have filters that no settings name.
+    if len(logs) == len(dives):
+        require_known_filters(check.gates, _filters_of(jobs))
     checked: list[Checked] = []
+    # One outcome for each log, in the order of the dives.
     with closing(outcomes(jobs, how)) as replays:
         for dive in dives:
             if _is_result(dive):
@@ -136,6 +146,14 @@ def _results_of(check: Check, output: Path, how: Replaying, fetch: Fetch) -> lis
             else:
                 checked += _replayed(next(replays))
     return checked
+
+
+def _filters_of(jobs: Sequence[ReplayJob]) -> list[str]:
+    """Return the filters of all replays, each once."""
+    names = dict[str, None]()
+    for job in jobs:
+        names.update(dict.fromkeys(job.options.config.filters))
+    return list(names)
 
 
 def _is_result(dive: FoundDive) -> bool:
