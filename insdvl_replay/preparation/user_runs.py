@@ -75,25 +75,28 @@ FEWEST_WINDOWS = 6
 
 @dataclass(frozen=True)
 class GivenDive:
-    """A dive over which the user's filters are run, and the baseline's run over it."""
+    """A dive over which the user's filters are run, and the baseline's run over it.
 
-    name: str
+    It is the whole dive, or one of the dives of the outage test, which lack the pings of some windows.
+    """
+
+    name: str  # in the name of its file: `dive`, `outage_1`, ...
     dive: Dive  # as filters of the user's are given it
     prepared: Prepared
     baseline: History
-    windows: Sequence[int] = ()  # rows of the plan's windows whose pings are absent
-    absent: Sequence[Outage] = ()  # these windows
+    windows: Sequence[int] = ()  # of the outage test: the windows whose pings are absent, by row
+    absent: Sequence[Outage] = ()  # first and last absent ping of each of these, ns
 
 
 class UserRun(NamedTuple):
-    """What one filter of the user's gave."""
+    """What one filter of the user's gave. If it failed, all but the history is empty."""
 
-    history: History
-    drawn: DrawnErrors | None  # from random starts
-    outages: OutageRuns | None  # with those of the baseline
+    history: History  # over the whole dive; it says why the filter failed
+    drawn: DrawnErrors | None  # from random starts; None without a reference
+    outages: OutageRuns | None  # its drifts and the baseline's; None where the test cannot be made
     notes: tuple[Note, ...]
-    repeats: tuple[Repeat, ...] = ()
-    turned: History | None = None  # from the plan's second start
+    repeats: tuple[Repeat, ...] = ()  # empty where the settings ask for none
+    turned: History | None = None  # from the plan's start with another heading, if it has one
 
 
 def with_user_candidates(
@@ -105,18 +108,9 @@ def with_user_candidates(
     """
     if not config.user_candidates:
         return runs
-    whole = GivenDive(
-        "dive", _given(given_dive(dive, config), prepared), prepared, runs.histories[0]
-    )
-    windows = _windows(plan.windows)
-    part = dive
-    starts: tuple[Start, ...] = (prepared.alignment.start,)
-    if plan.starts:
-        starts, part, _ = drawn_part(dive, prepared, plan.starts, plan.seed)
-    tests = _Tests(
-        whole, starts, part.reference, windows, _outage_dives(dive, prepared, config, windows)
-    )
-    # What a program has started may still write into it.
+    baseline = runs.histories[0]
+    tests = _planned_tests(dive, prepared, plan, config, baseline)
+    # Processes that a program has left behind may still write into the folder, and hinder its removal.
     with tempfile.TemporaryDirectory(
         prefix="insdvl-replay-", ignore_cleanup_errors=True
     ) as folder:
@@ -124,17 +118,39 @@ def with_user_candidates(
             report_stage(f"running {name}")
             candidate = _Candidate(name, settings, Path(folder, name), plan, dive, config)
             found = candidate.tested(tests)
-            runs = _with_run(runs, name, found, whole.baseline.filter)
+            runs = _with_run(runs, name, found, baseline.filter)
             if plan.starts:
+                # One without errors from drawn starts, as where it failed, has those of its history.
                 drawn = with_solutions(runs.drawn, [found.history], dive)
                 runs = replace(runs, drawn=drawn)
             runs = _with_processes(runs, name, candidate.processes)
+            # The next filter needs the room on the disk.
             shutil.rmtree(candidate.folder, ignore_errors=True)
     return runs
 
 
+def _planned_tests(
+    dive: Dive, prepared: Prepared, plan: RunPlan, config: Config, baseline: History
+) -> "_Tests":
+    """Prepare what each filter of the user's is run over."""
+    given = _given(given_dive(dive, config), prepared)
+    windows = _windows(plan.windows)
+    starts: tuple[Start, ...] = (prepared.alignment.start,)
+    reference = dive.reference
+    if plan.starts:
+        starts, part, _ = drawn_part(dive, prepared, plan.starts, plan.seed)
+        reference = part.reference
+    return _Tests(
+        whole=GivenDive("dive", given, prepared, baseline),
+        starts=starts,
+        reference=reference,
+        windows=windows,
+        outages=_outage_dives(dive, prepared, config, windows),
+    )
+
+
 def _with_run(runs: Runs, name: str, found: UserRun, baseline: str) -> Runs:
-    """Add what one filter of the user's gave."""
+    """Add what one filter of the user's gave. The baseline's name is for the sentence on one that is not repeatable."""
     drawn = runs.drawn
     if found.drawn is not None:
         drawn = (*drawn, found.drawn)
