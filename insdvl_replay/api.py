@@ -2,6 +2,9 @@
 
 Use ``from insdvl_replay import load_config, replay_log, read_results``. These names are stable; all other modules may
 change.
+
+A mistake of the caller's is a ConfigError, a LogError or a ResultError, with a hint in ``hint``. An argument of another
+kind, such as settings where a path is expected, is a WrongArgumentError, which is a ConfigError and a TypeError.
 """
 
 import os
@@ -69,8 +72,8 @@ def load_config(
     *files : str or Path
         TOML files. Later files override earlier ones.
     preset : str, optional
-        ``levy-klein`` (the paper's), ``fog``, ``tactical`` or ``mems``. Without one, and without ``[noise]``, a replay
-        fits the noise to the dives.
+        ``levy-klein`` (of the paper by Levy and Klein, arXiv:2308.11762), ``fog``, ``tactical`` or ``mems``. Without
+        one, and without ``[noise]``, a replay fits the noise to the dives.
     settings : mapping or sequence of str
         Single settings by their dotted keys: ``{"dvl.scale": 1.01}``, or ``["dvl.scale=1.01"]``. Values may be tuples,
         NumPy arrays and numbers, and paths. Nested mappings set only their own keys.
@@ -80,7 +83,7 @@ def load_config(
     Raises
     ------
     ConfigError
-        A key or value is not valid, or a setting names code without ``allow_code``.
+        A file cannot be read, a key or value is not valid, or a setting names code without ``allow_code``.
     """
     pairs = [*_pairs(settings)] if isinstance(settings, Mapping) else list(settings)
     return _load_config(
@@ -200,9 +203,9 @@ def replay_log(
     Raises
     ------
     LogError
-        The log cannot be used.
+        The log cannot be used, or is damaged and ``allow_damaged`` is not given.
     ConfigError
-        The settings do not fit the log.
+        There is no log, it is a result, or the settings do not fit it.
     """
     from insdvl_replay.batch.in_memory import replay_in_memory
     from insdvl_replay.batch.jobs import ReplayOptions
@@ -221,6 +224,11 @@ def replay_log(
 def read_result(folder: Text) -> "DiveResult":
     """Return the result in a folder that `run` or `DiveResult.save` wrote.
 
+    Parameters
+    ----------
+    folder : str or Path
+        The folder, or a folder with one result somewhere in it.
+
     Raises
     ------
     ConfigError
@@ -237,6 +245,11 @@ def read_results(folder: Text) -> "DiveResults":
 
     Where a run of several dives has written its summary, the dives in it count, as on its page. Results of earlier runs
     beside them are left out, and named in `content.notes`.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A folder of results, which may be in folders below it.
 
     Raises
     ------
@@ -264,6 +277,11 @@ def read_results(folder: Text) -> "DiveResults":
 def plan(folder: Text) -> "CommandResult":
     """Return what the dives of a result can find, and how many dives find smaller changes: table plan.
 
+    Parameters
+    ----------
+    folder : str or Path
+        A result folder, or a folder of results.
+
     Raises
     ------
     ConfigError
@@ -290,7 +308,15 @@ def simulate(scenario: str, output: Text, *, force: bool = False, **options: Any
         Replace an existing file.
     **options
         ``seed``, ``duration_s``, ``grade`` (of the IMU), ``outages`` (pairs of seconds), ``lever_arm_m``,
-        ``mounting_rpy_deg``, ``dvl_delay_s``, ``dvl_scale`` and others of `sim.dive.simulate_dive`.
+        ``mounting_rpy_deg``, ``dvl_delay_s``, ``dvl_scale`` and others of `sim.dive.simulate_dive`. The end of a name
+        is its unit; the lever arm is from the IMU to the DVL, forward, right and down.
+
+    Raises
+    ------
+    ConfigError
+        A scenario or a value is not valid, or the file exists without ``force`` or cannot be written.
+    TypeError
+        There is no such option.
     """
     from insdvl_replay.logs import write_dive
     from insdvl_replay.sim.dive import simulate_dive
@@ -305,10 +331,25 @@ def inspect(
 ) -> "CommandResult":
     """Return what is in a log, or in several of one dive, and what would stop a replay.
 
+    The tables are file, topics, roles, clocks, pings, reference and notes.
+
     Parameters
     ----------
+    log : str, Path or sequence of them
+        A log or a bag folder, or several of one dive.
+    config : Config, str, Path or sequence of them, optional
+        The settings that a replay would have. Default: the default settings.
     deep : bool
         Read all messages of each role, not only the first.
+    allow_damaged : bool
+        Look at the readable part of a damaged log.
+
+    Raises
+    ------
+    LogError
+        The log cannot be read.
+    ConfigError
+        There is no log, it is a result, or settings are not valid.
     """
     from insdvl_replay.batch.found import FoundDive
     from insdvl_replay.batch.inspect_logs import Look, inspect_dive
@@ -324,7 +365,26 @@ def inspect(
 def propose(
     logs: Paths, config: Settings | None = None, *, allow_damaged: bool = False
 ) -> "CommandResult":
-    """Propose settings for the dives of a vehicle, a log each; `CommandResult.settings` has them as TOML."""
+    """Propose settings for the dives of a vehicle, a log each; `CommandResult.settings` has them as TOML.
+
+    Table missing has the keys that nothing in the logs tells.
+
+    Parameters
+    ----------
+    logs : str, Path or sequence of them
+        A log for each dive.
+    config : Config, str, Path or sequence of them, optional
+        Settings that are known, and stay as they are.
+    allow_damaged : bool
+        Use the readable part of damaged logs.
+
+    Raises
+    ------
+    LogError
+        A log cannot be read.
+    ConfigError
+        There is no log, one is a result, or settings are not valid.
+    """
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.inspection.automatic import settings_file
 
@@ -356,8 +416,14 @@ def calibrate(
 ) -> "CommandResult":
     """Estimate the DVL's geometry and the sensors' noise, a log each dive; `CommandResult.settings` is TOML.
 
+    The tables are parameters, noise and dives. A row has the unit of its values.
+
     Parameters
     ----------
+    logs : str, Path or sequence of them
+        A log for each dive.
+    config : Config, str, Path or sequence of them, optional
+        Settings to begin with. Default: the default settings.
     only : sequence of str, optional
         Some of ``arm``, ``mounting``, ``delay``, ``scale`` and ``noise``. Default: all.
     reference : bool
@@ -368,6 +434,16 @@ def calibrate(
         Try 24 mountings first.
     hold_out : sequence of str or float
         Dives that test the result: names, or a share between 0 and 1.
+    allow_damaged : bool
+        Use the readable part of damaged logs.
+
+    Raises
+    ------
+    LogError
+        A log cannot be used.
+    ConfigError
+        There is no log, one is a result, a word in ``only`` or a dive in ``hold_out`` is not known, or the settings do
+        not fit the logs.
     """
     from insdvl_replay.batch.calibrate import Asked, calibrate_logs
     from insdvl_replay.batch.found import FoundDive
@@ -414,7 +490,14 @@ def compare(
     pairs : mapping of str to str, optional
         The new name of a filter by its old one.
     tolerance_pct : float, optional
-        Changes up to this count as the same. Default: the last printed digit.
+        Changes up to this, in percent, count as the same. Default: the last printed digit.
+
+    Raises
+    ------
+    ConfigError
+        A folder holds no result, no dive or candidate is on both sides, or a name is not known.
+    ResultError
+        A result cannot be read.
     """
     from insdvl_replay.changes.comparison import compare_results
     from insdvl_replay.changes.comparison_document import comparison_document, comparison_result
@@ -442,14 +525,28 @@ def compare_settings(
 ) -> "CommandResult":
     """Replay dives with two settings, a log each, into ``folder/before`` and ``folder/after``, and compare them.
 
+    The tables are those of `compare`.
+
     Parameters
     ----------
+    logs : str, Path or sequence of them
+        A log for each dive.
     before, after : Config, str, Path or sequence of them
         From `load_config`, or TOML files as for it. Noise that they do not give is fitted once, with ``before``.
     folder : str or Path
         Results that are up to date are used again.
+    allow_damaged : bool
+        Use the readable part of damaged logs.
     force : bool
         Replace other results.
+
+    Raises
+    ------
+    LogError
+        A log cannot be used.
+    ConfigError
+        There is no log, one is a result, the settings do not differ or do not fit a log, or other results are in the
+        folder.
     """
     from insdvl_replay.batch.against import compare_sides, plan_both_sides, require_change
     from insdvl_replay.batch.found import FoundDive
@@ -501,6 +598,14 @@ def check(
         Folder for the results of logs, which are replayed if something has changed.
     update : bool
         Store the values of the dives as expected before the gates are evaluated, as ``--update`` does.
+
+    Raises
+    ------
+    ConfigError
+        The gates or the settings are not valid, no dive is named, or a result cannot be written. A log that cannot be
+        used raises nothing: its gates have not passed.
+    ResultError
+        A result that was given cannot be read.
     """
     from insdvl_replay.batch.check import checked_dives, plan_check
     from insdvl_replay.batch.manifest import fetch_dives
@@ -528,6 +633,11 @@ def run_as_program(candidate: type[Candidate]) -> None:
     ----------
     candidate : type
         Your class, derived from `Candidate`.
+
+    Raises
+    ------
+    SystemExit
+        The program was called without these three paths.
     """
     if len(sys.argv) != 4:
         raise SystemExit(f"usage: {sys.argv[0]} DIVE START SOLUTION")
@@ -546,7 +656,7 @@ class UnknownNameError(ConfigError, KeyError):
 
 
 class Named(dict[str, "pd.DataFrame"]):
-    """Data frames by name; an unknown name raises an UnknownNameError."""
+    """Data frames by name; an unknown name raises an UnknownNameError, which is a ConfigError and a KeyError."""
 
     def __init__(self, kind: str, frames: "Mapping[str, pd.DataFrame]") -> None:
         super().__init__(frames)
@@ -602,7 +712,10 @@ class CommandResult(Result):
 
     @property
     def tables(self) -> dict[str, "pd.DataFrame"]:
-        """Each table as a data frame, by name; missing values are NaN."""
+        """Each table as a data frame, by name; missing values are NaN.
+
+        The end of a column's name is its unit, else column ``unit`` has it. An unknown name raises an UnknownNameError.
+        """
         return Named("table", {name: _frame(table) for name, table in self.content.tables.items()})
 
     @property
@@ -611,7 +724,20 @@ class CommandResult(Result):
         return self.content.settings
 
     def save(self, folder: Text, *, force: bool = False) -> Path:
-        """Write page, tables, report.json and, as proposed.toml, the settings into a new folder; return its path."""
+        """Write page, tables, report.json and, as proposed.toml, the settings into a new folder; return its path.
+
+        Parameters
+        ----------
+        folder : str or Path
+            The folder that is made.
+        force : bool
+            Replace a result folder of this name.
+
+        Raises
+        ------
+        ConfigError
+            It exists without ``force`` or is no result folder, or cannot be written.
+        """
         from insdvl_replay.document.render import save_result
 
         with result_folder(_path("folder", folder), force=force) as made:
@@ -644,7 +770,10 @@ class DiveResult(Result):
 
     @property
     def tables(self) -> dict[str, "pd.DataFrame"]:
-        """Each table as a data frame, by name, such as evidence or outage; missing values are NaN."""
+        """Each table as a data frame, by name, such as evidence or outage; missing values are NaN.
+
+        The end of a column's name is its unit, else column ``unit`` has it. An unknown name raises an UnknownNameError.
+        """
         from insdvl_replay.core.tables import each_table
 
         rows = {
@@ -655,7 +784,17 @@ class DiveResult(Result):
 
     @property
     def trajectory(self) -> "pd.DataFrame":
-        """States, standard deviations and errors of all filters once a second, with columns filter and time_s."""
+        """States, standard deviations and errors of all filters once a second, with columns filter and time_s.
+
+        The time is s from the start of the replay. Positions are m from the baseline's start and velocities are over
+        ground, both along n (north, east, down); biases are along b (forward, right, down). The end of a column's name
+        is its unit.
+
+        Raises
+        ------
+        ResultError
+            The result folder has no readable trajectory.
+        """
         import pandas as pd
 
         from insdvl_replay.core.states import COLUMNS
@@ -682,7 +821,13 @@ class DiveResult(Result):
 
     @property
     def histories(self) -> dict[str, "pd.DataFrame"]:
-        """The full history of each filter: states and standard deviations at each of its times."""
+        """The full history of each filter: states and standard deviations at each of its times.
+
+        Raises
+        ------
+        ResultError
+            The result folder has no readable histories.
+        """
         from insdvl_replay.results.frames import history_frame, read_histories
 
         if self._replay is not None:
@@ -695,7 +840,13 @@ class DiveResult(Result):
 
     @property
     def reference(self) -> "pd.DataFrame":
-        """The reference inside the replay, at each of its times; no rows without one."""
+        """The reference inside the replay, at each of its times; no rows without one.
+
+        Raises
+        ------
+        ResultError
+            The result folder has no readable histories.
+        """
         from insdvl_replay.results.frames import read_reference, reference_frame
 
         if self._replay is None:
@@ -715,6 +866,14 @@ class DiveResult(Result):
             88 is a column, 180 a page.
         states : str
             For ``sigma``: states, or the start of their names, such as ``ba,bg``.
+
+        Raises
+        ------
+        ConfigError
+            A kind, width or state is not known, the result has nothing to draw for this kind, or matplotlib is not
+            installed.
+        ResultError
+            The result folder has no readable trajectory.
         """
         import msgspec
 
@@ -729,7 +888,22 @@ class DiveResult(Result):
         )
 
     def save_tracks(self, file: Text, *, force: bool = False) -> Path:
-        """Write the tracks of all filters and the reference as ``.kml`` or ``.geojson``, and return the path."""
+        """Write the tracks of all filters and the reference as ``.kml`` or ``.geojson``, and return the path.
+
+        Parameters
+        ----------
+        file : str or Path
+            The file, whose ending says the format.
+        force : bool
+            Replace an existing file.
+
+        Raises
+        ------
+        ConfigError
+            It has another ending, exists without ``force``, or cannot be written.
+        ResultError
+            The result folder has no readable histories.
+        """
         from insdvl_replay.show.tracks import map_of_tracks
 
         target = _path("file", file)
@@ -742,7 +916,22 @@ class DiveResult(Result):
         return target
 
     def save(self, folder: Text, *, force: bool = False) -> Path:
-        """Write the result folder, as `run` does, and return its path; a ConfigError if it exists without ``force``."""
+        """Write the result folder, as `run` does, and return its path.
+
+        Parameters
+        ----------
+        folder : str or Path
+            The folder that is made.
+        force : bool
+            Replace a result folder of this name.
+
+        Raises
+        ------
+        ConfigError
+            It exists without ``force`` or is no result folder, or cannot be written.
+        ValueError
+            The result was read, and is in a folder already.
+        """
         from insdvl_replay.show.result_files import save_replay
 
         if self._replay is None:

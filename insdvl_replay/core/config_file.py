@@ -103,7 +103,13 @@ class TomlSource:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML. Every error is a TOMLDecodeError, also too many digits or brackets for Python."""
+    """Parse TOML.
+
+    Raises
+    ------
+    tomllib.TOMLDecodeError
+        The text is not TOML, or has too many digits or brackets for Python.
+    """
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError:
@@ -115,7 +121,22 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> TomlSource:
-    """Read a user's file; the hint is for wrong values in it."""
+    """Read a user's file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    hint : str
+        For wrong values in it, which others find.
+    if_unreadable, if_invalid : str
+        Hints for a file that cannot be read, and for one that is not TOML.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read, is a log, or is not TOML in UTF-8.
+    """
     try:
         text = read_text(path)
         return TomlSource(str(path), hint, parse_toml(text), text=text)
@@ -133,9 +154,25 @@ def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> 
 
 
 def converted(table: object, kind: type[S], source: TomlSource, *at: str, label: str = "") -> S:
-    """Convert a table to its structure; a ConfigError names the key, the value and what was expected.
+    """Convert a table to its structure.
 
-    The label names the table; without one its path from the top does.
+    Parameters
+    ----------
+    table : object
+        The table as TOML has it.
+    kind : type
+        Its structure.
+    source : TomlSource
+        Where it is from.
+    *at : str
+        Its path from the top, which names it in errors.
+    label : str
+        Names it instead of the path.
+
+    Raises
+    ------
+    ConfigError
+        A key is unknown or missing, or a value is wrong. It names the key, the value and what was expected.
     """
     try:
         return msgspec.convert(table, kind)
@@ -385,6 +422,20 @@ def changed_by(config: Config, against: Sequence[str], *, allow_code: bool = Fal
     """Change settings whose noise is fitted already, as ``--against`` says.
 
     A noise of the velocity that is given replaces a fitted noise of the beams, which would override it.
+
+    Parameters
+    ----------
+    config : Config
+        Resolved settings, which stay as they are.
+    against : sequence of str
+        ``section.key=value``, as for `load_config`.
+    allow_code : bool
+        The changes may name code.
+
+    Raises
+    ------
+    ConfigError
+        A change is not of this form, its key is unknown, its value is wrong, or it names code that is not allowed.
     """
     changes = [_parse_override("--against", override) for override in against]
     given = [change.has("dvl", "beam_sd_mps") for change in changes]
@@ -446,6 +497,16 @@ def given_keys(
     """Name the keys that are given, also those with the value of the default.
 
     A preset gives the keys that any preset sets.
+
+    Parameters
+    ----------
+    preset, files, overrides
+        As for `load_config`.
+
+    Raises
+    ------
+    ConfigError
+        A file cannot be read, is not TOML or holds no settings, or an override is not ``section.key=value``.
     """
     given = [*map(_file, files), *(_parse_override("--set", override) for override in overrides)]
     if preset:
@@ -649,7 +710,12 @@ _AS_BY_DEFAULT: Final = msgspec.structs.asdict(Config())
 def render_toml(config: Config, *, changed_only: bool = False) -> str:
     """Write the settings as commented TOML; reading it back gives the same. Keys that are left out are comments.
 
-    Of filters and topics, all are written if one is not as by default.
+    Parameters
+    ----------
+    config : Config
+        The settings.
+    changed_only : bool
+        Write only what is not as by default. Of filters and topics, all are written if one is not.
     """
     return "\n".join(_toml_lines(config, "", changed_only=changed_only)).strip() + "\n"
 
@@ -698,7 +764,7 @@ def _written_keys(section: Struct) -> Sequence[str]:
 
 
 def toml_value(value: object) -> str:
-    """Write a value as TOML."""
+    """Write a number, a text, a truth value, or a list or table of these as TOML."""
     if isinstance(value, bool):
         if value:
             return "true"
@@ -721,7 +787,24 @@ def check_start(
     has_attitude: bool,
     has_heading: bool = False,
 ) -> None:
-    """Raise if settings, reference and sensors do not determine the start of a filter."""
+    """Require that settings, reference and sensors determine the start of a filter.
+
+    Parameters
+    ----------
+    initial : Initial
+        The settings of the start.
+    has_reference, has_position, has_attitude : bool
+        Whether there is a reference, and whether it has positions and attitudes.
+    has_heading : bool
+        Whether a sensor gives the heading.
+
+    Raises
+    ------
+    LogError
+        The start is that of the reference, and there is none.
+    ConfigError
+        Nothing gives the latitude, or nothing gives the heading.
+    """
     from_reference = initial.source == "reference"
     if from_reference and not has_reference:
         raise LogError(
@@ -741,7 +824,13 @@ def check_start(
 
 
 def start_latitude_deg(initial: Initial) -> float:
-    """Return the latitude of the settings, for a dive whose reference has no position."""
+    """Return the latitude of the settings in degrees, for a dive whose reference has no position.
+
+    Raises
+    ------
+    ConfigError
+        The settings have none.
+    """
     if initial.latitude_deg is None:
         raise ConfigError(
             "the latitude is needed for gravity and Earth rate, and there is no reference with a position",

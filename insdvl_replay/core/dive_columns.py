@@ -27,18 +27,32 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def seconds(time_ns: TimeNs, origin_ns: int | TimeNs) -> Floats:
-    """Return the seconds since an origin, exact to the nanosecond for spans of months."""
+    """Return the seconds since an origin, exact to the nanosecond for spans of months.
+
+    Parameters
+    ----------
+    time_ns : TimeNs
+        Times of any shape, ns.
+    origin_ns : int or TimeNs
+        One origin, or one for each time, ns on the same clock.
+    """
     elapsed_s: Floats = np.multiply(time_ns - origin_ns, 1e-9)
     return elapsed_s
 
 
 def nanoseconds(time_s: float) -> int:
-    """Return the nearest number of nanoseconds, for any finite number of seconds."""
+    """Return the nearest number of nanoseconds, for any finite number of seconds.
+
+    Raises
+    ------
+    ValueError, OverflowError
+        The number is not finite.
+    """
     return round(Fraction(time_s) * NS_PER_S)
 
 
 def is_new(values: NDArray[np.integer[Any]]) -> Mask:
-    """Return which values, the first among them, are not the same as the one before, shape (k,)."""
+    """Return which values, shape (k,), differ from the one before; the first one always does."""
     new = np.ones(values.size, np.bool_)
     new[1:] = values[1:] != values[:-1]
     return new
@@ -47,7 +61,13 @@ def is_new(values: NDArray[np.integer[Any]]) -> Mask:
 def in_spans(time_ns: TimeNs, spans: Sequence[tuple[int, int]]) -> Mask:
     """Return which times lie after the start of any of some spans, up to its end, shape (k,).
 
-    Spans are in the order of time and do not overlap: however many there are, each time looks at one.
+    Parameters
+    ----------
+    time_ns : TimeNs
+        Times in any order, shape (k,), ns.
+    spans : sequence of (int, int)
+        Start and end of each, ns. They are in the order of time and do not overlap: however many there are, each time
+        looks at one.
     """
     if not spans:
         return np.zeros(len(time_ns), np.bool_)
@@ -57,19 +77,32 @@ def in_spans(time_ns: TimeNs, spans: Sequence[tuple[int, int]]) -> Mask:
 
 
 def distinct(time_ns: TimeNs) -> TimeNs:
-    """Return each time once, in order. `numpy.unique` does so with a table of hashes, thirty times as slowly."""
+    """Return each of some times, shape (k,), once and in order, ns.
+
+    `numpy.unique` does so with a table of hashes, thirty times as slowly.
+    """
     ordered = np.sort(time_ns)
     return ordered[is_new(ordered)]
 
 
 def find_runs(mask: Mask) -> tuple[Integers, Integers]:
-    """Return where a mask, shape (k,), is true: the first row of each run, and the row behind its last."""
+    """Return where a mask, shape (k,), is true: the first row of each run, and the row behind its last; (r,) each."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return edges[::2], edges[1::2]
 
 
 def in_pauses(from_ns: TimeNs, to_ns: TimeNs, sample_ns: TimeNs, longest_ns: float) -> Mask:
-    """Return which spans, shape (k,), have a part in a pause: between samples that are further apart than longest."""
+    """Return which spans have a part in a pause, shape (k,).
+
+    Parameters
+    ----------
+    from_ns, to_ns : TimeNs
+        Start and end of each span, shape (k,), ns.
+    sample_ns : TimeNs
+        Times of samples in their order, shape (r,), ns.
+    longest_ns : float
+        Samples that are further apart, ns, have a pause between them.
+    """
     begins = np.flatnonzero(np.diff(sample_ns) > longest_ns)
     # Such a pause begins before the span ends, and ends after the span begins.
     begun = np.searchsorted(sample_ns[begins], to_ns, "left")
@@ -78,16 +111,23 @@ def in_pauses(from_ns: TimeNs, to_ns: TimeNs, sample_ns: TimeNs, longest_ns: flo
 
 
 def nothing(shape: tuple[int, ...]) -> Floats:
-    """Return missing numbers: one NaN stands for all, and cannot be written to."""
+    """Return missing numbers of a shape, for any unit: one NaN stands for all, and cannot be written to."""
     return np.broadcast_to(np.nan, shape)
 
 
 def in_blocks(
     change: Callable[[NDArray[Scalar]], Floats], rows: NDArray[Scalar], into: Floats
 ) -> Floats:
-    """Write changed rows, shape (k, ...), some at a time, into others or themselves, and return these.
+    """Change rows some at a time, because what numpy needs on the way can be several times as large as they are.
 
-    What numpy needs on the way can be several times as large.
+    Parameters
+    ----------
+    change : callable
+        Changes some of the rows, and may change their unit.
+    rows : ndarray
+        Shape (k, ...), any unit.
+    into : Floats
+        Where the changed rows are written, shape (k, ...). It may be the rows themselves, and is returned.
     """
     for first in range(0, len(rows), _AT_A_TIME):
         block = slice(first, first + _AT_A_TIME)
@@ -96,9 +136,18 @@ def in_blocks(
 
 
 def apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
-    """Return the seconds from each time, shape (k,), to the nearest finite row of values, shape (r, n).
+    """Return the seconds from each of some times to the nearest row of values that is finite, shape (k,).
 
     They are infinite where there is no finite row.
+
+    Parameters
+    ----------
+    time_ns : TimeNs
+        Times of the rows in their order, shape (r,), ns.
+    values : Floats
+        Shape (r, n), any unit.
+    at_ns : TimeNs
+        Shape (k,), ns.
     """
     finite_ns = time_ns[np.isfinite(values).all(axis=1)]
     if not len(finite_ns):
@@ -109,7 +158,18 @@ def apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
 
 
 def at_time(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:
-    """Interpolate the finite rows of values, shape (r, n), at a time; outside them the nearest row counts."""
+    """Interpolate rows of values linearly at a time, shape (n,). Outside the finite rows the nearest of them counts.
+
+    Parameters
+    ----------
+    time_ns : TimeNs
+        Times of the rows in their order, shape (r,), ns.
+    values : Floats
+        Shape (r, n), any unit, but no angles that wrap around. Rows that are not finite are left out, and one at least
+        is finite.
+    at_ns : int
+        The time, ns.
+    """
     finite = np.flatnonzero(np.isfinite(values).all(axis=1))
     after = int(np.searchsorted(time_ns[finite], at_ns))
     near = finite[max(0, after - 1) : after + 1]
@@ -134,7 +194,7 @@ class Columns:
         return replace(self, time_ns=self.time_ns[keep], **kept)
 
     def within(self, start_ns: int, end_ns: int) -> Self:
-        """Keep the rows from the start to the end, both included, without copying them."""
+        """Keep the rows from the start to the end, both included, ns, without copying them."""
         first = np.searchsorted(self.time_ns, start_ns)
         last = np.searchsorted(self.time_ns, end_ns, side="right")
         return self.rows(slice(int(first), int(last)))
@@ -157,7 +217,7 @@ class ImuColumns(Columns):
         return np.nan
 
     def times_only(self) -> "ImuColumns":
-        """Return the times with no rows of readings, which are the better part of a long dive's memory."""
+        """Return the times without the readings, which are the better part of a long dive's memory."""
         return ImuColumns(
             self.time_ns, self.specific_force_b[:0].copy(), self.angular_rate_b[:0].copy()
         )
@@ -165,7 +225,7 @@ class ImuColumns(Columns):
 
 @dataclass(frozen=True)
 class DvlColumns(Columns):
-    """Pings of the DVL, either as beams or as velocities."""
+    """Pings of the DVL, either as beams or as velocities, in the frame d of the DVL."""
 
     # (k, beams) along the beams, towards the seabed; NaN where a beam is lost
     beam_velocity_mps: Floats | None = None
@@ -251,7 +311,14 @@ class SolutionColumns:
     cov: Floats  # (c, 9, 9) of velocity error, misalignment and position error, all in n, SI; NaN where not given
 
     def where(self, keep: Callable[[TimeNs], Mask]) -> "SolutionColumns":
-        """Keep the rows of some of the times, shape (k,), of which a mask says which."""
+        """Keep the rows at some of the times.
+
+        Parameters
+        ----------
+        keep : callable
+            Returns which of some times, shape (k,), ns, are kept. It is asked twice: for the r rows, and for the c
+            times of the covariance.
+        """
         rows = keep(self.motion.time_ns)
         of_cov = keep(self.cov_ns)
         moved_n = None if self.moved_n is None else self.moved_n[rows]

@@ -137,7 +137,12 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     """Name each dive after its file, and those that would share a name after as many folders as tell them apart.
 
     Of ``monday/dive.mcap``, ``tuesday/dive.mcap`` and ``tuesday/test.mcap`` these are ``monday_dive``, ``tuesday_dive``
-    and ``test``. A ConfigError names two dives that folders do not tell apart either.
+    and ``test``.
+
+    Raises
+    ------
+    ConfigError
+        Folders do not tell two dives apart either.
     """
     whole = [(*_whole(path).parts[1:-1], dive_name(path)) for path in paths]
     times: Counter[tuple[str, ...]] = Counter()  # of each ending of a path, by the dives

@@ -141,7 +141,7 @@ class Note:
 
 @contextmanager
 def error_context(*where: object) -> Iterator[None]:
-    """Begin the sentence of any user error inside with the places it concerns."""
+    """Begin the sentence of any user error inside with the places it concerns, the outermost first."""
     try:
         yield
     except UserError as error:
@@ -150,7 +150,13 @@ def error_context(*where: object) -> Iterator[None]:
 
 @contextmanager
 def looked_for(path: Path) -> Iterator[None]:
-    """Report why the system cannot look for a file: too long a name, or a folder that may not be entered."""
+    """Report why the system cannot look for a file: too long a name, or a folder that may not be entered.
+
+    Raises
+    ------
+    ConfigError
+        In place of an OSError of the block.
+    """
     try:
         yield
     except OSError as error:
@@ -168,7 +174,19 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
 
 
 def most_like(name: str, known: Iterable[str], most: int, least: float = 0.0) -> list[str]:
-    """Return the known names with the largest share of letters in common with another, the most like first."""
+    """Return known names that are like another one, the most like first.
+
+    Parameters
+    ----------
+    name : str
+        The other name.
+    known : iterable of str
+        Names to choose from.
+    most : int
+        How many are returned at most.
+    least : float
+        Share of letters, from 0 to 1, that a name must have in common with the other one.
+    """
     starts = {other[:_LONGEST]: other for other in known}
     compared: Collection[str] = starts
     if len(starts) > _COMPARED:
@@ -217,7 +235,24 @@ def counted_clause(count: int, clause: str) -> str:
 
 
 def require_known(kind: str, name: str, known: Collection[str], *, most: int = LISTED) -> None:
-    """Raise a ConfigError, with the nearest name that is known, if a name is not known."""
+    """Require that a name is known.
+
+    Parameters
+    ----------
+    kind : str
+        What it is a name of, for the sentence: ``filter``.
+    name : str
+        The name.
+    known : collection of str
+        All names that there are.
+    most : int
+        How many of them a hint lists.
+
+    Raises
+    ------
+    ConfigError
+        The name is not known. The hint has the nearest one that is.
+    """
     if name not in known:
         raise ConfigError(f"{kind} '{name}' is not known", hint_for(name, known, most=most))
 
@@ -236,7 +271,12 @@ def hint_for(name: str, known: Collection[str], *, most: int = LISTED) -> str:
 def read_text(path: Path) -> str:
     """Read a text in UTF-8, with or without the mark that some editors put in front.
 
-    An OSError where it cannot be read, or has more than 16 MiB; a UnicodeDecodeError where it is not UTF-8.
+    Raises
+    ------
+    OSError
+        The file cannot be read, or has more than 16 MiB.
+    UnicodeDecodeError
+        It is not UTF-8.
     """
     with path.open("rb") as file:
         data = file.read(_MOST_BYTES + 1)
@@ -246,7 +286,13 @@ def read_text(path: Path) -> str:
 
 
 def read_regular(path: Path, most_bytes: int) -> bytes:
-    """Read a file that others name. An OSError where it cannot be read, is no regular file, or has more bytes."""
+    """Read a file that others name, such as a path in settings.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read, is no regular file, or has more than so many bytes.
+    """
     # A named pipe is not waited for.
     with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
         state = os.fstat(file.fileno())

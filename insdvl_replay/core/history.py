@@ -113,14 +113,17 @@ class History:
 
     @property
     def dead_reckoned(self) -> Floats:
-        """The position with all corrections taken back, shape (k, 3): it moves by the velocity alone."""
+        """The position with all corrections taken back: it moves by the velocity alone.
+
+        Shape (k, 3): latitude rad, longitude rad, height m, as `position`.
+        """
         if len(self.corrected):
             return self.position - self.corrected
         return self.position
 
     @property
     def reopened_ns(self) -> TimeNs:
-        """Times at which it was set to the DVL again, by a velocity or by beams, shape (r,)."""
+        """Times at which it was set to the DVL again, by a velocity or by beams, shape (r,), ns."""
         times = [innovations.time_ns[innovations.reopened] for innovations in self.innovations]
         return np.unique(np.concatenate([np.empty(0, np.int64), *times]))
 

@@ -39,7 +39,13 @@ def was_interrupted() -> bool:
 
 
 class interruptible:  # noqa: N801  # a class, since `contextlib` takes a while to import
-    """Work that a signal ends with KeyboardInterrupt; one that came before ends it at once."""
+    """Work that a signal ends.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        SIGINT or SIGTERM has come, also before the work began, which ends it at once.
+    """
 
     def __enter__(self) -> None:
         _State.may_raise = True

@@ -124,7 +124,13 @@ def _kind(code: str) -> NoteKind | None:
 
 
 def explanation(code: str) -> NoteKind:
-    """Return what a code means; ConfigError, with the nearest code, where it is not known."""
+    """Return what a code means.
+
+    Raises
+    ------
+    ConfigError
+        The code is not known. The hint has the nearest one.
+    """
     kind = _kind(code)
     if kind is not None:
         return kind

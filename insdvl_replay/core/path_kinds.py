@@ -63,12 +63,23 @@ def result_hint(folder: Path) -> str:
 def require_kind_of_toml(
     path: Path, content: Mapping[str, Any], wanted: TomlKind, sections: frozenset[str]
 ) -> None:
-    """Raise a ConfigError if a TOML file clearly is of another kind, by its top keys.
+    """Require that a TOML file is not clearly of another kind, by its top keys.
 
     Parameters
     ----------
+    path : Path
+        The file, for the sentence.
+    content : mapping
+        What is in it.
+    wanted : str
+        The kind that is expected: ``settings``, ``gates`` or ``dives``.
     sections : frozenset of str
         The sections of the settings.
+
+    Raises
+    ------
+    ConfigError
+        The file is of another kind. The hint is the command that takes it.
     """
     found = _kind_of_toml(content, sections)
     if found is None or found == wanted:

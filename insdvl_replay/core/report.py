@@ -157,7 +157,25 @@ def build_report(
     end_ns: int,
     tool: Tool = Tool(),
 ) -> Report:
-    """Return the result of a replay."""
+    """Return the result of a replay, in which numbers that are not finite are missing.
+
+    Parameters
+    ----------
+    dive : Dive
+        The dive that was replayed, with what the log says of it.
+    config : Config
+        The resolved settings.
+    tables : Tables
+        The rows of all tables.
+    candidates : mapping of str to CandidateVerdict
+        The verdict on each candidate, by its name.
+    notes : sequence of Note
+        All notes of reading and replaying.
+    start_ns, end_ns : int
+        Start and end of the replay on the log's clock, ns.
+    tool : Tool
+        Program and time.
+    """
     return Report(
         tool=tool,
         versions=package_versions(),
@@ -211,7 +229,13 @@ _REPORTS: Final = msgspec.json.Decoder(Report)
 
 
 def decode_report(data: bytes) -> Report:
-    """Read a report; raises a msgspec.ValidationError if the data are not a report."""
+    """Read a report of this version.
+
+    Raises
+    ------
+    msgspec.DecodeError
+        The data are not JSON or, as a msgspec.ValidationError, not a report.
+    """
     return _REPORTS.decode(data)
 
 

@@ -75,7 +75,13 @@ def memory_limit() -> int | None:
 
 
 def require_memory(least_bytes: int = LEAST_BYTES) -> None:
-    """Raise a MemoryError where the limit of this process leaves no room for the libraries, or for the compiler."""
+    """Require that the limit of this process leaves room for the libraries, or for the compiler.
+
+    Raises
+    ------
+    MemoryError
+        The limit of the address space is below so many bytes.
+    """
     limit = memory_limit()
     if limit is not None and limit < least_bytes:
         raise MemoryError(f"at least {least_bytes / 1e6:.0f} MB are needed")

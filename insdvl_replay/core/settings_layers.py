@@ -29,7 +29,7 @@ class SettingsLayers:
         against: Sequence[str] = (),  # keys of a change, above all others
         report: Callable[[str], None] = _unheard,  # is told of filters that a file replaces
     ) -> Config:
-        """Return the resolved settings.
+        """Return the resolved settings; those that are ready-made as they are.
 
         Raises
         ------
@@ -54,7 +54,13 @@ class SettingsLayers:
         return [own, *self.files]
 
     def keys(self, own: Path | None = None) -> frozenset[str]:
-        """Name the keys that are given, also those with the value of the default; ready-made settings name none."""
+        """Name the keys that are given, also those with the value of the default; ready-made settings name none.
+
+        Raises
+        ------
+        ConfigError
+            A file cannot be read, is not TOML or holds no settings, or an override is not ``section.key=value``.
+        """
         if self.ready is not None:
             return frozenset()
         return given_keys(self.preset, self.files_with(own), self.overrides)
