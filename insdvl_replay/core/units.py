@@ -61,7 +61,7 @@ _SPELLINGS: Final = {
 _SIGNS: Final = {
     "µ": "u", "μ": "u", "²": "2", "^": "", "**": "", "·": "*", "°": "deg", "s-1": "/s", "s⁻¹": "/s", "s-2": "/s2",
     "s⁻²": "/s2", "*": "", " per ": "/", "second": "s", "sec": "s", "degrees": "deg", "radians": "rad",
-    "metres": "m", "meters": "m", "hour": "h",
+    "metres": "m", "meters": "m", "hour": "h", "minute": "min", "min-1": "/min", "min⁻¹": "/min",
 }  # fmt: skip
 # What titles have in brackets and is no unit: axes, frames, and what is said of times.
 _NO_UNIT: Final = re.compile(

@@ -109,7 +109,7 @@ def accuracy_errors(
     start_ns: int,
     bridged_gaps: bool,  # there were long IMU gaps, in which the position is lost
 ) -> dict[str, ErrorSeries]:
-    """Return the errors of one filter against the reference, by quantity of `quantities.ACCURACY`, in its order."""
+    """Return the errors of one filter against the reference, by quantity of `quantities.ACCURACY`."""
     found = {}
     time_ns = errors.time_ns
     if not bridged_gaps and len(time_ns):

@@ -44,6 +44,7 @@ def dive(folder: Path, force: str = "", rate: str = "", velocity: str = "") -> P
     ("title", "unit"),
     [
         ("v (kn)", "kn"), ("v [Knots]", "kn"), ("v_kts", "kn"), ("v [ft/s]", "ft/s"), ("v (fps)", "ft/s"),
+        ("v [meters per minute]", "m/min"), ("v [m min-1]", "m/min"),
         ("v [km/h]", "km/h"), ("v [mm/s]", "mm/s"), ("v [cm/s]", "cm/s"), ("v_mps", "m/s"), ("v (m s-1)", "m/s"),
         ("v (m s^-1)", "m/s"), ("w [deg/h]", "deg/h"), ("w [°/hr]", "deg/h"), ("w (dps)", "deg/s"),
         ("w [deg/sec]", "deg/s"),
