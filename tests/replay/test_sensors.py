@@ -373,7 +373,10 @@ def position_nees(
     settings = Config(
         noise=MATCHED.noise,
         initial=Initial(
-            accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, position_sd_m=POSITION_SD_M
+            accel_bias_sd_mg=1.02,
+            gyro_bias_sd_degph=0.1,
+            position_sd_m=POSITION_SD_M,
+            uncertainty="settings",
         ),
         dvl=MATCHED.dvl,
         depth=depth_sensor,
@@ -430,11 +433,12 @@ def test_a_track_that_is_moved_with_the_velocity_drifts_less_where_the_noise_is_
     told_right: bool, least: float, most: float
 ) -> None:
     """Velocities are the same; what the position is corrected by presupposes the noise that the filter was told."""
+    initial = MEMS.initial
+    if told_right:
+        initial = Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1)
     settings = Config(
         noise=MATCHED.noise if told_right else MEMS.noise,
-        initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1)
-        if told_right
-        else MEMS.initial,
+        initial=msgspec.structs.replace(initial, uncertainty="settings"),
         dvl=MATCHED.dvl if told_right else MEMS.dvl,
         filters={
             name: Filter(aiding=("velocity",), states=states)
@@ -511,7 +515,8 @@ def test_without_fixes_a_straight_line_leaves_the_scale_alone(grade: str) -> Non
     dive = replace(
         dive, dvl=replace(dive.dvl, beam_velocity_mps=dive.dvl.beam_velocity_mps * 1.01)
     )
-    settings = load_config(grade, None, ["initial.velocity_sd_mps=1.0"])
+    unsure = ["initial.velocity_sd_mps=1.0", "initial.uncertainty=settings"]
+    settings = load_config(grade, None, unsure)
     scaled = {"scaled": Filter(aiding=("velocity",), states=("dvl_scale",))}
     prepared = prepare_dive(dive, msgspec.structs.replace(settings, filters=scaled))
     history = run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared))
