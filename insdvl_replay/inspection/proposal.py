@@ -8,6 +8,7 @@ a person can know is a comment. Every other key has the likeliest value, so the 
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -20,7 +21,7 @@ from insdvl_replay.core.config import Config, Imu, Initial, Reference
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import ImuColumns
 from insdvl_replay.core.dive_record import Clock
-from insdvl_replay.core.errors import LogError, Note, listed
+from insdvl_replay.core.errors import LogError, Note, UserError, listed
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import BY_SENSOR, SENSORS
 from insdvl_replay.core.units import SPECIFIC_FORCE_UNITS
@@ -38,9 +39,10 @@ from insdvl_replay.inspection.unit_by_size import force_units, is_rate_in_degree
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import Table, clock_notes, read_tables
 from insdvl_replay.logs.columns.topics import PROPOSED, TYPES, Source
+from insdvl_replay.logs.file_clocks import align_files
 from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.recording import Recording, open_recording
-from insdvl_replay.logs.read import Finding, find_roles
+from insdvl_replay.logs.read import Finding, find_roles, sources_of
 
 _LONGEST: Final = 12  # topics that are listed at most
 
@@ -70,6 +72,8 @@ def propose_settings(
     log = open_recording(path, allow_damaged=allow_damaged)
     with log.watched():
         findings = find_roles(str(log.path), log.channels, config)
+        with suppress(UserError):  # whoever replays reports it
+            align_files(log, sources_of(findings), config)
         seen = DryRun(log, config, deep=False)
         seen.examine(findings)
         return propose(log, findings, seen, config, whole_reference=True)
@@ -93,6 +97,9 @@ def propose(
         return Proposal(())
     fields, unseen = _unknown_topics(log, findings, config)
     settings = [*_choices(findings, seen), *not_yet_set(fields, config)]
+    draft = with_settings(config, settings)
+    with suppress(UserError):
+        align_files(log, sources_of(find_roles(str(log.path), log.channels, draft)), draft)
     clocks: list[Setting] = []
     if any(channel.encoding == TABLE for channel in log.channels):
         clocks = not_yet_set(table_clock_settings(log, with_settings(config, settings)), config)

@@ -61,8 +61,9 @@ from insdvl_replay.inspection.unit_by_size import (
 from insdvl_replay.logs.columns.imu import FRD, decode_imu, in_frd, measured_vectors
 from insdvl_replay.logs.columns.tables import Table, read_tables
 from insdvl_replay.logs.columns.topics import Source
+from insdvl_replay.logs.file_clocks import align_files
 from insdvl_replay.logs.formats.recording import Recording, open_recording
-from insdvl_replay.logs.read import RoleColumns, find_roles
+from insdvl_replay.logs.read import RoleColumns, find_roles, sources_of
 
 SAME_MOTION: Final = 0.9  # correlation of the rates of two IMUs of one vehicle
 LARGEST_APART: Final = 0.05  # share by which their scales may differ
@@ -156,6 +157,7 @@ def read_roles(
             error = proposed[role].error
             if error is not None:
                 raise error
+        align_files(log, sources_of(proposed.values()), draft)
         imu_sources = by_type["imu"].candidates or proposed["imu"].sources
         dvl_sources = by_type["dvl"].candidates or proposed["dvl"].sources
         imus = _imu_topics(log, imu_sources, draft, left_out)

@@ -22,10 +22,11 @@ from insdvl_replay.inspection.inventory import Blocker, Inventory, LogFacts, Rol
 from insdvl_replay.inspection.proposal import propose
 from insdvl_replay.inspection.settings import settings_toml, undecided_keys
 from insdvl_replay.logs.columns.topics import Source
+from insdvl_replay.logs.file_clocks import align_files
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.formats.remote import LogSummary, read_summary, remote_name
-from insdvl_replay.logs.read import Finding, find_roles, idle_sensors
+from insdvl_replay.logs.read import Finding, find_roles, idle_sensors, sources_of
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -46,6 +47,11 @@ def inspect_log(
     log = open_recording(path, allow_damaged=True)
     with log.watched():
         findings = find_roles(str(log.path), log.channels, config)
+        blockers = []
+        try:
+            align_files(log, sources_of(findings), config)
+        except UserError as error:
+            blockers.append(Blocker(error.message, error.hint))
         seen = DryRun(log, config, deep)
         seen.examine(findings)
         with_role = {source.topic for source in _possible_sources(findings)}
@@ -55,7 +61,7 @@ def inspect_log(
         proposal = propose(log, findings, seen, config)
         # Last of all, since damage inside the chunks is found as they are opened.
         damage = None if allow_damaged else log.damage_error()
-    blockers = list(seen.blockers)
+    blockers += seen.blockers
     if damage is not None:
         blockers.insert(0, Blocker(damage.message, damage.hint))
     unused = _unused_sensors(log, findings, config)

@@ -47,6 +47,7 @@ from insdvl_replay.logs.columns.topics import (
     solution_name,
     solution_role,
 )
+from insdvl_replay.logs.file_clocks import align_files
 from insdvl_replay.logs.formats.definitions import defines_nothing, missing_types
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
 from insdvl_replay.logs.formats.mcap_file import MAGIC
@@ -73,6 +74,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     sources = sources_of(findings)
     with log.watched(), ThreadPoolExecutor(1) as checker:
         digests = checker.submit(log.digests)
+        align_files(log, sources, config)
         tables = read_tables(log, sources)
         log.check_unopened()
         sha256 = log.sha256(digests.result())
@@ -137,7 +139,8 @@ def held_back_messages(
     found: dict[str, TimeNs | None] = {}
     of_dvl: list[Source] = []
     own_config = config.of_dive(dive_name(log.path))
-    for source in sources_of(find_roles(str(log.path), log.channels, own_config)):
+    sources = sources_of(find_roles(str(log.path), log.channels, own_config))
+    for source in sources:
         topic = config.topics.get(source.role.removeprefix(LOG_TOPIC))
         role = (topic and topic.sensor) or source.role
         why = held_out.why(role)
@@ -145,10 +148,11 @@ def held_back_messages(
             of_dvl.append(source)
         elif why is not None:
             found[source.topic] = None
-    for table in read_tables(log, of_dvl):
-        time_ns = table.time_ns()
-        absent = in_spans(time_ns, held_out.outages)
-        found.setdefault(table.source.topic, table.columns["log_time"][absent, 0])
+    written = read_tables(log, of_dvl)
+    align_files(log, sources, own_config)
+    for as_written, table in zip(written, read_tables(log, of_dvl), strict=True):
+        absent = in_spans(table.time_ns(), held_out.outages)
+        found.setdefault(table.source.topic, as_written.columns["log_time"][absent, 0])
     return found
 
 

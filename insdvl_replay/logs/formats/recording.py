@@ -103,6 +103,9 @@ class Recording:
     ) -> None:
         self.path = path  # stands for the whole: the folder of a bag, or one of the files
         self.allow_damaged = allow_damaged
+        # What whoever joins the files by their motion found.
+        self.is_aligned = False
+        self.notes_on_files: list[Note] = []
         self._unusable: dict[Path, UnusableFileError] = {}
         opened: list[LogFile] = []
         for file in sorted(files):
@@ -147,6 +150,7 @@ class Recording:
             notes.append(self.one_clock.note)
         if len(self.parts) > 1:
             notes += self._notes_on_clocks()
+        notes += self.notes_on_files
         return tuple(notes)
 
     def _notes_on_clocks(self) -> Iterator[Note]:

@@ -5,7 +5,7 @@ Tables that users made are read so, and what instruments and autopilots write.
 
 import re
 from abc import abstractmethod
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Final
 
 import msgspec
@@ -86,6 +86,10 @@ class RowsFile(LogFile):
 
     def _shift(self, channel_id: int, shift_ns: int) -> None:
         self._time_ns[channel_id] = self._time_ns[channel_id] + shift_ns
+
+    def change_times(self, change: Callable[[TimeNs], TimeNs]) -> None:
+        """Change the times of all tables, which another file's clock tells better."""
+        self._time_ns = [change(time_ns) for time_ns in self._time_ns]
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the rows of some tables, thousands at a time."""
