@@ -16,7 +16,12 @@ from insdvl_replay.core.errors import LogError, UserError, listed
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import BY_SENSOR
 from insdvl_replay.geometry.frames import solve_beams
-from insdvl_replay.logs.columns.clock_by_motion import FileClock, Rows, clock_by_motion
+from insdvl_replay.logs.columns.clock_by_motion import (
+    SHORTEST_OVERLAP_S,
+    FileClock,
+    Rows,
+    clock_by_motion,
+)
 from insdvl_replay.logs.columns.dvl import decode_dvl
 from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.sensors import decode_sensor
@@ -118,7 +123,10 @@ def _attitudes(log: Recording, files: Collection[LogFile], config: Config) -> It
 
 
 def _align(
-    log: Recording, files: Sequence[RowsFile], imu: ImuColumns, rows: Sequence[Rows]
+    log: Recording,
+    files: Sequence[RowsFile],
+    imu: ImuColumns,
+    rows: Sequence[Rows],
 ) -> None:
     """Change the times of the DVL's files, if they are by another clock."""
     dvl_ns = rows[0].time_ns
@@ -129,7 +137,8 @@ def _align(
     shorter_ns = min(int(dvl_ns[-1] - dvl_ns[0]), int(imu.time_ns[-1] - imu.time_ns[0]))
     can_be_one = last_ns - first_ns >= LEAST_COMMON * shorter_ns
     clock = clock_by_motion(imu, rows, are_stamps_likely=can_be_one)
-    if clock is None and not can_be_one:
+    is_long = shorter_ns >= nanoseconds(SHORTEST_OVERLAP_S)
+    if clock is None and is_long and not can_be_one:
         names = listed([file.path.name for file in files])
         apart_s = float(seconds(dvl_ns[0], int(imu.time_ns[0])))
         text = (

@@ -194,7 +194,10 @@ def _chained(turns: Floats) -> Floats:
 
 
 def clock_by_motion(
-    imu: ImuColumns, sources: Sequence[Rows], *, are_stamps_likely: bool = False
+    imu: ImuColumns,
+    sources: Sequence[Rows],
+    *,
+    are_stamps_likely: bool = False,
 ) -> FileClock | None:
     """Return the clock of a DVL's file by the motion that both saw; None where that does not determine it.
 
@@ -226,7 +229,11 @@ def clock_by_motion(
 
 
 def _fits(
-    motion: Motion, sources: Sequence[Rows], origin_ns: int, lag_s: float, blocks: int
+    motion: Motion,
+    sources: Sequence[Rows],
+    origin_ns: int,
+    lag_s: float,
+    blocks: int,
 ) -> list["_Fit"]:
     """Fit lag and drift near a first lag by each source that has enough there."""
     fits = []
@@ -355,7 +362,11 @@ def _smoothed(row_s: Floats, values: Floats, at_s: Floats, step_s: float) -> tup
 
 
 def _mean_around(
-    around_s: Floats, half_s: float, row_s: Floats, numbers: Floats, area: Floats
+    around_s: Floats,
+    half_s: float,
+    row_s: Floats,
+    numbers: Floats,
+    area: Floats,
 ) -> Floats:
     """Return the mean around times of what goes straight from row to row."""
     found = np.zeros(len(around_s))
@@ -474,7 +485,12 @@ class _Fit:
 
     @classmethod
     def of(
-        cls, motion: Motion, rows: Rows, origin_ns: int, lag_s: float, most: int
+        cls,
+        motion: Motion,
+        rows: Rows,
+        origin_ns: int,
+        lag_s: float,
+        most: int,
     ) -> "_Fit | None":
         """Fit lag and drift near a first lag; None where they are not determined."""
         row_s = seconds(rows.time_ns, origin_ns)
