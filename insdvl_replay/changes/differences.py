@@ -127,10 +127,11 @@ def _notes_on_candidates(pairs: Sequence[Pair]) -> Iterator[Note]:
             f"is in the new ones ({', '.join(names_now)})",
             f"match them by name: --pair {names_before[0]}={names_now[0]}",
         )
-    code = "filter_on_one_side"
     if candidates.may_be_renamed:
-        code += " renamed"  # the sentence of this code whose hint is --pair
-    yield from candidates.notes(code)
+        # The sentence of this code whose hint is --pair.
+        yield from candidates.notes("filter_on_one_side renamed")
+    else:
+        yield from candidates.notes("filter_on_one_side")
 
 
 def _notes_on_tables(frames: Iterable[Sequence[RowPair]]) -> Iterator[Note]:

@@ -32,7 +32,7 @@ from insdvl_replay.logs.formats.recording import CHANNELS_OF_A_PART, Recording
 from insdvl_replay.logs.formats.table_rows import RowsFile
 
 LEAST_COMMON: Final = 0.1  # part of the shorter of two files of one dive that both must have seen
-FARTHEST_TOLD_S: Final = 3600.0  # that `dvl.latency_s` takes
+LARGEST_LATENCY_S: Final = 3600.0  # that `dvl.latency_s` takes
 SIGNIFICANT_SDS: Final = 5.0
 
 
@@ -51,8 +51,8 @@ def align_files(log: Recording, sources: Sequence[Source], config: Config) -> No
     dvl_source = by_role["dvl"]
     files = _own_files(log, imu_source, dvl_source)
     largest_s = max(abs(imu_source.latency_s), abs(dvl_source.latency_s))
-    is_told = largest_s > SAME_CLOCK_S
-    if not files or is_told:
+    is_given = largest_s > SAME_CLOCK_S
+    if not files or is_given:
         return
     imu_table, dvl_table = read_tables(log, [imu_source, dvl_source])
     if dvl_source.stamp != LOG_TIME and not dvl_table.is_time_column(dvl_source.stamp):
@@ -146,7 +146,7 @@ def _align(
             f"{apart_s:.1f} s after the IMU, by their stamps, and their motion does not tell how they belong together"
         )
         hint = "write the times of both by one clock"
-        if abs(apart_s) < FARTHEST_TOLD_S:
+        if abs(apart_s) < LARGEST_LATENCY_S:
             hint += ", or set dvl.latency_s to the s by which its stamps are ahead of the IMU's"
         raise LogError(text, hint, str(log.path))
     if clock is None or (can_be_one and not _is_other(clock)):

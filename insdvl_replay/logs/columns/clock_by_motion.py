@@ -16,8 +16,6 @@ from itertools import combinations_with_replacement, pairwise
 from typing import Final
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.ndimage import gaussian_filter1d
 
 from insdvl_replay.core.dive_columns import (
     Array,
@@ -305,6 +303,9 @@ def _likely_lags(motion: Motion, sources: Sequence[Rows], origin_ns: int) -> lis
 
 def _signals_of_imu(motion: Motion, at_s: Floats, step_s: float) -> Floats:
     """Return ones, angular rates, angular accelerations, and specific forces without gravity: (n, 10)."""
+    # It is loaded late, since few dives need it.
+    from scipy.ndimage import gaussian_filter1d
+
     before = motion.interpolated(motion.angle, at_s - step_s)
     after = motion.interpolated(motion.angle, at_s + step_s)
     rate = (after - before) / (2.0 * step_s)
@@ -450,6 +451,8 @@ class _Lags:
 
     def _correlated(self, pairs: Sequence[tuple[tuple[int, int], Floats]]) -> Floats:
         """Return the sums of products of the IMU's columns, two by two, and of the DVL's, at all lags."""
+        from scipy.fft import irfft, next_fast_len, rfft
+
         count = len(self.change)
         whole = count + len(self.of_imu) - 1
         length = next_fast_len(whole, real=True)
