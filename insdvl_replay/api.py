@@ -327,7 +327,11 @@ def simulate(scenario: str, output: Text, *, force: bool = False, **options: Any
 
 
 def inspect(
-    log: Paths, config: Settings | None = None, *, deep: bool = False, allow_damaged: bool = False
+    log: Paths,
+    config: Settings | None = None,
+    *,
+    deep: bool = False,
+    allow_damaged: bool = False,
 ) -> "CommandResult":
     """Return what is in a log, or in several of one dive, and what would stop a replay.
 
@@ -855,7 +859,13 @@ class DiveResult(Result):
         origin = replay.histories[0].position[0]
         return reference_frame(replay.dive.reference, replay.start_ns, replay.end_ns, origin)
 
-    def figure(self, kind: str = "error", *, width_mm: float = 88, states: str = "") -> "Figure":
+    def figure(
+        self,
+        kind: str = "error",
+        *,
+        width_mm: float = 88,
+        states: str = "",
+    ) -> "Figure":
         """Return a matplotlib figure for a paper, as ``insdvl-replay figure`` draws it.
 
         Parameters

@@ -129,7 +129,12 @@ def checked_dives(
     return evaluate_gates(check.gates, dives)
 
 
-def _results_of(check: Check, output: Path, how: Replaying, fetch: Fetch) -> list[Checked]:
+def _results_of(
+    check: Check,
+    output: Path,
+    how: Replaying,
+    fetch: Fetch,
+) -> list[Checked]:
     """Return the dives of a check in their order: results as they are, logs with the result of their replay."""
     dives = fetch(check.dives)
     logs = [dive for dive in dives if not _is_result(dive)]

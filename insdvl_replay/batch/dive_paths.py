@@ -119,7 +119,13 @@ def _natural(path: Path) -> tuple[NaturalKey, ...]:
     return tuple(map(natural_key, path.parts))
 
 
-def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[FoundDive]:
+def _meant(
+    name: str,
+    base: Path,
+    *,
+    results: bool,
+    lists: bool = True,
+) -> list[FoundDive]:
     """Return the dives that a name means: a URL, a manifest, a list, a log, a result or a folder of them."""
     if "://" in name:
         return [dive_of_url(name)]

@@ -200,7 +200,11 @@ def known_reports(
 
 
 def _require_replaceable(
-    job: ReplayJob, damage: Note | None, *, force: bool, report_note: Callable[[Note], None]
+    job: ReplayJob,
+    damage: Note | None,
+    *,
+    force: bool,
+    report_note: Callable[[Note], None],
 ) -> None:
     """Raise a ConfigError if the result of a job may not be written, where there is none that could be used."""
     if damage is not None:

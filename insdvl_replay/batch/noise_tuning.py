@@ -147,7 +147,11 @@ def _out_of_class_notes(values: Mapping[str, float], imu: ImuColumns) -> Iterato
 
 
 def _fitted(
-    dive: Dive, start: Prepared, config: Config, baseline: Filter, before: Mapping[str, float]
+    dive: Dive,
+    start: Prepared,
+    config: Config,
+    baseline: Filter,
+    before: Mapping[str, float],
 ) -> Filter:
     """Return the baseline with the likeliest noise."""
 

@@ -85,7 +85,11 @@ def _for_elsewhere(job: ReplayJob) -> ReplayJob:
         digest = ""
     logs = tuple(log.absolute() for log in job.logs)
     return replace(
-        job, logs=logs, name=job.name.absolute(), target=job.target.absolute(), sha256=digest
+        job,
+        logs=logs,
+        name=job.name.absolute(),
+        target=job.target.absolute(),
+        sha256=digest,
     )
 
 

@@ -186,10 +186,19 @@ def _with_earlier_settings(
 
 
 def _with_settings(
-    dive: ReplayJob, config: Config, notes: tuple[Note, ...] = (), vehicle: str = ""
+    dive: ReplayJob,
+    config: Config,
+    notes: tuple[Note, ...] = (),
+    vehicle: str = "",
 ) -> ReplayJob:
     """Return a job whose settings are taken as they are, with notes on how they were found, and vehicle.toml."""
-    options = replace(dive.options, config=config, found=notes, vehicle=vehicle, require_fit=False)
+    options = replace(
+        dive.options,
+        config=config,
+        found=notes,
+        vehicle=vehicle,
+        require_fit=False,
+    )
     return replace(dive, options=options)
 
 
@@ -234,7 +243,10 @@ def _outcomes_of_search(
 
 
 def _outcomes_without_search(
-    dives: Sequence[ReplayJob], first: Outcome, error: UserError, how: Replaying
+    dives: Sequence[ReplayJob],
+    first: Outcome,
+    error: UserError,
+    how: Replaying,
 ) -> Generator[Outcome, None, None]:
     """Replay dives for which no settings were found.
 
@@ -260,7 +272,10 @@ def _outcomes_without_search(
 
 
 def _outcomes_by_groups(
-    dives: Sequence[ReplayJob], given: "Given", common: Config, how: Replaying
+    dives: Sequence[ReplayJob],
+    given: "Given",
+    common: Config,
+    how: Replaying,
 ) -> Generator[Outcome, None, None]:
     """Replay the dives of a vehicle; those that contradict the first one's settings get some of their own together."""
     from insdvl_replay.inspection.automatic import find_settings, settings_of_one

@@ -237,7 +237,12 @@ def _is_wild(scale: float) -> bool:
     return bool(abs(np.expm1(scale)) > PLAUSIBLE_SCALE)
 
 
-def _refused(certainty: Certainty, change: Floats, asked: Mask, noise_shares: Floats) -> Refusals:
+def _refused(
+    certainty: Certainty,
+    change: Floats,
+    asked: Mask,
+    noise_shares: Floats,
+) -> Refusals:
     for row in np.flatnonzero(asked).tolist():
         parameter = PARAMETERS[row]
         # The scale of this DVL includes the errors of its beams.

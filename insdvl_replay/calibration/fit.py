@@ -195,7 +195,13 @@ class _Problem:
     is_free: Mask  # (count,)
 
     @classmethod
-    def of(cls, dives: Sequence[DiveInnovations], free: Mask, *, one_delay: bool) -> "_Problem":
+    def of(
+        cls,
+        dives: Sequence[DiveInnovations],
+        free: Mask,
+        *,
+        one_delay: bool,
+    ) -> "_Problem":
         """Number the unknowns."""
         delays = np.zeros(len(dives), int) if one_delay else np.arange(len(dives))
         rows = tuple(np.insert(np.arange(OWN - 1), DELAY, OWN - 1 + delay) for delay in delays)
@@ -271,7 +277,12 @@ def fit(
     return found
 
 
-def _downhill(problem: _Problem, found: Fit, information: Floats, damping: float) -> _Step | None:
+def _downhill(
+    problem: _Problem,
+    found: Fit,
+    information: Floats,
+    damping: float,
+) -> _Step | None:
     """Step with more and more damping until the cost is not larger; None if it always is."""
     gradient = found.gradient
     before = problem.cost(found.values, (near.scaled for near in found.dives))

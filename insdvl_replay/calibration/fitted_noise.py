@@ -247,7 +247,12 @@ def levelled_to_dives(
     return config
 
 
-def _noise_sentence(config: Config, given: Given, dvl_key: str, preset: str) -> str:
+def _noise_sentence(
+    config: Config,
+    given: Given,
+    dvl_key: str,
+    preset: str,
+) -> str:
     """Say which noise was fitted, which is that of the class, and which was given."""
     usual = load_config(preset).noise
     words = {"fitted": list[str](), "of the class": list[str](), "given": list[str]()}

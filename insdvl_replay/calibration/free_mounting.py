@@ -171,7 +171,12 @@ class FreeMounting:
         """Return the ratio of a rotation's sum of squares to the best's."""
         return self.quadratic.cost(mat) / self.quadratic.cost(self.mat)
 
-    def levelled(self, mat: Floats, axis_d: Floats, axis_b: Floats) -> Floats:
+    def levelled(
+        self,
+        mat: Floats,
+        axis_d: Floats,
+        axis_b: Floats,
+    ) -> Floats:
         """Return a rotation near another one, with an axis of the DVL near one of the IMU's where motion does not tell.
 
         Both axes are unit vectors, (3,). An axis that is further off than `_LEVEL_RAD` stays where it is.
@@ -260,7 +265,12 @@ class _Integrals:
         whole = (steps_s <= LONGEST_STEP_S).all(axis=(1, 2))
         return cls(int(imu.time_ns[0]), times_s, whole, attitude, summed)
 
-    def windows(self, ping_ns: TimeNs, velocity_d: Floats, delay_s: float) -> MotionWindows | None:
+    def windows(
+        self,
+        ping_ns: TimeNs,
+        velocity_d: Floats,
+        delay_s: float,
+    ) -> MotionWindows | None:
         """Make the equations of all windows; None where too few have pings."""
         ping_s = seconds(ping_ns, self.origin_ns) - delay_s
         squares = []
@@ -277,7 +287,12 @@ class _Integrals:
             return MotionWindows(np.array(squares), count)
         return None
 
-    def _equations(self, window: int, at_s: Floats, velocity_d: Floats) -> Floats:
+    def _equations(
+        self,
+        window: int,
+        at_s: Floats,
+        velocity_d: Floats,
+    ) -> Floats:
         """Return the equations of one window, (3 pings, 19), without its own unknowns."""
         times_s = self.times_s[window]
         attitude = self.attitude[window]
@@ -309,7 +324,10 @@ def _summed(values: Floats, steps_s: Floats) -> Floats:
 
 
 def free_mounting(
-    imu: ImuColumns, ping_ns: TimeNs, velocity_d: Floats, starts: Sequence[Floats]
+    imu: ImuColumns,
+    ping_ns: TimeNs,
+    velocity_d: Floats,
+    starts: Sequence[Floats],
 ) -> FreeMounting | None:
     """Fit the rotation from DVL to IMU, with arm, delay, scale and biases; None where too little is measured.
 

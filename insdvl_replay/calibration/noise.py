@@ -116,7 +116,11 @@ class FittedNoise:
 
 
 def noise_row(
-    fitted: FittedNoise, key: str, status: Estimated, why: str = "", sd: float | None = None
+    fitted: FittedNoise,
+    key: str,
+    status: Estimated,
+    why: str = "",
+    sd: float | None = None,
 ) -> NoiseRow:
     """Return the row of one noise; the sd is None if the innovations do not bound it."""
     before = fitted.before[key]

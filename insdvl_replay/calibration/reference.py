@@ -258,7 +258,10 @@ def _attitudes(time_s: Floats, mat_nb: Floats, theirs: ReferenceColumns) -> Iter
 
 
 def _velocities(
-    time_s: Floats, mat_nb: Floats, velocity_n: Floats, theirs: ReferenceColumns
+    time_s: Floats,
+    mat_nb: Floats,
+    velocity_n: Floats,
+    theirs: ReferenceColumns,
 ) -> Compared:
     """Compare velocities in body axes, each with its own attitude."""
     ours_b = np.einsum("kji,kj->ki", mat_nb, velocity_n)
@@ -269,7 +272,10 @@ def _velocities(
 
 
 def _displacements(
-    time_s: Floats, mat_nb: Floats, position: Floats, theirs: ReferenceColumns
+    time_s: Floats,
+    mat_nb: Floats,
+    position: Floats,
+    theirs: ReferenceColumns,
 ) -> Compared:
     """Compare displacements between positions, north and east."""
     known = np.flatnonzero(theirs.known["positions"])
@@ -286,7 +292,12 @@ def _displacements(
     return _of_family(MOTION, at_s, apart, _by_heading(moved_m, at_s, time_s[-1], theirs))
 
 
-def _by_heading(moved: Floats, at_s: Floats, end_s: float, theirs: ReferenceColumns) -> Floats:
+def _by_heading(
+    moved: Floats,
+    at_s: Floats,
+    end_s: float,
+    theirs: ReferenceColumns,
+) -> Floats:
     """Return the derivative of motion by the heading error of the filter and by its drift, (k, 3, 2).
 
     It is 0 where the reference has an attitude, which gives the heading error.
@@ -300,7 +311,12 @@ def _turned_by_heading(moved: Floats) -> Floats:
     return np.column_stack([-moved[:, 1], moved[:, 0], np.zeros(len(moved))])
 
 
-def _of_family(family: int, time_s: Floats, values: Floats, own: Floats | None = None) -> Compared:
+def _of_family(
+    family: int,
+    time_s: Floats,
+    values: Floats,
+    own: Floats | None = None,
+) -> Compared:
     """Compare rows of one family; the dive's own unknowns change them only where that is given."""
     if own is None:
         own = np.zeros((len(values), 3, OWN))
@@ -599,7 +615,11 @@ def _dive_row(dive: ReferenceDive, fit: ReferenceFit) -> ReferenceDiveRow:
 
 
 def _warnings(
-    certainty: Certainty, kept: Mask, dives: Sequence[ReferenceDiveRow], *, independent: bool
+    certainty: Certainty,
+    kept: Mask,
+    dives: Sequence[ReferenceDiveRow],
+    *,
+    independent: bool,
 ) -> Iterator[str]:
     if not independent:
         yield "the reference uses the same IMU or DVL (reference.independent = false), so it shares their errors"

@@ -101,7 +101,10 @@ def unit_of_change(column: str) -> str:
 
 
 def changes_of(
-    pairs: Iterable[RowPair], log: str, columns: Collection[str], tolerance_pct: float | None
+    pairs: Iterable[RowPair],
+    log: str,
+    columns: Collection[str],
+    tolerance_pct: float | None,
 ) -> Iterator[Change]:
     """Yield the changes of a dive, cell by cell; of all columns, if none is named.
 
@@ -254,7 +257,13 @@ def _change_pct(before: float, after: float, column: str) -> float | None:
     return None
 
 
-def _word(before: float, after: float, better: Better, *, is_same: bool) -> ChangeVerdict:
+def _word(
+    before: float,
+    after: float,
+    better: Better,
+    *,
+    is_same: bool,
+) -> ChangeVerdict:
     """Return the verdict on the change of a size."""
     if is_same:
         return ChangeVerdict.SAME
@@ -334,7 +343,13 @@ _SHORT_NAMES: Final = {
 _MOST_LETTERS: Final = 30  # of a setting in a sentence
 
 
-def cell_name(table: str, filter_: str, row: str, column: str, baseline: str = "") -> str:
+def cell_name(
+    table: str,
+    filter_: str,
+    row: str,
+    column: str,
+    baseline: str = "",
+) -> str:
     """Name a cell in the field's words, such as ``aided position rms``; columns of the baseline are its own."""
     if baseline and (column == "baseline" or column.startswith("baseline_")):
         filter_ = baseline

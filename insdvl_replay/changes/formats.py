@@ -212,7 +212,12 @@ def junit_xml(found: CheckResult) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
-def _add_case(suite: ElementTree.Element, item: GateOutcome, gates: str, elapsed_s: float) -> None:
+def _add_case(
+    suite: ElementTree.Element,
+    item: GateOutcome,
+    gates: str,
+    elapsed_s: float,
+) -> None:
     """Add one gate on one dive to the suite of the dive."""
     names = {
         "classname": _clean(item.dive),
@@ -279,7 +284,13 @@ def github_annotations(found: CheckResult) -> str:
     return "".join(f"{line}\n" for line in (*lines, check_sentence(found)))
 
 
-def _annotation(level: str, file: str, line: int, title: str, message: str) -> str:
+def _annotation(
+    level: str,
+    file: str,
+    line: int,
+    title: str,
+    message: str,
+) -> str:
     """Write one workflow command; the line is 0 where it is not known."""
     place = f"file={_property(file)}"
     if line:

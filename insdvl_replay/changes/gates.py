@@ -218,7 +218,10 @@ def _outcome(gates: Gates, gate: Gate, dive: Checked) -> GateOutcome:
 
 
 def findings_of(
-    gate: Gate, report: StoredReport, folder: Path, expected: "StoredReport | Trajectory | None"
+    gate: Gate,
+    report: StoredReport,
+    folder: Path,
+    expected: "StoredReport | Trajectory | None",
 ) -> tuple[Finding, ...]:
     """Return what a gate finds in a result, in its tables or in its trajectory."""
     if isinstance(gate, CellGate):

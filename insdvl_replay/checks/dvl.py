@@ -129,7 +129,10 @@ def median_speed_mps(dvl: DvlColumns) -> float:
 
 
 def dvl_remarks(
-    place: str, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+    place: str,
+    dvl: DvlColumns,
+    reference: ReferenceColumns | None,
+    config: Config,
 ) -> Iterator[Remark]:
     """Check the pings of a DVL."""
     speed_mps = median_speed_mps(dvl)
@@ -153,7 +156,10 @@ def dvl_remarks(
 
 
 def _velocity_remarks(
-    place: str, dvl: DvlColumns, reference: ReferenceColumns, config: Config
+    place: str,
+    dvl: DvlColumns,
+    reference: ReferenceColumns,
+    config: Config,
 ) -> Iterator[Remark]:
     """Compare the velocity of a DVL with the reference's: its scale, its direction, and its axes."""
     count = len(dvl.time_ns)
@@ -193,7 +199,12 @@ def _opposite_axes(measured_b: Floats, true_b: Floats) -> list[str]:
     return opposite
 
 
-def scale_remarks(place: str, scale: float, dvl: DvlColumns, config: Config) -> Iterator[Remark]:
+def scale_remarks(
+    place: str,
+    scale: float,
+    dvl: DvlColumns,
+    config: Config,
+) -> Iterator[Remark]:
     """Warn of the scale of a DVL, and refuse what must be another unit."""
     if not 0.2 < scale < 5.0:
         yield refusal("dvl_unit", place, scale=scale)
@@ -228,7 +239,10 @@ def _pairs_of_fixes(fix_ns: TimeNs, ping_ns: TimeNs, sample_ns: TimeNs) -> tuple
 
 
 def track_by_positions(
-    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns, config: Config
+    imu: ImuColumns,
+    dvl: DvlColumns,
+    reference: ReferenceColumns,
+    config: Config,
 ) -> TrackFit | None:
     """Fit the track of gyros and DVL to positions, by the scale of the gyros at which it follows them best."""
     ping_ns, measured_b = velocities_b(dvl, config)

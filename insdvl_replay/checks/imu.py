@@ -92,7 +92,10 @@ def rate_remark(place: str, imu: ImuColumns, settings: Imu) -> Remark | None:
 
 
 def imu_remarks(
-    place: str, imu: ImuColumns, reference: ReferenceColumns | None, settings: Imu
+    place: str,
+    imu: ImuColumns,
+    reference: ReferenceColumns | None,
+    settings: Imu,
 ) -> Iterator[Remark]:
     """Check the readings of an IMU."""
     count = len(imu.time_ns)
@@ -175,7 +178,10 @@ class _Cure:
 
 
 def _gravity_remarks(
-    place: str, imu: ImuColumns, reference: ReferenceColumns | None, settings: Imu
+    place: str,
+    imu: ImuColumns,
+    reference: ReferenceColumns | None,
+    settings: Imu,
 ) -> Iterator[Remark]:
     """Compare the specific force of the quieter half of the seconds with gravity."""
     quiet = _QuietForce.of(imu)

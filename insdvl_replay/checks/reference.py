@@ -144,14 +144,20 @@ def plausibility_notes(
 
 
 def gyro_scale(
-    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+    imu: ImuColumns,
+    dvl: DvlColumns,
+    reference: ReferenceColumns | None,
+    config: Config,
 ) -> GyroScale | None:
     """Compare the gyros with the best source of their scale; None where the vehicle moved too little."""
     return _best_scale(imu, *_comparisons(imu, dvl, reference, config))
 
 
 def _comparisons(
-    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+    imu: ImuColumns,
+    dvl: DvlColumns,
+    reference: ReferenceColumns | None,
+    config: Config,
 ) -> tuple[AttitudeFit | None, TrackFit | None]:
     if reference is None:
         return None, None
@@ -231,7 +237,10 @@ def _gyro_remarks(
 
 
 def _track_remarks(
-    place: str, track: TrackFit, dvl: DvlColumns, config: Config
+    place: str,
+    track: TrackFit,
+    dvl: DvlColumns,
+    config: Config,
 ) -> Iterator[Remark]:
     if track.coherence < INCOHERENT:
         yield note("track_contradiction", len(dvl.time_ns), coherence=track.coherence)
@@ -321,7 +330,13 @@ def without_frozen(
     return reference, tuple(notes)
 
 
-def _frozen_note(time_ns: TimeNs, frozen: Mask, *, quantity: str, doing: str) -> Note:
+def _frozen_note(
+    time_ns: TimeNs,
+    frozen: Mask,
+    *,
+    quantity: str,
+    doing: str,
+) -> Note:
     """Note the rows of a quantity that stay the same."""
     starts, ends = find_runs(frozen)
     longest_s = float(seconds(time_ns[ends - 1], time_ns[starts - 1]).max())

@@ -267,7 +267,12 @@ def _together(by_turns: Delay | None, by_accelerations: Delay | None) -> Referen
 # --- What is compared.
 
 
-def _legs(imu: ImuColumns, time_s: Floats, known: Mask, farthest_s: float) -> _Legs:
+def _legs(
+    imu: ImuColumns,
+    time_s: Floats,
+    known: Mask,
+    farthest_s: float,
+) -> _Legs:
     """Return the legs between known rows of a reference, s since the first sample, that the IMU saw at any delay."""
     rows = np.flatnonzero(known)
     rows = rows[is_new(np.floor(time_s[rows] / _ROW_APART_S + 1e-6).astype(np.int64))]
@@ -326,7 +331,10 @@ def _both_turn(imu: ImuColumns, reference: ReferenceColumns, integrals: _Integra
 
 
 def _by_turns(
-    imu: ImuColumns, reference: ReferenceColumns, integrals: _Integrals, farthest_s: float
+    imu: ImuColumns,
+    reference: ReferenceColumns,
+    integrals: _Integrals,
+    farthest_s: float,
 ) -> tuple[Delay | None, bool]:
     """Compare turns with the gyros; return also whether the reference has the axes of the IMU."""
     found = _turns_of(imu, reference, farthest_s)
@@ -354,7 +362,11 @@ def _by_turns(
 
 
 def _turns(
-    legs: _Legs, turns: Floats, mat_nb: Floats, integrals: _Integrals, delay_s: float
+    legs: _Legs,
+    turns: Floats,
+    mat_nb: Floats,
+    integrals: _Integrals,
+    delay_s: float,
 ) -> Difference:
     """Compare turns of the reference, (k, 3) rad, with the gyros; scale and mounting are any matrix."""
     from_s = legs.from_s - delay_s
@@ -375,7 +387,12 @@ def _turns(
     return Difference(turns, np.concatenate([mounted, bias, earth], axis=2), by_delay)
 
 
-def _is_aligned(legs: _Legs, turns: Floats, integrals: _Integrals, delay_s: float) -> bool:
+def _is_aligned(
+    legs: _Legs,
+    turns: Floats,
+    integrals: _Integrals,
+    delay_s: float,
+) -> bool:
     """Return whether the turns of the reference are those of the gyros in the same axes, as far as they tell."""
     at_start = integrals.at(legs.from_s - delay_s, _TURNS)
     measured = integrals.at(legs.to_s - delay_s, _TURNS) - at_start
@@ -385,7 +402,10 @@ def _is_aligned(legs: _Legs, turns: Floats, integrals: _Integrals, delay_s: floa
 
 
 def _by_accelerations(
-    imu: ImuColumns, reference: ReferenceColumns, integrals: _Integrals, attitude_s: float
+    imu: ImuColumns,
+    reference: ReferenceColumns,
+    integrals: _Integrals,
+    attitude_s: float,
 ) -> Delay | None:
     """Compare changes of the velocity with the accelerometers, in axes of an attitude whose delay is known.
 
@@ -471,7 +491,13 @@ class _Forces:
         constants = np.concatenate([bias, gravity, arm], axis=2)
         return Difference(self.changes_b - gained, constants, by_delay)
 
-    def _inside(self, from_s: Floats, length_s: Floats, parts: Floats, columns: slice) -> Floats:
+    def _inside(
+        self,
+        from_s: Floats,
+        length_s: Floats,
+        parts: Floats,
+        columns: slice,
+    ) -> Floats:
         """Return integrated readings at p parts of each leg, (k, p, 3)."""
         parts_s = length_s[:, None] * parts
         return self.integrals.at(from_s[:, None] + parts_s, columns)
@@ -501,7 +527,12 @@ def _misfit(difference: Difference) -> float:
     return float(np.mean(np.abs(left)))
 
 
-def _fitted(compared: Compared, legs: _Legs, start_s: float, signal: float) -> Delay | None:
+def _fitted(
+    compared: Compared,
+    legs: _Legs,
+    start_s: float,
+    signal: float,
+) -> Delay | None:
     """Find a delay near a first one; None where the legs do not determine it."""
     delay_s = start_s
     for _ in range(ROUNDS):

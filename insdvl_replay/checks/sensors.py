@@ -93,7 +93,10 @@ def _are_all_same(values: Floats) -> bool:
 
 
 def _are_shared(
-    name: str, values: Floats, reference: ReferenceColumns, rows: NDArray[np.intp]
+    name: str,
+    values: Floats,
+    reference: ReferenceColumns,
+    rows: NDArray[np.intp],
 ) -> Mask:
     """Find which readings of a sensor are those of some rows of the reference."""
     position = reference.position[rows]
@@ -189,7 +192,10 @@ def contradiction_of_filter(
 
 
 def _contradictions(
-    name: str, columns: SensorColumns, known: ReferenceColumns, zero: Depth | None
+    name: str,
+    columns: SensorColumns,
+    known: ReferenceColumns,
+    zero: Depth | None,
 ) -> Iterator[Note]:
     """Compare readings with the nearest rows of the reference, or, without ``zero``, of the baseline."""
     row = _nearest(columns.time_ns, known.time_ns)
@@ -225,7 +231,10 @@ def _heading_contradictions(off: Floats, zero: Depth | None) -> Iterator[Note]:
 
 
 def _depth_contradictions(
-    values: Floats, mat_nb: Floats, position: Floats, zero: Depth | None
+    values: Floats,
+    mat_nb: Floats,
+    position: Floats,
+    zero: Depth | None,
 ) -> Iterator[Note]:
     """Note depths that change unlike the height of a solution, or have another zero."""
     ours_m = values[:, 0]
@@ -282,7 +291,12 @@ def depth_at_start_notes(
     return (note("depth_contradiction start", 1, **found),)
 
 
-def _deeper_m(values: Floats, mat_nb: Floats, position: Floats, depth: Depth) -> Floats:
+def _deeper_m(
+    values: Floats,
+    mat_nb: Floats,
+    position: Floats,
+    depth: Depth,
+) -> Floats:
     """Return by how much the depth sensor, with its configured zero, puts the IMU below a solution, shape (k,)."""
     arm_down_m = np.nan_to_num(mat_nb[:, 2] @ np.array(depth.lever_arm_m))
     return np.asarray(values[:, 0] - arm_down_m - (depth.surface_height_m or 0.0) + position[:, 2])

@@ -176,7 +176,11 @@ def _as_dives(found: "Sequence[FoundDive]", *, one_dive: bool) -> "list[Sequence
 
 
 def _typed(
-    files: "Sequence[FoundDive]", layers: "SettingsLayers", *, one_dive: bool, allow_damaged: bool
+    files: "Sequence[FoundDive]",
+    layers: "SettingsLayers",
+    *,
+    one_dive: bool,
+    allow_damaged: bool,
 ) -> str:
     """Return logs and options with which other commands read a dive as this one did."""
     words = []
@@ -482,7 +486,11 @@ def window(
     longest: Annotated[
         int,
         typer.Option(
-            "--longest", metavar="N", min=2, max=1000, help="Try windows of 2 to N velocities."
+            "--longest",
+            metavar="N",
+            min=2,
+            max=1000,
+            help="Try windows of 2 to N velocities.",
         ),
     ] = 10,
     start: opt.Start = None,
@@ -581,7 +589,13 @@ def observability(
     _print_study(result, folder, format_, verbose)
 
 
-def _study_folder(target: Path, text: str, *, force: bool, png: bool) -> "StudyFolder":
+def _study_folder(
+    target: Path,
+    text: str,
+    *,
+    force: bool,
+    png: bool,
+) -> "StudyFolder":
     """Return where a study is stored; its progress is shown with a text."""
     from insdvl_replay.batch.studies import StudyFolder
     from insdvl_replay.cli.screen import compiling, progress
@@ -590,7 +604,10 @@ def _study_folder(target: Path, text: str, *, force: bool, png: bool) -> "StudyF
 
 
 def _print_study(
-    result: "Result", folder: "StudyFolder", format_: opt.Format, verbose: int
+    result: "Result",
+    folder: "StudyFolder",
+    format_: opt.Format,
+    verbose: int,
 ) -> None:
     """Print a study that was stored, its notes and its folder."""
     from insdvl_replay.cli.screen import written

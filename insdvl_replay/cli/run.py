@@ -210,7 +210,11 @@ def _require_no_table_over_dives(tables: "Sequence[str]", dive: str) -> None:
 
 
 def _require_together(
-    against: "Sequence[str]", fail_on: str | None, tables: "Sequence[str]", *, strict: bool
+    against: "Sequence[str]",
+    fail_on: str | None,
+    tables: "Sequence[str]",
+    *,
+    strict: bool,
 ) -> None:
     """Raise a ConfigError where ``--against`` stands beside an option that it does not go with, or one needs it."""
     if not against and fail_on is not None:

@@ -106,7 +106,11 @@ class Meter:
     """How far a work is, by the stages that it reports."""
 
     def __init__(
-        self, text: str, plan: Plan, remark: str = "", clock: Callable[[], float] = time.monotonic
+        self,
+        text: str,
+        plan: Plan,
+        remark: str = "",
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._text = text
         self._plan = plan
@@ -119,7 +123,12 @@ class Meter:
         self._total = 1
         self._share = 0.0
 
-    def report(self, stage: str, done: int, total: int) -> None:
+    def report(
+        self,
+        stage: str,
+        done: int,
+        total: int,
+    ) -> None:
         """Take note of a stage, and of its steps if it has some."""
         part = 0.0
         if stage in COUNTED:
@@ -193,7 +202,12 @@ def fetch_with_progress(
 
 
 def replaying(
-    jobs: int, scheduler: str | None, *, force: bool, rerun: bool, quiet: bool
+    jobs: int,
+    scheduler: str | None,
+    *,
+    force: bool,
+    rerun: bool,
+    quiet: bool,
 ) -> "Replaying":
     """Return how a command replays dives, and shows its progress."""
     from insdvl_replay.batch.replaying import Replaying

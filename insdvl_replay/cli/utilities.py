@@ -125,7 +125,11 @@ def simulate(
 
 
 def _parsed(
-    parse: Callable[[str], _Value], option: str, text: str, form: str, example: str
+    parse: Callable[[str], _Value],
+    option: str,
+    text: str,
+    form: str,
+    example: str,
 ) -> _Value:
     try:
         return parse(text)

@@ -120,7 +120,13 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise tomllib.TOMLDecodeError("A number has too many digits") from error
 
 
-def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> TomlSource:
+def read_toml(
+    path: Path,
+    hint: str,
+    *,
+    if_unreadable: str,
+    if_invalid: str,
+) -> TomlSource:
     """Read a user's file.
 
     Parameters
@@ -182,7 +188,11 @@ def converted(table: object, kind: type[S], source: TomlSource, *at: str, label:
 
 
 def _explained(
-    error: msgspec.ValidationError, table: Any, kind: type[Struct], source: TomlSource, at: KeyPath
+    error: msgspec.ValidationError,
+    table: Any,
+    kind: type[Struct],
+    source: TomlSource,
+    at: KeyPath,
 ) -> ConfigError:
     """Return the error for a wrong key or value in a table."""
     reason, keys = _reason_and_keys(str(error))
@@ -242,7 +252,11 @@ def _shortened(text: str) -> str:
 
 
 def _unknown_key(
-    key: str, known: Sequence[str], within: str, elsewhere: Sequence[str], source: TomlSource
+    key: str,
+    known: Sequence[str],
+    within: str,
+    elsewhere: Sequence[str],
+    source: TomlSource,
 ) -> ConfigError:
     """Return the error for an unknown key, with similar known keys, here or in other tables."""
     inside = f"{within}.".removeprefix(".")

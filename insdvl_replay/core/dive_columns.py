@@ -91,7 +91,12 @@ def find_runs(mask: Mask) -> tuple[Integers, Integers]:
     return edges[::2], edges[1::2]
 
 
-def in_pauses(from_ns: TimeNs, to_ns: TimeNs, sample_ns: TimeNs, longest_ns: float) -> Mask:
+def in_pauses(
+    from_ns: TimeNs,
+    to_ns: TimeNs,
+    sample_ns: TimeNs,
+    longest_ns: float,
+) -> Mask:
     """Return which spans have a part in a pause, shape (k,).
 
     Parameters

@@ -173,7 +173,12 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
     return next(iter(most_like(name, known, most=1, least=ALIKE)), None)
 
 
-def most_like(name: str, known: Iterable[str], most: int, least: float = 0.0) -> list[str]:
+def most_like(
+    name: str,
+    known: Iterable[str],
+    most: int,
+    least: float = 0.0,
+) -> list[str]:
     """Return known names that are like another one, the most like first.
 
     Parameters
@@ -234,7 +239,13 @@ def counted_clause(count: int, clause: str) -> str:
     return f"1 {' '.join([first, *(_SINGULAR.get(word, word) for word in words)])}{clause[end:]}"
 
 
-def require_known(kind: str, name: str, known: Collection[str], *, most: int = LISTED) -> None:
+def require_known(
+    kind: str,
+    name: str,
+    known: Collection[str],
+    *,
+    most: int = LISTED,
+) -> None:
     """Require that a name is known.
 
     Parameters

@@ -61,7 +61,10 @@ def result_hint(folder: Path) -> str:
 
 
 def require_kind_of_toml(
-    path: Path, content: Mapping[str, Any], wanted: TomlKind, sections: frozenset[str]
+    path: Path,
+    content: Mapping[str, Any],
+    wanted: TomlKind,
+    sections: frozenset[str],
 ) -> None:
     """Require that a TOML file is not clearly of another kind, by its top keys.
 

@@ -46,7 +46,14 @@ BG: Final = slice(9, 12)  # Gyro bias, in b.
 POSITION: Final = slice(12, 15)
 
 
-def _triplet(first: int, id_: str, label: str, axes: str, unit: str, factor: float) -> list[State]:
+def _triplet(
+    first: int,
+    id_: str,
+    label: str,
+    axes: str,
+    unit: str,
+    factor: float,
+) -> list[State]:
     words = {"n": "north", "e": "east", "d": "down", "x": "x", "y": "y", "z": "z"}
     return [
         State(first + i, f"{id_}_{axis}", f"{label}, {words[axis]}", unit, factor)

@@ -499,7 +499,13 @@ class EvidenceRow(Struct, frozen=True):
     value: Annotated[Number, Col(head="{filter}", better="lower")]
     ratio: Annotated[
         Number,
-        Col("Candidate over baseline.", head="ratio", form="ratio", better="lower", primary=True),
+        Col(
+            "Candidate over baseline.",
+            head="ratio",
+            form="ratio",
+            better="lower",
+            primary=True,
+        ),
     ]
     moves: Annotated[
         Number, Col("Root mean square of the difference of both runs.", head="moves")

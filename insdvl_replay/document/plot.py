@@ -165,7 +165,13 @@ def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
     return low - air, high + air
 
 
-def _round_values(low: float, high: float, count: int, *, whole: bool) -> tuple[float, Floats]:
+def _round_values(
+    low: float,
+    high: float,
+    count: int,
+    *,
+    whole: bool,
+) -> tuple[float, Floats]:
     """Find the smallest step that needs at most ``count`` intervals, smaller if it shows one value, and its values."""
     smallest = (high - low) / count
     if whole:
@@ -364,7 +370,12 @@ def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
     yield f'</g><text class="label" x="{right:g}" y="{bottom + 29:g}" text-anchor="end">{escape(panel.x_label)}</text>'
 
 
-def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str]) -> Iterator[str]:
+def _content(
+    panel: Panel,
+    x_axis: Axis,
+    y_axis: Axis,
+    names: Mapping[str, str],
+) -> Iterator[str]:
     """Draw the bands, the first of them filled, and the lines above all of them."""
     bands: list[str] = []
     lines: list[str] = []
@@ -398,7 +409,12 @@ class _Drawn:
     """A curve in counts, of which only so many rows are kept as can be seen."""
 
     def __init__(
-        self, curve: Curve, x_axis: Axis, y_axis: Axis, is_track: bool, crowd: float
+        self,
+        curve: Curve,
+        x_axis: Axis,
+        y_axis: Axis,
+        is_track: bool,
+        crowd: float,
     ) -> None:
         self.curve = curve
         self.y_axis = y_axis
@@ -505,7 +521,13 @@ def _names(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
 # --- Paths, in counts.
 
 
-def _band_path(x: Floats, low: Floats, high: Floats, *, closed: bool) -> str:
+def _band_path(
+    x: Floats,
+    low: Floats,
+    high: Floats,
+    *,
+    closed: bool,
+) -> str:
     """Write the upper edge from left to right, then the lower one back; closed, they can be filled."""
     known = np.isfinite(low) & np.isfinite(high)
     if not known.any():

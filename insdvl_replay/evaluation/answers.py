@@ -286,7 +286,10 @@ def _interval(rows: Sequence[tuple[EvidenceRow, str]], level: float) -> Interval
 
 
 def _pooled_row(
-    candidate: str, rows_of_dives: Sequence[tuple[EvidenceRow, str]], role: Role, level: float
+    candidate: str,
+    rows_of_dives: Sequence[tuple[EvidenceRow, str]],
+    role: Role,
+    level: float,
 ) -> PooledRow:
     rows = [row for row, _ in rows_of_dives]
     interval = _interval(rows_of_dives, level)
@@ -331,7 +334,11 @@ def _vehicles_named(rows: Sequence[tuple[EvidenceRow, str]], interval: Interval)
 
 
 def _word_of(
-    rows: Sequence[EvidenceRow], low: float, high: float, acts_most: float, noise_share: float
+    rows: Sequence[EvidenceRow],
+    low: float,
+    high: float,
+    acts_most: float,
+    noise_share: float,
 ) -> EvidenceVerdict | Settling:
     """Return the word of the interval of some rows, in the words of the second answer for convergence."""
     word = word_of_interval(low, high)
@@ -567,7 +574,11 @@ class CandidateOnDive(Struct, frozen=True, kw_only=True):
 
 
 def answer_over_dives(
-    name: str, dives: Sequence[CandidateOnDive], *, primary: str = "", level: float = LEVEL
+    name: str,
+    dives: Sequence[CandidateOnDive],
+    *,
+    primary: str = "",
+    level: float = LEVEL,
 ) -> CandidateAnswer:
     """Answer for one candidate by the results of the dives that have it.
 
@@ -652,7 +663,10 @@ def answers_together(
 
 
 def _words_of_two(
-    evidence: Sequence[Sequence[EvidenceRow]], primary: str, level: float, vehicles: Sequence[str]
+    evidence: Sequence[Sequence[EvidenceRow]],
+    primary: str,
+    level: float,
+    vehicles: Sequence[str],
 ) -> list[tuple[EvidenceVerdict, EvidenceVerdict]]:
     """Return the words of each of two vehicles, once and for every look; none if there are not two vehicles."""
     names = set(vehicles)
@@ -721,7 +735,13 @@ def answer_row(answer: CandidateAnswer) -> AnswerRow:
     row = answer.decisive
     if row is None:
         return found
-    return replace(found, ratio=row.ratio, low=row.low, high=row.high, vehicles=row.vehicles)
+    return replace(
+        found,
+        ratio=row.ratio,
+        low=row.low,
+        high=row.high,
+        vehicles=row.vehicles,
+    )
 
 
 def reason_code_of(answer: Answer) -> ReasonCode:

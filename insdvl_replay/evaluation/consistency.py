@@ -59,7 +59,10 @@ def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tup
 
 
 def consistency_verdict(
-    mean: float, low: float, high: float, dof: int
+    mean: float,
+    low: float,
+    high: float,
+    dof: int,
 ) -> tuple[Consistency, Reason]:
     """Return the verdict on a mean NIS or NEES, with the reason if it differs from the interval."""
     if not np.isfinite(mean):
@@ -136,7 +139,10 @@ def consistency_table(
 
 
 def _rows_of_measurement(
-    log: str, history: History, innovations: Innovations, sensor_sd: Mapping[str, Floats]
+    log: str,
+    history: History,
+    innovations: Innovations,
+    sensor_sd: Mapping[str, Floats],
 ) -> Iterator[ConsistencyRow]:
     """Yield the row of a whole measurement of one filter, then those of its axes."""
     measurement = innovations.measurement

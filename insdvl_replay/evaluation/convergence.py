@@ -312,7 +312,11 @@ def convergence_table(
 
 
 def _convergence_row(
-    log: str, baseline: History, candidate: History, state: State, measured: MeasuredConvergence
+    log: str,
+    baseline: History,
+    candidate: History,
+    state: State,
+    measured: MeasuredConvergence,
 ) -> ConvergenceRow:
     """Return when the sigma of a candidate in one state is as small as the baseline's final one."""
     last = last_row(baseline, candidate)

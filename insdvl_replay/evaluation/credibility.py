@@ -317,7 +317,12 @@ def _settled_velocity(errors: StateErrors, reference: ReferenceColumns) -> tuple
 
 
 def _settled_row(
-    log: str, name: str, quantity: str, standardised: Floats, *, has_noise: bool
+    log: str,
+    name: str,
+    quantity: str,
+    standardised: Floats,
+    *,
+    has_noise: bool,
 ) -> CredibilityRow:
     samples, dof = standardised.shape
     squared = np.sum(standardised**2, axis=1)

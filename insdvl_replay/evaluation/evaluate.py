@@ -79,7 +79,11 @@ FEWEST_ROWS: Final = 3  # of a reference whose acceleration is known
 
 
 def evaluated_times(
-    reference: ReferenceColumns | None, start_ns: int, end_ns: int, *, filters: int
+    reference: ReferenceColumns | None,
+    start_ns: int,
+    end_ns: int,
+    *,
+    filters: int,
 ) -> TimeNs:
     """Choose the times at which P is kept for the evaluation of errors: all of the reference, or evenly chosen ones."""
     if reference is None:

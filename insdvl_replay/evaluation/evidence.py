@@ -416,7 +416,11 @@ def _rows_of_pair(new: Callable[..., EvidenceRow], kind: str, pair: Pair) -> Ite
 
 
 def role_alone(
-    quantity: str, windows: int, *, independent: bool, delay: ReferenceDelay | None
+    quantity: str,
+    windows: int,
+    *,
+    independent: bool,
+    delay: ReferenceDelay | None,
 ) -> Role:
     """Return what an error of a filter that was replayed alone may do, in another comparison than with a candidate.
 

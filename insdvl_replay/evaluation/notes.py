@@ -436,7 +436,11 @@ def reference_notes(
 
 
 def _coverage_notes(
-    source: str, time_ns: TimeNs, known: Mapping[str, Known], start_ns: int, end_ns: int
+    source: str,
+    time_ns: TimeNs,
+    known: Mapping[str, Known],
+    start_ns: int,
+    end_ns: int,
 ) -> Iterator[Note]:
     """Warn of quantities that cover little of the replay: one note for each percentage, with all that have it."""
     by_percent: dict[str, list[str]] = {}

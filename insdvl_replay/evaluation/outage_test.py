@@ -92,7 +92,12 @@ class OutagePlan:
         return zip(self.ping_ns[first].tolist(), self.ping_ns[last].tolist(), strict=True)
 
 
-def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> OutagePlan:
+def plan_outages(
+    ping_ns: TimeNs,
+    in_gap: InGap,
+    start_ns: int,
+    end_ns: int,
+) -> OutagePlan:
     """Place windows over a dive, after the filters have settled.
 
     They follow one upon the other, or in long dives at equal distances, see MOST_WINDOWS.

@@ -46,7 +46,12 @@ Known = Mask
 # --- What the reference covers, and how far the vehicle went.
 
 
-def covered_share(time_ns: TimeNs, known: Known, start_ns: int, end_ns: int) -> float:
+def covered_share(
+    time_ns: TimeNs,
+    known: Known,
+    start_ns: int,
+    end_ns: int,
+) -> float:
     """Return the share of a span, 0 to 1, that is covered by numbers without gaps."""
     known_ns = time_ns[known]
     steps_ns = np.diff(known_ns[(known_ns >= start_ns) & (known_ns <= end_ns)])
@@ -199,7 +204,10 @@ def motion_error(
 
 
 def errors_at(
-    time_ns: TimeNs, history: History, reference: ReferenceColumns, truth: TruthColumns | None
+    time_ns: TimeNs,
+    history: History,
+    reference: ReferenceColumns,
+    truth: TruthColumns | None,
 ) -> Floats:
     """Return the errors of a filter's states, shape (k, n), SI units, at times that history and reference share.
 

@@ -364,7 +364,10 @@ def surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
 
 
 def far_off(
-    history: History, baseline: History, errors: Mapping[str, ReferenceErrors], tables: Tables
+    history: History,
+    baseline: History,
+    errors: Mapping[str, ReferenceErrors],
+    tables: Tables,
 ) -> str:
     """Say that a filter is far off with the DVL available; empty if it is not.
 

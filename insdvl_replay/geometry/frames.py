@@ -86,7 +86,10 @@ class DvlMounting:
 
     @classmethod
     def from_rpy(
-        cls, lever_arm_m: Sequence[float], rpy_deg: Sequence[float], scale: float
+        cls,
+        lever_arm_m: Sequence[float],
+        rpy_deg: Sequence[float],
+        scale: float,
     ) -> "DvlMounting":
         """Return a mounting from a lever arm in b, from roll, pitch and heading from d to b, and a scale."""
         return cls(np.array(lever_arm_m), mat_from_rpy(np.array(rpy_deg) * DEG), scale)

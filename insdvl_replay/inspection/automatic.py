@@ -144,7 +144,12 @@ def find_settings(
     )
 
 
-def with_flown(paths: Paths, config: Config, given: Given, notes: list[Note]) -> Config:
+def with_flown(
+    paths: Paths,
+    config: Config,
+    given: Given,
+    notes: list[Note],
+) -> Config:
     """Evaluate the filter that steered the vehicle, too, if the log has one and nobody has given filters."""
     if given.has("filters"):
         return config
@@ -165,7 +170,11 @@ def _at_imu(dives: Sequence[Dive], config: Config) -> list[Dive]:
 
 
 def _read_alike(
-    others: Sequence[Paths], first: Dive, config: Config, *, allow_damaged: bool
+    others: Sequence[Paths],
+    first: Dive,
+    config: Config,
+    *,
+    allow_damaged: bool,
 ) -> Iterator[Dive]:
     """Read other dives that the settings of the first do not misread.
 
@@ -179,7 +188,11 @@ def _read_alike(
 
 
 def _first_with_roles(
-    dives: Sequence[Paths], given: Given, notes: list[Note], *, allow_damaged: bool
+    dives: Sequence[Paths],
+    given: Given,
+    notes: list[Note],
+    *,
+    allow_damaged: bool,
 ) -> tuple[Paths, Config, float]:
     """Find the roles by the first dive that shows them, short ones last; the cost of its trial is returned, too.
 
@@ -288,7 +301,11 @@ def _late_reference_s(dive: Dive, given: Given) -> float:
 
 
 def _with_reference_latency(
-    dives: Sequence[Dive], config: Config, given: Given, proposed_s: float, notes: list[Note]
+    dives: Sequence[Dive],
+    config: Config,
+    given: Given,
+    proposed_s: float,
+    notes: list[Note],
 ) -> tuple[list[Dive], Config]:
     """Set the latency of the references to the mean delay of all dives, by their weights, where any of them is late.
 
@@ -360,7 +377,11 @@ def settings_file(
 
 
 def _proposed_file(
-    paths: Paths, given: Given, failure: UserError, *, allow_damaged: bool
+    paths: Paths,
+    given: Given,
+    failure: UserError,
+    *,
+    allow_damaged: bool,
 ) -> SettingsFile:
     """Propose what names, types and sizes show, beside what is given."""
     config = given.config
@@ -457,7 +478,10 @@ def _with_start(dive: Dive, config: Config) -> Config:
 
 
 def _with_heading(
-    dives: Sequence[Dive], config: Config, given: Given, notes: list[Note]
+    dives: Sequence[Dive],
+    config: Config,
+    given: Given,
+    notes: list[Note],
 ) -> tuple[Config, Initial]:
     """Find the heading at the start: by the reference's attitude, a fit to its positions, else 0.
 

@@ -220,7 +220,12 @@ class DryRun:
             return _LOOK_DEEPER
         return without_mark(remark).hint
 
-    def _warn_of(self, topic: str, error: UserError, hint: str | None = None) -> None:
+    def _warn_of(
+        self,
+        topic: str,
+        error: UserError,
+        hint: str | None = None,
+    ) -> None:
         """Note what is wrong with one of several topics; the hint is that of the error if no other is given."""
         self.warned.add(topic)
         why = error.inside(self.log.path, topic)

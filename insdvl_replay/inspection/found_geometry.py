@@ -26,7 +26,12 @@ GROUPS: Final = {
 }
 
 
-def calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list[Note]) -> Config:
+def calibrated(
+    dives: Sequence[Dive],
+    config: Config,
+    given: Given,
+    notes: list[Note],
+) -> Config:
     """Apply the calibration that is better on the held-out part; what is given is not calibrated."""
     geometry = [group for group, key in GROUPS.items() if not given.has(f"dvl.{key}")]
     fits_noise = not given.has("noise")
@@ -87,7 +92,10 @@ def _with_geometry(
 
 
 def _decided(
-    found: Calibration, division: Division, config: Config, groups: Sequence[str]
+    found: Calibration,
+    division: Division,
+    config: Config,
+    groups: Sequence[str],
 ) -> tuple[Calibration, Answer]:
     """Judge a calibration by the drift of what was held out, else by its innovations."""
     answer = answer_of(found)
@@ -110,7 +118,11 @@ def _changes(found: Calibration) -> list[str]:
 
 
 def with_noise_of(
-    dives: Sequence[Dive], config: Config, given: Given, *, is_tested: bool = False
+    dives: Sequence[Dive],
+    config: Config,
+    given: Given,
+    *,
+    is_tested: bool = False,
 ) -> Config:
     """Fit the noise to dives; one that is tested is applied only where it is better on what was held out."""
     read = [middle(ReadDive(dive, config)) for dive in dives]

@@ -176,7 +176,11 @@ def _first_with(relation: object, hypotheses: Sequence[Hypothesis]) -> Hypothesi
 
 
 def in_body(
-    best: Hypothesis, dive: Dive, config: Config, *, is_as_read: bool
+    best: Hypothesis,
+    dive: Dive,
+    config: Config,
+    *,
+    is_as_read: bool,
 ) -> tuple[Hypothesis, Hypothesis | None]:
     """Return a hypothesis in the axes of the vehicle: those of the reference's attitude, else level and forward.
 

@@ -25,7 +25,10 @@ class FlagSense:
 
 
 def flag_senses(
-    log: Recording, topic: ProbedTopic, velocity: str, names: Sequence[str]
+    log: Recording,
+    topic: ProbedTopic,
+    velocity: str,
+    names: Sequence[str],
 ) -> dict[str, FlagSense]:
     """Return what each of some flags means."""
     fields = {"velocity": velocity, "flags": ", ".join(names)}

@@ -286,7 +286,10 @@ def _finding_of(role: str, findings: Sequence[Finding]) -> Finding:
 
 
 def _recorder_stamps(
-    log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config
+    log: Recording,
+    findings: Sequence[Finding],
+    clocks: Sequence[Clock],
+    config: Config,
 ) -> Iterator[Setting]:
     """Stamp all roles by the recorder where their own clocks do not belong together."""
     why = _why_not_own_clocks(log, findings, clocks, config)
@@ -298,7 +301,10 @@ def _recorder_stamps(
 
 
 def _why_not_own_clocks(
-    log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config
+    log: Recording,
+    findings: Sequence[Finding],
+    clocks: Sequence[Clock],
+    config: Config,
 ) -> str:
     """Return why the clocks of the roles do not belong together; empty if they do."""
     stamps: dict[tuple[str, str], str] = {}

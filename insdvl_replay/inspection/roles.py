@@ -122,7 +122,12 @@ class _LeftOut:
     errors: dict[str, UserError] = field(default_factory=dict)  # the first of each topic
     notes: list[Note] = field(default_factory=list)
 
-    def add(self, role: str, topic: str, error: UserError) -> None:
+    def add(
+        self,
+        role: str,
+        topic: str,
+        error: UserError,
+    ) -> None:
         """Leave out a topic."""
         self.errors.setdefault(topic, error)
         reason = error.inside(self.place, topic)
@@ -424,7 +429,12 @@ def _require_heading(place: str, best: Hypothesis, close: Sequence[Hypothesis]) 
         raise LogError(what, hint, place)
 
 
-def _with_dvl(draft: Config, read: RoleReadings, dvl: _DvlTopic, best: Hypothesis) -> Config:
+def _with_dvl(
+    draft: Config,
+    read: RoleReadings,
+    dvl: _DvlTopic,
+    best: Hypothesis,
+) -> Config:
     """Write the topic, the unit and the mounting of the DVL as settings."""
     if "dvl" not in read.is_alone:
         draft = with_values(draft, "dvl", topic=dvl.topic)
@@ -453,7 +463,13 @@ def _turned_with(
     return rpy_of(turn @ mat_from_rpy(np.array(rpy_deg) * DEG))
 
 
-def _as_configured(imu: _ImuTopic, best: Hypothesis, given: Imu, *, is_alone: bool) -> Imu:
+def _as_configured(
+    imu: _ImuTopic,
+    best: Hypothesis,
+    given: Imu,
+    *,
+    is_alone: bool,
+) -> Imu:
     """Write a hypothesis as settings of the IMU; what is by type and as read is left out."""
     settings = imu.settings
     values: dict[str, Any] = {"axes": best.axes, "specific_force_axes": best.force_axes}
@@ -480,7 +496,10 @@ def _rate_unit(best: Hypothesis) -> tuple[str, float]:
 
 
 def _imu_topics(
-    log: Recording, sources: Sequence[Source], draft: Config, left_out: _LeftOut
+    log: Recording,
+    sources: Sequence[Source],
+    draft: Config,
+    left_out: _LeftOut,
 ) -> list[_ImuTopic]:
     """Read the topics that could be the IMU; those that cannot are left out.
 

@@ -32,7 +32,11 @@ _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def inspect_log(
-    path: Path | Sequence[Path], config: Config, *, deep: bool = False, allow_damaged: bool = False
+    path: Path | Sequence[Path],
+    config: Config,
+    *,
+    deep: bool = False,
+    allow_damaged: bool = False,
 ) -> Inventory:
     """State what a log holds and whether it can be replayed.
 

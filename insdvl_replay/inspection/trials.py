@@ -185,7 +185,13 @@ def with_cost(tried: Hypothesis, dive: Dive, config: Config) -> Hypothesis:
 class Trials:
     """All trials of one thinned dive, whose readings are in the axes of the instruments."""
 
-    def __init__(self, dive: Dive, config: Config, as_read: Hypothesis, given: Given) -> None:
+    def __init__(
+        self,
+        dive: Dive,
+        config: Config,
+        as_read: Hypothesis,
+        given: Given,
+    ) -> None:
         self.dive = dive
         self.config = config
         self.as_read = as_read

@@ -43,7 +43,10 @@ def is_rate_in_degrees(median_radps: float) -> bool:
 
 
 def _fitting(
-    size: float, units: tuple[str, ...], factors: Mapping[str, float], limits: tuple[float, float]
+    size: float,
+    units: tuple[str, ...],
+    factors: Mapping[str, float],
+    limits: tuple[float, float],
 ) -> list[str]:
     """Return the units in which a size is between two limits, SI."""
     least, most = limits

@@ -342,7 +342,12 @@ def sources_of(findings: Iterable[Finding]) -> list[Source]:
     return sources
 
 
-def _solution(topics: Topics, name: str, settings: Solution, reference: Finding) -> Finding:
+def _solution(
+    topics: Topics,
+    name: str,
+    settings: Solution,
+    reference: Finding,
+) -> Finding:
     """Find the topics of an onboard solution, whose fields must not be those of the reference."""
     section = solution_role(name)
     wanted = [role_with(section, settings, "solution")]
@@ -372,7 +377,10 @@ def _shared_fields(source: Source, other: Source) -> list[str]:
 
 
 def idle_sensors(
-    place: str, channels: Sequence[LogChannel], findings: Sequence[Finding], config: Config
+    place: str,
+    channels: Sequence[LogChannel],
+    findings: Sequence[Finding],
+    config: Config,
 ) -> dict[str, list[str]]:
     """Name the topics of unused sensors, by sensor: they could aid a filter and play no other role."""
     topics = Topics(place, channels)

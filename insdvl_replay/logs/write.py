@@ -88,7 +88,11 @@ class Batch:
 
 
 def stamped(
-    topic: str, type_name: str, time_ns: TimeNs, frame: str, columns: Mapping[str, Column]
+    topic: str,
+    type_name: str,
+    time_ns: TimeNs,
+    frame: str,
+    columns: Mapping[str, Column],
 ) -> Batch:
     """Make a batch of messages that begin with a header, whose frame is one of `FRAMES`."""
     header = {**stamp("header.stamp", time_ns), "header.frame_id": frame}
@@ -300,7 +304,10 @@ def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:
 
 
 def _records_in_order(
-    batches: Sequence[_Messages], batch_of: Array, first: Integers, behind: Integers
+    batches: Sequence[_Messages],
+    batch_of: Array,
+    first: Integers,
+    behind: Integers,
 ) -> list[bytes]:
     """Return messages in the order of their batches, (k,), of each batch those from the first to one behind the last.
 

@@ -55,7 +55,10 @@ class DvlBeams:
 
 
 def dvl_beams(
-    dvl: DvlColumns, mounting: DvlMounting, start_ns: int, end_ns: int
+    dvl: DvlColumns,
+    mounting: DvlMounting,
+    start_ns: int,
+    end_ns: int,
 ) -> DvlBeams | None:
     """Return the beams of a DVL after the start and up to the end; None where it reports velocities."""
     if dvl.beam_velocity_mps is None or dvl.beam_vectors_d is None:
@@ -146,7 +149,10 @@ class SlopeWindows:
 
 
 def slope_windows(
-    time_s: Floats, window: int, order: int = 1, max_gap_s: float = np.inf
+    time_s: Floats,
+    window: int,
+    order: int = 1,
+    max_gap_s: float = np.inf,
 ) -> SlopeWindows:
     """Make the weights for the slope at the middle of each window of past velocities.
 

@@ -130,7 +130,12 @@ def over(motion: Motion, dt: float) -> Motion:
 
 
 @inlined
-def _grown(P: Floats, first: int, stride: int, step: Motion) -> tuple[Vector, Vector]:
+def _grown(
+    P: Floats,
+    first: int,
+    stride: int,
+    step: Motion,
+) -> tuple[Vector, Vector]:
     """Return ``dx + F dt dx`` of velocity and attitude, for a column of P, whose entries are n apart, or for a row."""
     velocity_error = (P[first], P[first + stride], P[first + 2 * stride])
     misalignment = (P[first + 3 * stride], P[first + 4 * stride], P[first + 5 * stride])
@@ -164,7 +169,12 @@ def propagate_errors(dx: Floats, each_state: tuple[float, ...], step: Motion) ->
 
 
 @inlined
-def propagate_cov(P: Floats, motion: Motion, noise_density: tuple[float, ...], dt: float) -> None:
+def propagate_cov(
+    P: Floats,
+    motion: Motion,
+    noise_density: tuple[float, ...],
+    dt: float,
+) -> None:
     """Advance the covariance: ``P <- Phi P Phi' + Q`` with ``Phi = I + F dt``, in place.
 
     The columns of P grow as errors do, then the rows of ``Phi P``. Biases do not grow, so that the second step changes
@@ -196,7 +206,12 @@ def propagate_cov(P: Floats, motion: Motion, noise_density: tuple[float, ...], d
 
 
 @inlined
-def add_noise(P: Floats, n: int, noise_density: Floats, dt: float) -> None:
+def add_noise(
+    P: Floats,
+    n: int,
+    noise_density: Floats,
+    dt: float,
+) -> None:
     """Add white noise of a density, shape (12,), over an interval to the twelve states of P, shape (n * n,)."""
     for i in range(TWELVE):
         P[(n + 1) * i] += noise_density[i] * dt
@@ -211,7 +226,13 @@ class NoiseSteps(NamedTuple):
 
 
 @inlined
-def add_noise_of_axes(P: Floats, n: int, mat_nb: Matrix, density_b: Floats, dt: float) -> None:
+def add_noise_of_axes(
+    P: Floats,
+    n: int,
+    mat_nb: Matrix,
+    density_b: Floats,
+    dt: float,
+) -> None:
     """Add white noise of the readings, of a density of its own on each axis, shape (6,), to P, shape (n * n,)."""
     for first in range(0, 6, 3):
         for i in range(3):
@@ -241,7 +262,10 @@ class PositionGrowth(NamedTuple):
 
 @inlined
 def position_growth(
-    state: NavState, motion: Motion, earth: LocalEarth, dt: float
+    state: NavState,
+    motion: Motion,
+    earth: LocalEarth,
+    dt: float,
 ) -> PositionGrowth:
     """Return the blocks of F for the position, of the state and the motion at the end of an interval."""
     north, east, down = state.velocity_n
@@ -275,7 +299,10 @@ def position_growth(
 
 @inlined
 def propagate_position_cov(
-    P: Floats, each_state: tuple[float, ...], first: int, growth: PositionGrowth
+    P: Floats,
+    each_state: tuple[float, ...],
+    first: int,
+    growth: PositionGrowth,
 ) -> None:
     """Let the position's errors grow over an interval, and those of velocity and attitude by them, in place.
 
@@ -301,7 +328,13 @@ def propagate_position_cov(
 
 
 @inlined
-def _grow_position(P: Floats, start: int, stride: int, first: int, growth: PositionGrowth) -> None:
+def _grow_position(
+    P: Floats,
+    start: int,
+    stride: int,
+    first: int,
+    growth: PositionGrowth,
+) -> None:
     """Let one column of P grow, whose entries are n apart, or one row."""
     at, turn = start + first * stride, start + 3 * stride
     position_error = (P[at], P[at + stride], P[at + 2 * stride])

@@ -235,7 +235,13 @@ def run_filter(
     )
 
 
-def _empty_records(keep_cov: Mask, start: Start, n: int, *, estimates_position: bool) -> Records:
+def _empty_records(
+    keep_cov: Mask,
+    start: Start,
+    n: int,
+    *,
+    estimates_position: bool,
+) -> Records:
     """Make room for the states at the recorded events, with P where it is to be kept, shape (k,)."""
     rows = len(keep_cov)
     corrected_rows = rows if estimates_position else 0
@@ -319,7 +325,10 @@ def _prediction(measurements: tuple[Measurement, ...]) -> Predicts | None:
 
 
 def _innovations(
-    made: Measurement, number: int, timeline: Timeline, updates: Updates
+    made: Measurement,
+    number: int,
+    timeline: Timeline,
+    updates: Updates,
 ) -> Innovations:
     """Return the innovations of a measurement, the one of this number, at its available readings."""
     reading_ns = timeline.event_ns[timeline.rows[made.sensor] >= 0]
@@ -631,7 +640,12 @@ def _square(z: Floats) -> float:
 
 @inlined
 def _follow_noise(
-    m: int, share: float, z: Floats, S: Floats, R: Floats, updates: Updates
+    m: int,
+    share: float,
+    z: Floats,
+    S: Floats,
+    R: Floats,
+    updates: Updates,
 ) -> float:
     """Update the factor of R by an innovation, and return its ratio to the factor before."""
     before: float = updates.noise_factor[m]
@@ -643,7 +657,13 @@ def _follow_noise(
 
 
 @inlined
-def locks_out(updates: Updates, m: int, nis: float, time_s: float, reopen_after: int) -> bool:
+def locks_out(
+    updates: Updates,
+    m: int,
+    nis: float,
+    time_s: float,
+    reopen_after: int,
+) -> bool:
     """Count a rejection, and return whether so many in a row mean that the INS is wrong."""
     if not math.isfinite(nis):
         return False

@@ -38,7 +38,13 @@ def multiply(A: Floats, B: Floats, product: Floats) -> None:
 
 
 @inlined
-def innovation_cov(P: Floats, H: Floats, R: Floats, HP: Floats, S: Floats) -> None:
+def innovation_cov(
+    P: Floats,
+    H: Floats,
+    R: Floats,
+    HP: Floats,
+    S: Floats,
+) -> None:
     """Write the covariance of the innovation, ``S = H P H' + R``.
 
     Parameters
@@ -117,7 +123,14 @@ def transposed_gain(HP: Floats, L: Floats, KT: Floats) -> None:
 
 
 @inlined
-def update_cov(P: Floats, H: Floats, R: Floats, HP: Floats, KT: Floats, rest: Floats) -> None:
+def update_cov(
+    P: Floats,
+    H: Floats,
+    R: Floats,
+    HP: Floats,
+    KT: Floats,
+    rest: Floats,
+) -> None:
     """Update the covariance in place, ``P <- (I - K H) P (I - K H)' + K R K'``, and keep it symmetric.
 
     With ``B = P (I - K H)'`` it is ``B + K (R K' - H B)``. If K is the gain, the bracket vanishes but for rounding.
@@ -146,7 +159,12 @@ def update_cov(P: Floats, H: Floats, R: Floats, HP: Floats, KT: Floats, rest: Fl
 
 
 @inlined
-def _subtract_transposed_product(A: Floats, B: Floats, total: Floats, row: Floats) -> None:
+def _subtract_transposed_product(
+    A: Floats,
+    B: Floats,
+    total: Floats,
+    row: Floats,
+) -> None:
     """Subtract ``A' B`` row by row; ``row`` is written."""
     for i in range(A.shape[1]):
         for j in range(B.shape[1]):
@@ -193,7 +211,12 @@ def outlier_factor(nis: float, size: int) -> float:
 
 @inlined
 def found_factor(
-    found: float, used: float, z: Floats, S: Floats, R: Floats, share: float
+    found: float,
+    used: float,
+    z: Floats,
+    S: Floats,
+    R: Floats,
+    share: float,
 ) -> float:
     """Return the factor of R after one more innovation; S was made with R, which holds the factor used until now.
 
@@ -208,7 +231,12 @@ def found_factor(
 
 
 @inlined
-def chance_var(var: float, used: float, S: Floats, R: Floats) -> float:
+def chance_var(
+    var: float,
+    used: float,
+    S: Floats,
+    R: Floats,
+) -> float:
     """Return the variance by chance of the factor found, after one more innovation.
 
     After an outage an innovation depends on the INS. Its effect on the factor is forgotten no sooner than this. The

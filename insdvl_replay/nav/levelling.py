@@ -284,7 +284,11 @@ class Start:
 
 
 def with_more_states(
-    start: Start, more_sd: Floats, constants: int, *, heading_bias: bool = False
+    start: Start,
+    more_sd: Floats,
+    constants: int,
+    *,
+    heading_bias: bool = False,
 ) -> Start:
     """Add states to a start, independent of all others except the bias of a heading that was the sensor's.
 

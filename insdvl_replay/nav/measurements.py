@@ -244,7 +244,13 @@ def linearise(
 
 @inlined
 def _linearise_dvl(
-    measurements: Stack, m: int, row: int, ins: InsNow, layout: StateLayout, z: Floats, H: Floats
+    measurements: Stack,
+    m: int,
+    row: int,
+    ins: InsNow,
+    layout: StateLayout,
+    z: Floats,
+    H: Floats,
 ) -> None:
     kind, mat_bn = measurements.kind[m], transpose(ins.mat_nb)
     # The last measurement may have left something in the states beside the twelve.
@@ -301,7 +307,12 @@ def _linearise_dvl(
 
 
 @inlined
-def _as_the_dvl_reads(predicted_b: Vector, ins: InsNow, layout: StateLayout, H: Floats) -> Vector:
+def _as_the_dvl_reads(
+    predicted_b: Vector,
+    ins: InsNow,
+    layout: StateLayout,
+    H: Floats,
+) -> Vector:
     """Turn and scale a prediction as the DVL does, ``u <- (1 + k) R_z(psi)' u``, and its Jacobian likewise.
 
     For what is left of k and psi, true minus estimated, z then has ``-u / (1 + k)`` and ``(-u_y, u_x, 0)``.
@@ -330,7 +341,13 @@ def _as_the_dvl_reads(predicted_b: Vector, ins: InsNow, layout: StateLayout, H: 
 
 @inlined
 def _linearise_sensor(
-    measurements: Stack, m: int, row: int, ins: InsNow, layout: StateLayout, z: Floats, H: Floats
+    measurements: Stack,
+    m: int,
+    row: int,
+    ins: InsNow,
+    layout: StateLayout,
+    z: Floats,
+    H: Floats,
 ) -> None:
     for i in range(len(z)):
         for j in range(H.shape[1]):
@@ -374,7 +391,13 @@ def _linearise_sensor(
 
 @inlined
 def _linearise_user(
-    measurements: Stack, m: int, row: int, ins: InsNow, user: Predicts, z: Floats, H: Floats
+    measurements: Stack,
+    m: int,
+    row: int,
+    ins: InsNow,
+    user: Predicts,
+    z: Floats,
+    H: Floats,
 ) -> None:
     """Let the user's prediction write z and H, and subtract the reading. No gate would reject an infinite z."""
     size, known = len(z), np.empty(INS_SIZE)

@@ -68,7 +68,11 @@ class NominalPings(NamedTuple):
 
 
 def nominal_pings(
-    timeline: Timeline, nominal: History, noise_density: Floats, *, earth_rate: bool = True
+    timeline: Timeline,
+    nominal: History,
+    noise_density: Floats,
+    *,
+    earth_rate: bool = True,
 ) -> NominalPings:
     """Carry the errors at the start to each ping along a nominal motion.
 
@@ -293,7 +297,10 @@ def analyse(rows: Floats, prior_sd: Floats, tolerance: float = TOLERANCE) -> Obs
 
 
 def remaining_cov(
-    pings: NominalPings, measurements: Sequence[Measurement], lever_arm_b: Floats, prior_sd: Floats
+    pings: NominalPings,
+    measurements: Sequence[Measurement],
+    lever_arm_b: Floats,
+    prior_sd: Floats,
 ) -> Floats:
     """Return P after the last ping: ``P <- Phi P Phi' + Q`` from one to the next, then its updates, shape (12, 12).
 
@@ -345,7 +352,11 @@ class ErrorDirection:
 
 
 def named_directions(
-    position: Floats, velocity_n: Floats, mat_nb: Floats, *, earth_rate: bool = True
+    position: Floats,
+    velocity_n: Floats,
+    mat_nb: Floats,
+    *,
+    earth_rate: bool = True,
 ) -> tuple[ErrorDirection, ...]:
     """Make the directions that steady motion hides from velocities, or from accelerations.
 

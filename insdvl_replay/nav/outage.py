@@ -128,7 +128,13 @@ def between_pings(timeline: Timeline, start_ns: int, end_ns: int) -> Timeline:
     samples = samples_around(timeline.sample_ns, start_ns, end_ns)
     is_ping = timeline.rows[PINGS, events] >= 0
     rows = np.where(timeline.event_ns[events] > start_ns, timeline.rows[:, events], -1)
-    first = np.min(rows, axis=1, where=rows >= 0, initial=np.iinfo(np.int64).max, keepdims=True)
+    first = np.min(
+        rows,
+        axis=1,
+        where=rows >= 0,
+        initial=np.iinfo(np.int64).max,
+        keepdims=True,
+    )
     return Timeline(
         timeline.sample_ns[samples],
         timeline.specific_force_b[samples],

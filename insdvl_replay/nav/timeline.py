@@ -235,7 +235,12 @@ def is_event(timeline: Timeline, node: Node) -> bool:
 
 
 @inlined
-def _node(timeline: Timeline, time_ns: int, sample: int, event: int) -> Node:
+def _node(
+    timeline: Timeline,
+    time_ns: int,
+    sample: int,
+    event: int,
+) -> Node:
     start_ns = timeline.event_ns[0]
     time_s, before_s = (time_ns - start_ns) * 1e-9, (timeline.sample_ns[sample] - start_ns) * 1e-9
     before = _readings_at(timeline, sample)

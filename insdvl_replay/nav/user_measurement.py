@@ -250,13 +250,23 @@ def joined(predictions: Sequence[Predict], *, compiled: bool) -> Predicts:
     from numba import types
 
     def last(predict: Predict) -> Predicts:
-        def chosen(which: int, ins: Floats, z: Floats, H: Floats) -> None:
+        def chosen(
+            which: int,
+            ins: Floats,
+            z: Floats,
+            H: Floats,
+        ) -> None:
             predict(ins, z, H)
 
         return chosen
 
     def first_or(predict: Predict, others: Predicts) -> Predicts:
-        def chosen(which: int, ins: Floats, z: Floats, H: Floats) -> None:
+        def chosen(
+            which: int,
+            ins: Floats,
+            z: Floats,
+            H: Floats,
+        ) -> None:
             if which == 0:
                 predict(ins, z, H)
             else:

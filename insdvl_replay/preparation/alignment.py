@@ -297,7 +297,12 @@ class _Velocity:
         return self.velocity_n
 
 
-def _aligned(given: _Given, settings: _Settings, pose: _Pose, velocity: _Velocity) -> Alignment:
+def _aligned(
+    given: _Given,
+    settings: _Settings,
+    pose: _Pose,
+    velocity: _Velocity,
+) -> Alignment:
     """Give a start its uncertainty, and note what does not fit together."""
     initial = settings.initial
     notes = [*settings.notes, *pose.place.notes, *velocity.notes]
@@ -465,7 +470,11 @@ def _position_of_imu(given: _Given, settings: _Settings, pose: _Pose) -> Floats:
 
 
 def _level(
-    given: _Given, samples: ImuColumns, start_ns: int, place: _Place, heading: float
+    given: _Given,
+    samples: ImuColumns,
+    start_ns: int,
+    place: _Place,
+    heading: float,
 ) -> Level:
     """Find gravity in body axes, without the biases that the settings know."""
     unbiased = ImuColumns(
@@ -638,7 +647,13 @@ def _heading_notes(given: _Given, pose: _Pose) -> list[Note]:
     ]
 
 
-def _level_notes(level: Level, mat_nb: Floats, cov: Floats, *, is_sensed: bool) -> list[Note]:
+def _level_notes(
+    level: Level,
+    mat_nb: Floats,
+    cov: Floats,
+    *,
+    is_sensed: bool,
+) -> list[Note]:
     """Give roll and pitch with their standard deviations, or compare a sensor's with gravity."""
     rpy_deg = rpy_from_mat(mat_nb) / DEG
     if is_sensed:

@@ -70,7 +70,12 @@ def history_of_candidate(
     return replace(history, has_own_start=False, innovations=innovations), notes
 
 
-def failed_history(name: str, reason: str, baseline: History, imu: ImuColumns) -> History:
+def failed_history(
+    name: str,
+    reason: str,
+    baseline: History,
+    imu: ImuColumns,
+) -> History:
     """Return the history of a candidate that gave no trajectory."""
     empty = ReferenceColumns(
         np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3))
@@ -80,7 +85,12 @@ def failed_history(name: str, reason: str, baseline: History, imu: ImuColumns) -
     return replace(history, failure=f"{name} {reason}")
 
 
-def _columns(solution: Solution, start: Start, start_ns: int, end_ns: int) -> SolutionColumns:
+def _columns(
+    solution: Solution,
+    start: Start,
+    start_ns: int,
+    end_ns: int,
+) -> SolutionColumns:
     """Return a solution that begins at the start, and holds covariances at evenly chosen times."""
     time_ns = solution.time_ns
     inside = (time_ns >= start_ns) & (time_ns <= end_ns)
@@ -112,7 +122,13 @@ def _columns(solution: Solution, start: Start, start_ns: int, end_ns: int) -> So
     return SolutionColumns(motion, None, cov_ns, cov)
 
 
-def _from_start(own: Floats | None, start: Floats, rows: int, *, is_later: bool) -> Floats:
+def _from_start(
+    own: Floats | None,
+    start: Floats,
+    rows: int,
+    *,
+    is_later: bool,
+) -> Floats:
     """Return a column of a solution, NaN where it is not given; one that is later begins with the start."""
     if own is None:
         return nothing((rows + is_later, *start.shape))
@@ -122,7 +138,10 @@ def _from_start(own: Floats | None, start: Floats, rows: int, *, is_later: bool)
 
 
 def _require_this_dive(
-    history: History, baseline: History, imu: ImuColumns, first_ns: int
+    history: History,
+    baseline: History,
+    imu: ImuColumns,
+    first_ns: int,
 ) -> None:
     """Require that a solution covers the replay, begins where the baseline is, and turns and moves as that does.
 
@@ -162,7 +181,12 @@ def _require_covered(what: str, time_ns: TimeNs, known: Mask) -> None:
     )
 
 
-def _other_place(history: History, baseline: History, known: Mask, first_ns: int) -> str:
+def _other_place(
+    history: History,
+    baseline: History,
+    known: Mask,
+    first_ns: int,
+) -> str:
     """Say that a solution begins far from where the baseline is; empty if it does not."""
     row = int(np.argmax(known & (history.time_ns >= first_ns)))
     place = baseline.position[row]
@@ -187,7 +211,12 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _other_turns(history: History, baseline: History, imu: ImuColumns, known: Mask) -> str:
+def _other_turns(
+    history: History,
+    baseline: History,
+    imu: ImuColumns,
+    known: Mask,
+) -> str:
     """Say that a solution turns otherwise than baseline and gyros; empty if it does not."""
     rows = np.flatnonzero(known & np.isfinite(baseline.mat_nb).all(axis=(1, 2)))
     since_s = seconds(history.time_ns[rows], history.time_ns[0])
@@ -224,7 +253,10 @@ def _apart_deg(own: Floats, other: Floats) -> float:
 
 
 def _innovations(
-    given_ns: TimeNs, innovation_b: Floats, innovation_cov: Floats, velocities: DvlVelocities
+    given_ns: TimeNs,
+    innovation_b: Floats,
+    innovation_cov: Floats,
+    velocities: DvlVelocities,
 ) -> Innovations:
     """Return a solution's innovations of the DVL's velocity, in the axes of the IMU, at the pings."""
     known = np.isfinite(innovation_b).all(axis=1) & np.isfinite(innovation_cov).all(axis=(1, 2))

@@ -170,7 +170,11 @@ class ResolvedFilter:
         )
 
     def _beams(
-        self, beams: DvlBeams | None, velocities: DvlVelocities, mounting: DvlMounting, gaps: Gaps
+        self,
+        beams: DvlBeams | None,
+        velocities: DvlVelocities,
+        mounting: DvlMounting,
+        gaps: Gaps,
     ) -> list[Measurement]:
         """Prepare each beam; all swing together and are used independently, so together they say as much as one."""
         if beams is None:
@@ -186,7 +190,12 @@ class ResolvedFilter:
             found.append(self._as_set(replace(beam, cov=beam.cov + swing_var[:, None, None])))
         return found
 
-    def _acceleration(self, velocities: DvlVelocities, cov_b: Floats, gaps: Gaps) -> Measurement:
+    def _acceleration(
+        self,
+        velocities: DvlVelocities,
+        cov_b: Floats,
+        gaps: Gaps,
+    ) -> Measurement:
         """Prepare the slopes of the velocity; none is used whose window, or the reading at its ping, is in a gap."""
         settings = self.acceleration
         time_ns = velocities.time_ns
@@ -336,7 +345,12 @@ def prepare_sensors(
     return found, tuple(notes)
 
 
-def silence_notes(sensor: str, time_ns: TimeNs, start_ns: int, end_ns: int) -> list[Note]:
+def silence_notes(
+    sensor: str,
+    time_ns: TimeNs,
+    start_ns: int,
+    end_ns: int,
+) -> list[Note]:
     """Note the longest pause between readings where it is far longer than others; fixes come at the surface alone."""
     ends_ns = np.concatenate([[start_ns], time_ns, [end_ns]])
     length_s = np.diff(ends_ns) / NS_PER_S

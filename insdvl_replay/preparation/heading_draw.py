@@ -35,7 +35,12 @@ class HeadingDraw:
     solutions: Collection[str]  # recorded, so that the baseline alone runs
 
 
-def heading_draw(dive: Dive, prepared: Prepared, config: Config, seed: int) -> HeadingDraw | None:
+def heading_draw(
+    dive: Dive,
+    prepared: Prepared,
+    config: Config,
+    seed: int,
+) -> HeadingDraw | None:
     """Draw the second start of a dive; None where the heading is not the reference's, or no candidate depends on it."""
     of_reference = prepared.alignment.heading_source in (
         HeadingSource.REFERENCE,

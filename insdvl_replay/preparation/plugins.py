@@ -239,7 +239,13 @@ def _topics_hint(given: Dive, config: Config) -> str:
     return hint
 
 
-def _called(plugin: str, user: object, what: str, call: Callable[[], _T], hint: str) -> _T:
+def _called(
+    plugin: str,
+    user: object,
+    what: str,
+    call: Callable[[], _T],
+    hint: str,
+) -> _T:
     """Call code of the user's; what it raises becomes a ConfigError with file and line."""
     try:
         return call()
@@ -313,7 +319,11 @@ class _Tried(NamedTuple):
 
 
 def _tried_prediction(
-    plugin: str, user: UserMeasurement, size: int, filter_: ResolvedFilter, start: Start
+    plugin: str,
+    user: UserMeasurement,
+    size: int,
+    filter_: ResolvedFilter,
+    start: Start,
 ) -> _Tried:
     """Predict a reading once where a filter starts.
 
@@ -363,7 +373,11 @@ def _tried_prediction(
 
 
 def _jacobian_notes(
-    plugin: str, name: str, z: Floats, H: Floats, differences: Floats
+    plugin: str,
+    name: str,
+    z: Floats,
+    H: Floats,
+    differences: Floats,
 ) -> list[Note]:
     """Note what is not written of z and H, and the first entry of H that contradicts differences of z."""
     notes = list[Note]()
@@ -379,7 +393,12 @@ def _jacobian_notes(
         )
     known = np.isfinite(differences)
     with np.errstate(invalid="ignore"):
-        largest = np.abs(differences).max(axis=1, initial=0.0, where=known, keepdims=True)
+        largest = np.abs(differences).max(
+            axis=1,
+            initial=0.0,
+            where=known,
+            keepdims=True,
+        )
         off = np.abs(H - differences) > _TOLERANCE * np.maximum(np.abs(H), 1e-3 * largest)
     wrong = np.argwhere(off & (H != 0.0) & known & np.isfinite(H))
     if len(wrong):
@@ -403,7 +422,10 @@ def _jacobian_notes(
 
 
 def given_dive(
-    dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END
+    dive: Dive,
+    config: Config,
+    outages: Sequence[Outage] = (),
+    end_ns: int = NO_END,
 ) -> Dive:
     """Return the dive that user code is given: up to a time, without held-out sensors and without pings in outages.
 
@@ -511,7 +533,12 @@ def _far_apart(outages: Sequence[Outage]) -> list[list[Outage]]:
 
 
 def _in_outages(
-    plugin: str, base: type, size: int, dive: Dive, config: Config, outages: Sequence[Outage]
+    plugin: str,
+    base: type,
+    size: int,
+    dive: Dive,
+    config: Config,
+    outages: Sequence[Outage],
 ) -> UserReadings:
     """Return the readings in outages, each from a dive that ends with this outage and lacks its pings only.
 

@@ -358,7 +358,11 @@ def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
 
 
 def apply_gap_policy(
-    gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int
+    gaps: Gaps,
+    imu: Imu,
+    start_ns: int,
+    end_ns: int,
+    origin_ns: int,
 ) -> tuple[int, int, tuple[Note, ...]]:
     """Bridge or split at the long gaps of a span; return the span that is left, ns, with notes."""
     bridged = gaps.within(start_ns, end_ns)

@@ -71,7 +71,12 @@ class UserProcesses:
         folder.mkdir()
 
     def run(
-        self, run: str, dive_file: Path, start: CandidateStart, *, new_process: bool = False
+        self,
+        run: str,
+        dive_file: Path,
+        start: CandidateStart,
+        *,
+        new_process: bool = False,
     ) -> Solution:
         """Run the filter over a dive, from a start; the name of the run names its files.
 
@@ -119,7 +124,12 @@ class UserProcesses:
             self.cpu_s = cpu_s
 
     def _run_class(
-        self, word: str, dive_file: Path, start: CandidateStart, *, new_process: bool
+        self,
+        word: str,
+        dive_file: Path,
+        start: CandidateStart,
+        *,
+        new_process: bool,
     ) -> Solution:
         """Give a run to an idle process of the class, or to a new one."""
         try:
@@ -200,7 +210,12 @@ class UserProcesses:
             stdout = pipe or out
             try:
                 process = subprocess.Popen(
-                    words, stdin=stdin, stdout=stdout, stderr=err, env=env, start_new_session=True
+                    words,
+                    stdin=stdin,
+                    stdout=stdout,
+                    stderr=err,
+                    env=env,
+                    start_new_session=True,
                 )
             except OSError as error:
                 raise CandidateError(
@@ -326,7 +341,10 @@ def solution_of_class(word: str, dive_file: Path, start: CandidateStart) -> Solu
 
 
 def run_as_program(
-    kind: type[Candidate], dive_file: Path, start_file: Path, solution_file: Path
+    kind: type[Candidate],
+    dive_file: Path,
+    start_file: Path,
+    solution_file: Path,
 ) -> None:
     """Run a class over the files that a program is given."""
     start = CandidateStart.from_json(start_file.read_bytes())

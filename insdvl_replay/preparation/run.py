@@ -102,7 +102,11 @@ class Runs:
 
 
 def plan_runs(
-    dive: Dive, prepared: Prepared, config: Config, *, starts: int | None = None
+    dive: Dive,
+    prepared: Prepared,
+    config: Config,
+    *,
+    starts: int | None = None,
 ) -> RunPlan:
     """Choose the times at which errors are judged, the windows without the DVL, and the number of starts."""
     start_ns = prepared.alignment.start_ns
@@ -122,7 +126,12 @@ def plan_runs(
     )
 
 
-def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config) -> Runs:
+def run_candidates(
+    dive: Dive,
+    prepared: Prepared,
+    plan: RunPlan,
+    config: Config,
+) -> Runs:
     """Run every candidate over the dive, then the filters through windows without the DVL and from random starts.
 
     A history holds all of P where errors are judged by it, and where a window begins.
@@ -315,7 +324,10 @@ def run_outages(
 
 
 def run_from_drawn_starts(
-    dive: Dive, prepared: Prepared, count: int, seed: int = 0
+    dive: Dive,
+    prepared: Prepared,
+    count: int,
+    seed: int = 0,
 ) -> tuple[DrawnErrors, ...]:
     """Run every filter from the dive's own start and from others that err as P0 says, and keep their true errors.
 
@@ -343,7 +355,10 @@ def run_from_drawn_starts(
 
 
 def drawn_part(
-    dive: Dive, prepared: Prepared, count: int, seed: int
+    dive: Dive,
+    prepared: Prepared,
+    count: int,
+    seed: int,
 ) -> tuple[tuple[Start, ...], Dive, Prepared]:
     """Draw starts; return them with the part of the dive, and the times of its reference, over which they are run."""
     if dive.reference is None:

@@ -201,7 +201,12 @@ def _history(
     )
 
 
-def _first_ns(motion: ReferenceColumns, quantity: str, key: str, baseline: History) -> int:
+def _first_ns(
+    motion: ReferenceColumns,
+    quantity: str,
+    key: str,
+    baseline: History,
+) -> int:
     """Return the first time inside the replay at which a quantity is known, or between known ones."""
     known_ns = motion.time_ns[motion.known[quantity]]
     start_ns = int(baseline.time_ns[0])

@@ -71,7 +71,11 @@ class SourceSd:
 
 
 def reference_sd(
-    dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, latitude: float
+    dive: Dive,
+    config: Config,
+    velocities: DvlVelocities,
+    start_ns: int,
+    latitude: float,
 ) -> SourceSd:
     """Return the standard deviations of the reference at the start: stated, else estimated.
 
@@ -105,7 +109,12 @@ def reference_sd(
     )
 
 
-def ahrs_sd(dive: Dive, config: Config, start_ns: int, latitude: float) -> Floats:
+def ahrs_sd(
+    dive: Dive,
+    config: Config,
+    start_ns: int,
+    latitude: float,
+) -> Floats:
     """Return the standard deviations of the AHRS's attitude at the start, (3,), rad, about north, east and down.
 
     They are those of its messages, else of ``[heading]``; more if the gyros show it.
@@ -167,7 +176,12 @@ def stated_sd(reference: ReferenceColumns, settings: Reference, start_ns: int) -
 class Turns:
     """The turns that the gyros measure between times, to second order (Bortz, 1971)."""
 
-    def __init__(self, imu: ImuColumns, first_ns: int, last_ns: int) -> None:
+    def __init__(
+        self,
+        imu: ImuColumns,
+        first_ns: int,
+        last_ns: int,
+    ) -> None:
         first = max(0, int(np.searchsorted(imu.time_ns, first_ns, side="right")) - 1)
         last = int(np.searchsorted(imu.time_ns, last_ns)) + 1
         self._origin_ns = first_ns
@@ -248,7 +262,12 @@ def attitude_scatter(
     return AttitudeScatter(time_ns, mat_from_vector(-error) @ mat_nb, turns, white, sd)
 
 
-def _gyro_errors(step_s: Floats, turned_b: Floats, rest_b: Floats, seen: Floats) -> Floats:
+def _gyro_errors(
+    step_s: Floats,
+    turned_b: Floats,
+    rest_b: Floats,
+    seen: Floats,
+) -> Floats:
     """Return the part of each step, (k, 3), that a bias, scale factors and axes of the gyros explain."""
     causes = np.column_stack([step_s, turned_b])
     known = causes[seen]

@@ -100,7 +100,11 @@ class UserRun(NamedTuple):
 
 
 def with_user_candidates(
-    runs: Runs, dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
+    runs: Runs,
+    dive: Dive,
+    prepared: Prepared,
+    plan: RunPlan,
+    config: Config,
 ) -> Runs:
     """Add the runs of the user's filters to those of all others, which they do not change.
 
@@ -130,7 +134,11 @@ def with_user_candidates(
 
 
 def _planned_tests(
-    dive: Dive, prepared: Prepared, plan: RunPlan, config: Config, baseline: History
+    dive: Dive,
+    prepared: Prepared,
+    plan: RunPlan,
+    config: Config,
+    baseline: History,
 ) -> "_Tests":
     """Prepare what each filter of the user's is run over."""
     given = _given(given_dive(dive, config), prepared)
@@ -149,7 +157,12 @@ def _planned_tests(
     )
 
 
-def _with_run(runs: Runs, name: str, found: UserRun, baseline: str) -> Runs:
+def _with_run(
+    runs: Runs,
+    name: str,
+    found: UserRun,
+    baseline: str,
+) -> Runs:
     """Add what one filter of the user's gave. The baseline's name is for the sentence on one that is not repeatable."""
     drawn = runs.drawn
     if found.drawn is not None:
@@ -345,7 +358,10 @@ class _Candidate:
         return list(parallel_map(run, tests.outages, stop=self.processes.stop))
 
     def _outage_runs(
-        self, tests: _Tests, histories: Sequence[History], windows: Windows
+        self,
+        tests: _Tests,
+        histories: Sequence[History],
+        windows: Windows,
     ) -> OutageRuns:
         """Return its drifts and those of the baseline in all windows."""
         prepared = tests.whole.prepared
@@ -403,7 +419,10 @@ class _Candidate:
         return tuple(repeats)
 
     def _errors_again(
-        self, whole: GivenDive, first: History, again: "_Again"
+        self,
+        whole: GivenDive,
+        first: History,
+        again: "_Again",
     ) -> tuple[str, list[ErrorSeries]]:
         """Return the quantity that decides by the reference, and the errors of baseline, first run, and other runs."""
         settings = self.config.reference
@@ -424,7 +443,10 @@ class _Candidate:
         return quantity, series
 
     def _drifts_again(
-        self, tests: _Tests, first: History, again: "_Again"
+        self,
+        tests: _Tests,
+        first: History,
+        again: "_Again",
     ) -> tuple[str, list[ErrorSeries]]:
         """Return the quantity of the outage test, and the drifts of baseline, first run, and other runs."""
         windows = tests.windows
@@ -439,7 +461,12 @@ class _Candidate:
             series.append(ErrorSeries("m", ends_m))
         return f"outage_{windows.window_s}s", series
 
-    def _again(self, test: GivenDive, changes: Sequence[Change], start: Start) -> "_Again":
+    def _again(
+        self,
+        test: GivenDive,
+        changes: Sequence[Change],
+        start: Start,
+    ) -> "_Again":
         """Run it over a dive with each change, from the same start."""
 
         def run(change: Change) -> _Answer | CandidateError:
@@ -541,7 +568,12 @@ def with_repeated_samples(imu: ImuColumns) -> ImuColumns:
     )
 
 
-def _notes_of(repeats: Sequence[Repeat], digest: str, key: str, baseline: str) -> tuple[Note, ...]:
+def _notes_of(
+    repeats: Sequence[Repeat],
+    digest: str,
+    key: str,
+    baseline: str,
+) -> tuple[Note, ...]:
     """Note whether a second run gave the same answer, and how far it moves."""
     [again] = [repeat for repeat in repeats if repeat.change == Change.AGAIN]
     others = [repeat for repeat in repeats if repeat.change != Change.AGAIN]
@@ -611,7 +643,10 @@ def _windows(plan: OutagePlan) -> Windows | None:
 
 
 def _outage_dives(
-    dive: Dive, prepared: Prepared, config: Config, windows: Windows | None
+    dive: Dive,
+    prepared: Prepared,
+    config: Config,
+    windows: Windows | None,
 ) -> list[GivenDive]:
     """Make dives that lack the pings of every third window, and run the baseline over them."""
     if windows is None:
@@ -643,7 +678,10 @@ def _outage_dives(
 
 
 def _drifts(
-    dives: Sequence[GivenDive], histories: Sequence[History], prepared: Prepared, windows: Windows
+    dives: Sequence[GivenDive],
+    histories: Sequence[History],
+    prepared: Prepared,
+    windows: Windows,
 ) -> tuple[OutageRun, ...]:
     """Return the drift of a filter in all windows, in their order, by the absent pings."""
     found = dict[int, OutageRun]()

@@ -63,7 +63,10 @@ def history_frame(history: History) -> "pd.DataFrame":
 
 
 def reference_frame(
-    reference: ReferenceColumns | None, start_ns: int, end_ns: int, origin: Floats
+    reference: ReferenceColumns | None,
+    start_ns: int,
+    end_ns: int,
+    origin: Floats,
 ) -> "pd.DataFrame":
     """Return the reference inside a replay, a row for each of its times, with metres from an origin, (3,) rad and m."""
     if reference is None:
@@ -85,7 +88,10 @@ def _with_metres(frame: "pd.DataFrame", origin: Floats) -> "pd.DataFrame":
 
 
 def _motion_frame(
-    time_ns: TimeNs, position: Floats, velocity_n: Floats, mat_nb: Floats
+    time_ns: TimeNs,
+    position: Floats,
+    velocity_n: Floats,
+    mat_nb: Floats,
 ) -> "pd.DataFrame":
     """Return a motion in shown units, by time."""
     import pandas as pd

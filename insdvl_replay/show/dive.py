@@ -242,7 +242,10 @@ def _shown_rows(table: str, rows: Sequence[Any]) -> list[Any]:
 
 
 def _shown_table(
-    report: Report, layout: TableLayout, name: str, rows: Sequence[Any]
+    report: Report,
+    layout: TableLayout,
+    name: str,
+    rows: Sequence[Any],
 ) -> DisplayTable:
     """Return a table, of one filter if it has a name; the baseline's errors are compared with nothing."""
     footnote = _footnote(report, layout.name, name, rows)
@@ -281,7 +284,12 @@ _INNOVATIONS: Final[tuple[ShownColumn, ...]] = (
 )
 
 
-def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str:
+def _footnote(
+    report: Report,
+    table: str,
+    name: str,
+    rows: Sequence[Any],
+) -> str:
     """Return the footnote of a table, if it depends on the rows."""
     match table:
         case "evidence":
@@ -524,7 +532,11 @@ def dive_section(report: Report, name: str, title: str = "Evidence") -> str:
 
 
 def dive_page(
-    report: Report, first: Sequence[Panel], figures: Sequence[Figure], strips: str, settings: str
+    report: Report,
+    first: Sequence[Panel],
+    figures: Sequence[Figure],
+    strips: str,
+    settings: str,
 ) -> bytes:
     """Return the page of a replay; the same replay gives the same bytes."""
     sensors = captioned(

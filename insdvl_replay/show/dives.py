@@ -352,7 +352,11 @@ _MOST_ROWS: Final = 8  # Evidence rows of the forest plot of all dives.
 
 
 def _section(
-    answer: CandidateAnswer, reports: Sequence[Report], initial: str, *, linked: bool
+    answer: CandidateAnswer,
+    reports: Sequence[Report],
+    initial: str,
+    *,
+    linked: bool,
 ) -> str:
     dives = dives_forest(answer, reports, linked=linked)
     if answer.verdict in WITHOUT_VERDICT:

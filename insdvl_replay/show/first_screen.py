@@ -109,7 +109,12 @@ def _axis(end: float, bottom: int) -> Iterator[str]:
         yield f'<text class="tick" x="{across}" y="{bottom + 13}" text-anchor="middle">{tick:g}</text>'
 
 
-def _row(row: ForestRow, middle: float, end: float, mark: str) -> Iterator[str]:
+def _row(
+    row: ForestRow,
+    middle: float,
+    end: float,
+    mark: str,
+) -> Iterator[str]:
     """Draw a row: its label, its ratio on the axis up to ``end``, and its text with the mark of a footnote."""
     foot = middle + _BASELINE
     style = f"row {tone_class(row.tone)}"

@@ -95,7 +95,10 @@ MOST_ROWS_OF_DIVE: Final = 3
 
 
 def _answer_parts(
-    answers: Sequence[CandidateAnswer], initial: str, start: str, reports: Sequence[Report]
+    answers: Sequence[CandidateAnswer],
+    initial: str,
+    start: str,
+    reports: Sequence[Report],
 ) -> Iterator[Part]:
     """Yield verdict, how far it acts, convergence, prediction, and what the dives can find, of each candidate.
 

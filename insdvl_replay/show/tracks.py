@@ -75,7 +75,10 @@ def tum_trajectory(
 
 
 def map_of_tracks(
-    format_: str, dive: str, frames: Mapping[str, "pd.DataFrame"], reference: "pd.DataFrame"
+    format_: str,
+    dive: str,
+    frames: Mapping[str, "pd.DataFrame"],
+    reference: "pd.DataFrame",
 ) -> bytes:
     """Write tracks as lines, by name, from frames of histories and of the reference."""
     named = [(name, "filter", frame) for name, frame in frames.items()]

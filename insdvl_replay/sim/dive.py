@@ -266,4 +266,10 @@ def add_errors(
         rng = np.random.default_rng([seed, *name.encode()])
         sensors[name] = add_sensor_errors(name, exact.sensors[name], errors, rng)
     dvl = add_dvl_errors(exact.dvl, dvl_errors, dvl_rng)
-    return replace(exact, imu=imu, dvl=dvl, truth=truth, sensors=sensors)
+    return replace(
+        exact,
+        imu=imu,
+        dvl=dvl,
+        truth=truth,
+        sensors=sensors,
+    )

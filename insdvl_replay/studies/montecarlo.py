@@ -81,7 +81,11 @@ class MonteCarloSetup:
 
 
 def make_setup(
-    scenario: str, config: Config, imu: str, duration_s: float | None = None, outages: Outages = ()
+    scenario: str,
+    config: Config,
+    imu: str,
+    duration_s: float | None = None,
+    outages: Outages = (),
 ) -> MonteCarloSetup:
     """Simulate the exact dive and choose the errors of its sensors."""
     grades = {name: (errors, DvlErrors()) for name, errors in GRADES.items()}
@@ -256,7 +260,10 @@ def repeat_run(
 
 
 def _asked(
-    setup: MonteCarloSetup, imu: str, seed: int, outages: Outages
+    setup: MonteCarloSetup,
+    imu: str,
+    seed: int,
+    outages: Outages,
 ) -> tuple[dict[str, Any], str, str]:
     """Return the arguments, the duration, and a text on the random draws."""
     time_ns = setup.exact.imu.time_ns

@@ -223,7 +223,10 @@ def _value_rows(
 
 
 def _state_rows(
-    aiding: str, analysis: Observability, prior_sd: Floats, left_sd: Floats
+    aiding: str,
+    analysis: Observability,
+    prior_sd: Floats,
+    left_sd: Floats,
 ) -> pd.DataFrame:
     """Return how certain each state is after the last ping."""
     return pd.DataFrame(
@@ -331,7 +334,12 @@ def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
     )
 
 
-def _by_aiding(title: str, table: pd.DataFrame, key: str, footnote: str = "") -> DisplayTable:
+def _by_aiding(
+    title: str,
+    table: pd.DataFrame,
+    key: str,
+    footnote: str = "",
+) -> DisplayTable:
     """Return a table of the column ``text`` with a row for each key and a column for each aiding."""
     aidings = table["aiding"].unique()
     keys = table[key].unique()

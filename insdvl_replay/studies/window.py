@@ -60,7 +60,11 @@ Windows = tuple[pd.DataFrame, float, tuple[Note, ...]]
 
 
 def study_window(
-    paths: Sequence[Path], config: Config, longest: int = 10, *, jobs: int = 1
+    paths: Sequence[Path],
+    config: Config,
+    longest: int = 10,
+    *,
+    jobs: int = 1,
 ) -> Result:
     """Compare the accelerations from 2 to ``longest`` velocities with the reference of each log.
 

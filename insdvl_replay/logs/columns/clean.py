@@ -117,7 +117,12 @@ class Cleaner:
         """Drop the rows that are not good; the code, without the source, says what the dropped messages are like."""
         self._keep_rows(good[self.rows], code, severity, **fields)
 
-    def keep_where(self, quantity: str, good: Callable[[Floats], Mask], code: str) -> None:
+    def keep_where(
+        self,
+        quantity: str,
+        good: Callable[[Floats], Mask],
+        code: str,
+    ) -> None:
         """Drop the rows of which a number of a quantity is not good, if the topic holds it."""
         if quantity in self.table:
             self.keep(np.asarray(good(self.table.values(quantity)).all(axis=1)), code)
@@ -149,7 +154,12 @@ class Cleaner:
         severity = Severity.WARNING if is_serious else Severity.INFO
         self.keep(finite, code, severity, **fields)
 
-    def keep_possible(self, possible: Mask, impossible: Floats, code: str) -> None:
+    def keep_possible(
+        self,
+        possible: Mask,
+        impossible: Floats,
+        code: str,
+    ) -> None:
         """Drop rows with impossible readings, shape (m,), unless these mean a wrong unit."""
         if not self._are_of_another_unit(~possible[self.rows], impossible):
             self.keep(possible, code, values=shown(impossible))

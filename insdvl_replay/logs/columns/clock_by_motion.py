@@ -326,7 +326,13 @@ def _unit(values: Floats) -> Floats:
     return values / max(size, 1e-12)
 
 
-def _evidence(of_imu: Floats, rows: Rows, origin_ns: int, at_s: Floats, step_s: float) -> Floats:
+def _evidence(
+    of_imu: Floats,
+    rows: Rows,
+    origin_ns: int,
+    at_s: Floats,
+    step_s: float,
+) -> Floats:
     """Return twice the logarithm of the likelihood that each lag gains over no relation at all."""
     row_s = seconds(rows.time_ns, origin_ns)
     change, middle = _smoothed(row_s, rows.values, at_s, step_s)
@@ -347,7 +353,12 @@ def _evidence(of_imu: Floats, rows: Rows, origin_ns: int, at_s: Floats, step_s: 
     return _Lags(of_imu, of_dvl, change, terms).evidence(least_s / step_s)
 
 
-def _smoothed(row_s: Floats, values: Floats, at_s: Floats, step_s: float) -> tuple[Floats, Floats]:
+def _smoothed(
+    row_s: Floats,
+    values: Floats,
+    at_s: Floats,
+    step_s: float,
+) -> tuple[Floats, Floats]:
     """Return the change of rows per second over two steps around times, and their mean there, (n, 3) each."""
     half_s = 0.5 * step_s
     change = np.empty((len(at_s), 3))
@@ -688,7 +699,12 @@ class _Scores:
             found[rows] = part - curve
         return found
 
-    def _covariance(self, alone: Floats, left: Floats, weight: Floats) -> tuple[Floats, float]:
+    def _covariance(
+        self,
+        alone: Floats,
+        left: Floats,
+        weight: Floats,
+    ) -> tuple[Floats, float]:
         """Return the covariance of lag and drift by the scatter of the blocks, not below that of single rows.
 
         By how much it is larger is returned, too.

@@ -83,7 +83,12 @@ def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
     return _decode_beams(table, cleaner, beams, has_beams, directions), cleaner.notes
 
 
-def _is_by_beams(table: Table, settings: Dvl, cleaner: Cleaner, valid: Floats) -> bool:
+def _is_by_beams(
+    table: Table,
+    settings: Dvl,
+    cleaner: Cleaner,
+    valid: Floats,
+) -> bool:
     """Return whether the beams are used: as the settings say, else where a valid one is ever there."""
     if settings.kind is not None:
         quantity = "beam_velocity" if settings.kind == "beams" else "velocity"
@@ -151,7 +156,11 @@ def _decode_velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColu
 
 
 def _decode_beams(
-    table: Table, cleaner: Cleaner, beams_mps: Floats, has_beams: Mask, directions: _Directions
+    table: Table,
+    cleaner: Cleaner,
+    beams_mps: Floats,
+    has_beams: Mask,
+    directions: _Directions,
 ) -> DvlColumns:
     # Along the beams.
     cleaner.keep_where("coordinates", lambda kind: kind == 0, "coordinates")
@@ -349,7 +358,12 @@ def _reported_vectors(table: Table, cleaner: Cleaner) -> Floats:
     return np.asarray(np.median(vectors, axis=0))
 
 
-def _numbers_of_beams(table: Table, cleaner: Cleaner, quantity: str, width: int) -> Floats:
+def _numbers_of_beams(
+    table: Table,
+    cleaner: Cleaner,
+    quantity: str,
+    width: int,
+) -> Floats:
     """Return so many numbers of each beam, shape (k, beams, width)."""
     numbers = _limited(cleaner.kept(table.values(quantity)))
     if numbers.shape[1] % width:
@@ -401,7 +415,11 @@ def _unused_directions(table: Table, settings: Dvl, cleaner: Cleaner) -> _Direct
 
 
 def _used_directions(
-    table: Table, settings: Dvl, cleaner: Cleaner, beams_mps: Floats, is_given: bool
+    table: Table,
+    settings: Dvl,
+    cleaner: Cleaner,
+    beams_mps: Floats,
+    is_given: bool,
 ) -> _Directions | None:
     """Return where the beams that are used point; None if they contradict the velocity of the instrument.
 
@@ -435,7 +453,13 @@ def _used_directions(
     return _Directions(in_use, look)
 
 
-def _note_fault(cleaner: Cleaner, fault: str, in_use: Floats, *, are_compared: bool) -> None:
+def _note_fault(
+    cleaner: Cleaner,
+    fault: str,
+    in_use: Floats,
+    *,
+    are_compared: bool,
+) -> None:
     """Report directions in the messages that cannot be, and those that are used."""
     code = "beam_geometry"
     if are_compared:
@@ -475,7 +499,12 @@ def _directions_in_messages(
     return in_frd(raw / lengths, settings.axes or FRD, "dvl.axes"), fault
 
 
-def _note_other_directions(cleaner: Cleaner, vectors_d: Floats, code: str, why: str) -> None:
+def _note_other_directions(
+    cleaner: Cleaner,
+    vectors_d: Floats,
+    code: str,
+    why: str,
+) -> None:
     """Report directions that are used instead of those in the messages."""
     cleaner.note(
         code,
@@ -520,7 +549,10 @@ def _note_look(cleaner: Cleaner, look: Floats | None) -> None:
 
 
 def _compared_pings(
-    table: Table, settings: Dvl, cleaner: Cleaner, beams_mps: Floats
+    table: Table,
+    settings: Dvl,
+    cleaner: Cleaner,
+    beams_mps: Floats,
 ) -> BeamVelocities | None:
     """Return the pings whose beams can be compared with the instrument's own velocity; None without any."""
     if "velocity" not in table or "coordinates" in table:

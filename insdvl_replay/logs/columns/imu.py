@@ -37,7 +37,12 @@ FRD: Final = "frd"  # the project's axes, the default
 _NAMED_AXES: Final = {FRD: "+x+y+z", "flu": "+x-y-z"}
 
 
-def in_frd(vectors: Floats, axes: str, key: str, unit: float = 1.0) -> Floats:
+def in_frd(
+    vectors: Floats,
+    axes: str,
+    key: str,
+    unit: float = 1.0,
+) -> Floats:
     """Bring vectors, (k, 3), from the log's axes and unit to forward-starboard-down and SI.
 
     Axes are ``frd``, ``flu``, or a signed permutation whose i-th part is the reading along the i-th of the axes
@@ -108,7 +113,12 @@ def turned_to_body(imu: ImuColumns, rpy_deg: Sequence[float]) -> ImuColumns:
     )
 
 
-def measured_vectors(table: Table, quantity: str, short: str, settings: Imu) -> Floats:
+def measured_vectors(
+    table: Table,
+    quantity: str,
+    short: str,
+    settings: Imu,
+) -> Floats:
     """Return a vector, NaN where its message says by a negative variance that it is not measured.
 
     What is given with an interval, by type or by the settings, is an increment over it; one over no time is NaN.
@@ -131,7 +141,10 @@ def measured_vectors(table: Table, quantity: str, short: str, settings: Imu) -> 
 
 
 def _drop_impossible(
-    cleaner: Cleaner, possible: Mask, specific_force_b: Floats, angular_rate_b: Floats
+    cleaner: Cleaner,
+    possible: Mask,
+    specific_force_b: Floats,
+    angular_rate_b: Floats,
 ) -> None:
     """Drop samples that no IMU on a vehicle reads, unless it reads nothing else."""
     rows = cleaner.rows[~possible[cleaner.rows]]

@@ -250,7 +250,10 @@ def _without_published_again(
 
 
 def _position(
-    table: Table, settings: Navigation, initial: Initial, cleaner: Cleaner
+    table: Table,
+    settings: Navigation,
+    initial: Initial,
+    cleaner: Cleaner,
 ) -> Floats | None:
     if "latitude" in table:
         return _position_on_earth(table, settings, cleaner)
@@ -443,7 +446,11 @@ def decode_solution(
 
 
 def _covariances(
-    table: Table, settings: Navigation, found: Mapping[str, Floats], order: TimeNs, rows: TimeNs
+    table: Table,
+    settings: Navigation,
+    found: Mapping[str, Floats],
+    order: TimeNs,
+    rows: TimeNs,
 ) -> tuple[Floats, int]:
     """Return the covariance of the sampled rows in n, shape (c, 9, 9), and count matrices that are none.
 

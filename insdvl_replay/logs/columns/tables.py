@@ -288,7 +288,12 @@ class Column:
         self._rows = self._with_room(before, width, dtype)
         _fill(self._rows[len(before) : self._count], values)
 
-    def _with_room(self, before: Array, width: int, dtype: np.dtype[Any]) -> Array:
+    def _with_room(
+        self,
+        before: Array,
+        width: int,
+        dtype: np.dtype[Any],
+    ) -> Array:
         """Return the rows so far, copied where there is no room for more, or for numbers of another kind."""
         room = self._announced
         if self._rows is not None:
@@ -325,7 +330,12 @@ def _fill(rows: Array, values: Array) -> None:
 class _Builder:
     """Collects the columns of one topic, block by block."""
 
-    def __init__(self, log: Recording, source: Source, enough: int = sys.maxsize) -> None:
+    def __init__(
+        self,
+        log: Recording,
+        source: Source,
+        enough: int = sys.maxsize,
+    ) -> None:
         self.log = log
         self.source = source
         self.where = (str(log.path), source.topic)
@@ -536,7 +546,12 @@ _IN_STEP: Final = 0.2
 
 
 def measure_clock(
-    role: str, topic: str, stamp: str, time_ns: TimeNs, log_time_ns: TimeNs, latency_s: float = 0.0
+    role: str,
+    topic: str,
+    stamp: str,
+    time_ns: TimeNs,
+    log_time_ns: TimeNs,
+    latency_s: float = 0.0,
 ) -> Clock:
     """Compare stamps, without the latency, with the times of recording, both of shape (k,), in the file's order."""
     # As arrays, whose sums go round at 2^64: log times behind 2^63 still give what they are behind.
@@ -610,7 +625,12 @@ def _unsteady_note(clock: Clock) -> Note | None:
     return unsteady.about(clock.topic)
 
 
-def _apart_note(place: str, imu: Clock, other: Clock, max_disagreement_s: float) -> Note | None:
+def _apart_note(
+    place: str,
+    imu: Clock,
+    other: Clock,
+    max_disagreement_s: float,
+) -> Note | None:
     """Note that a clock is not that of the IMU; refuse it where it is too far off."""
     pairs = product(_both_ways(other), _both_ways(imu))
     jitter_s = min(other.spread_s, LARGEST_JITTER_S) + min(imu.spread_s, LARGEST_JITTER_S)

@@ -277,7 +277,11 @@ class TopicRole:
                 raise LogError(what, f'{self.name}.{lacking[0]} = "field.path"')
 
     def _require_enough(
-        self, topic: str, type_name: str, known: KnownType, fields: Collection[str]
+        self,
+        topic: str,
+        type_name: str,
+        known: KnownType,
+        fields: Collection[str],
     ) -> None:
         """Refuse a topic that has too little for the role."""
         if any(quantities <= set(fields) for quantities in self.enough):
@@ -325,7 +329,12 @@ class TopicRole:
                     raise LogError(text, hint)
         return {path: factor for path, factor in factors.items() if factor != 1.0}
 
-    def _or_set(self, quantity: str, key: str, unit: str) -> str:
+    def _or_set(
+        self,
+        quantity: str,
+        key: str,
+        unit: str,
+    ) -> str:
         """End a hint on an unknown unit with the key that tells the unit, or that the readings are increments."""
         kind, _ = _INCREMENTS.get(quantity, ("", ""))
         if kind and unit in UNITS_BY_KIND[kind]:
@@ -433,7 +442,12 @@ ROLES: Final = {
 }
 
 
-def role_with(name: str, section: Any, kind: str = "", key: str = "topic") -> TopicRole:
+def role_with(
+    name: str,
+    section: Any,
+    kind: str = "",
+    key: str = "topic",
+) -> TopicRole:
     """Return a role of some kind with what its section of the settings says of topic, fields and stamp."""
     role = ROLES[kind or name]
     given = {quantity: getattr(section, quantity) for quantity in role.quantities}

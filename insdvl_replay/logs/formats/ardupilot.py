@@ -161,7 +161,12 @@ class ArdupilotFile(DataflashFile):
         return min(instances)
 
     def _table(
-        self, kind: _Kind, timed: _Timed, instance: int, *, is_main: bool
+        self,
+        kind: _Kind,
+        timed: _Timed,
+        instance: int,
+        *,
+        is_main: bool,
     ) -> InstrumentTable:
         """Make a table of records; only the main one of a role has the type by which it is found."""
         records = timed.records

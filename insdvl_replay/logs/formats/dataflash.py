@@ -155,7 +155,12 @@ class DataflashFile(InstrumentFile):
             yield place, data, heads
             place += reached
 
-    def _lose_gaps(self, place: int, begins: TimeNs, ends: TimeNs) -> None:
+    def _lose_gaps(
+        self,
+        place: int,
+        begins: TimeNs,
+        ends: TimeNs,
+    ) -> None:
         """Lose the bytes between records."""
         for gap in np.flatnonzero(ends > begins).tolist():
             count = int(ends[gap] - begins[gap])
@@ -164,7 +169,11 @@ class DataflashFile(InstrumentFile):
             self.lose(place + int(begins[gap]), what, 1 + count // _LONGEST)
 
     def _check_formats(
-        self, place: int, data: Bytes, starts: TimeNs, layouts: dict[int, Layout]
+        self,
+        place: int,
+        data: Bytes,
+        starts: TimeNs,
+        layouts: dict[int, Layout],
     ) -> None:
         """Lose records FMT that cannot be, or that contradict the first one of their kind."""
         for start in starts.tolist():

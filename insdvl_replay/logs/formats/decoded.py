@@ -190,7 +190,11 @@ def _is_vector(shape: Shape) -> bool:
 
 
 def _field(
-    name: str, shape: Shape, chosen: slice, rest: Sequence[tuple[str, slice]], access: Access
+    name: str,
+    shape: Shape,
+    chosen: slice,
+    rest: Sequence[tuple[str, slice]],
+    access: Access,
 ) -> Numbers:
     inside = _inside(shape, rest, access)
     end = shape
@@ -225,7 +229,12 @@ def protobuf_reader(type_name: str, schema_data: bytes, paths: Sequence[str]) ->
     from mcap.records import Schema
     from mcap_protobuf.decoder import DecoderFactory
 
-    schema = Schema(id=1, name=type_name, encoding="protobuf", data=schema_data)
+    schema = Schema(
+        id=1,
+        name=type_name,
+        encoding="protobuf",
+        data=schema_data,
+    )
     try:
         decode_any = DecoderFactory().decoder_for("protobuf", schema)
         if decode_any is None:
@@ -300,7 +309,12 @@ _UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 class JsonReader(DecodedFields):
     """Reads some fields of JSON messages; what their schema does not tell, the first of them do."""
 
-    def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str]) -> None:
+    def __init__(
+        self,
+        type_name: str,
+        schema_data: bytes,
+        paths: Sequence[str],
+    ) -> None:
         super().__init__(type_name or "a JSON message", paths, _decoded, _member)
         self._shape = _schema_shape(schema_data)
         self.known = dict(self._shape.paths())

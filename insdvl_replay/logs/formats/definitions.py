@@ -74,7 +74,10 @@ def _only(language: str) -> str:
 
 @cache
 def definitions_of(
-    type_name: str, schema_text: str, encoding: str, schema_encoding: str = ""
+    type_name: str,
+    schema_text: str,
+    encoding: str,
+    schema_encoding: str = "",
 ) -> Definitions:
     """Parse a channel's schema. What a schema of ROS 2 lacks, all of it or types in it, comes with the tool."""
     if encoding == "ros1":

@@ -98,7 +98,12 @@ class InstrumentFile(RowsFile):
     def tables(self) -> Iterator[InstrumentTable]:
         """Decode the file; what cannot be decoded goes to `lose`, what is of other kinds to `pass_over`."""
 
-    def lose(self, offset: int, found: str, count: int = 1) -> None:
+    def lose(
+        self,
+        offset: int,
+        found: str,
+        count: int = 1,
+    ) -> None:
         """Leave out a damaged record, or several, that begin at a place of the file."""
         self._lost_count += count
         if len(self._lost) < _KEPT:

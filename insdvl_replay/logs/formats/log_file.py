@@ -209,7 +209,12 @@ def opened(
     return content
 
 
-def _decompressed(data: memoryview, compression: str, most: int, offset: int) -> memoryview:
+def _decompressed(
+    data: memoryview,
+    compression: str,
+    most: int,
+    offset: int,
+) -> memoryview:
     """Decompress the bytes of a chunk, up to the most that are of use."""
     try:
         if compression == "":
@@ -546,7 +551,12 @@ class _TopicFound:
     holes: int = 0  # damaged places before the last of them in the file
     gap_ns: int = 0  # for how long it has none around damaged places
 
-    def add(self, time_ns: TimeNs, holes: int, begun_ns: int | None) -> None:
+    def add(
+        self,
+        time_ns: TimeNs,
+        holes: int,
+        begun_ns: int | None,
+    ) -> None:
         """Add the messages of a chunk that has some damaged places before it.
 
         A topic is interrupted from its last message before damaged bytes to its first one behind them. Before its first
@@ -580,7 +590,12 @@ class ChunkedFile(LogFile):
         self._kept: dict[int, Content] = {}
 
     @abstractmethod
-    def _find_messages(self, chunk: Chunk, buffer: memoryview, behind: memoryview) -> Messages:
+    def _find_messages(
+        self,
+        chunk: Chunk,
+        buffer: memoryview,
+        behind: memoryview,
+    ) -> Messages:
         """Find the messages of an open chunk, behind which are its indexes."""
 
     @abstractmethod

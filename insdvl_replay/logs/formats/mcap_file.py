@@ -143,7 +143,12 @@ def walk(buffer: memoryview, room: int) -> Walk:
     return Walk(records, others, place, is_broken)
 
 
-def _count_alike(buffer: memoryview, place: int, head: tuple[int, int], most: int) -> int:
+def _count_alike(
+    buffer: memoryview,
+    place: int,
+    head: tuple[int, int],
+    most: int,
+) -> int:
     """Count the records from a place on that have one head, up to some of them."""
     kind, length = head
     size = HEADER_SIZE + length
@@ -223,7 +228,12 @@ def log_channels(
     counts: Mapping[int, int],
 ) -> tuple[LogChannel, ...]:
     """Return the channels of a file with their types and numbers of messages."""
-    no_schema = records.Schema(id=0, name="", encoding="", data=b"")
+    no_schema = records.Schema(
+        id=0,
+        name="",
+        encoding="",
+        data=b"",
+    )
     found = []
     for channel in channels.values():
         schema = schemas.get(channel.schema_id) or no_schema
@@ -330,7 +340,12 @@ class McapFile(ChunkedFile):
         if not self._is_closed:
             self.damages = {Damage(last, _CUT): None, **self.damages}
 
-    def _take_all(self, window: memoryview, place: int, found: Integers) -> None:
+    def _take_all(
+        self,
+        window: memoryview,
+        place: int,
+        found: Integers,
+    ) -> None:
         """File the records of a window; messages that follow each other are as one chunk."""
         if not len(found):
             return
@@ -355,7 +370,13 @@ class McapFile(ChunkedFile):
                     return True
         return False
 
-    def _take(self, kind: int, start: int, length: int, content: memoryview) -> None:
+    def _take(
+        self,
+        kind: int,
+        start: int,
+        length: int,
+        content: memoryview,
+    ) -> None:
         """File a record; of its content as much is given as is in the window."""
         begin = start + HEADER_SIZE
         if kind == Opcode.CHUNK:
@@ -371,7 +392,12 @@ class McapFile(ChunkedFile):
                 content = self.file.read(begin, begin + length)
             self._take_record(kind, content[:length], start)
 
-    def _take_index(self, start: int, length: int, content: memoryview) -> None:
+    def _take_index(
+        self,
+        start: int,
+        length: int,
+        content: memoryview,
+    ) -> None:
         """Give the chunk before it an index of its messages of one channel."""
         chunk = self._chunks[-1] if self._chunks else Chunk(0, 0)
         if chunk.index_end != start or chunk.is_loose:
@@ -384,7 +410,12 @@ class McapFile(ChunkedFile):
             raise DamageError(start, what)
         chunk.counts[channel_id] = size // _ENTRY.itemsize
 
-    def _take_record(self, kind: int, content: memoryview, offset: int) -> None:
+    def _take_record(
+        self,
+        kind: int,
+        content: memoryview,
+        offset: int,
+    ) -> None:
         """Read a record whole; a schema or a channel may be repeated in the summary and in chunks."""
         try:
             record = _RECORDS[kind].read(ReadDataStream(BytesIO(content)))
@@ -525,7 +556,12 @@ class McapFile(ChunkedFile):
 
     # --- Chunks.
 
-    def _find_messages(self, chunk: Chunk, buffer: memoryview, behind: memoryview) -> Messages:
+    def _find_messages(
+        self,
+        chunk: Chunk,
+        buffer: memoryview,
+        behind: memoryview,
+    ) -> Messages:
         """Find the messages of an open chunk by its indexes, if the records agree with them, else record by record."""
         entries = self._entries(chunk, behind)
         ids, log_ns, starts = entries[:, np.argsort(entries[2], kind="stable")]
@@ -615,7 +651,12 @@ class McapFile(ChunkedFile):
             return MessageTimes(entries[0], entries[1])
         return None
 
-    def _take_definitions(self, chunk: Chunk, buffer: memoryview, found: Integers) -> None:
+    def _take_definitions(
+        self,
+        chunk: Chunk,
+        buffer: memoryview,
+        found: Integers,
+    ) -> None:
         for kind, start, length in found[found[:, 0] < Opcode.MESSAGE].tolist():
             if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
                 with self.collected():

@@ -68,7 +68,12 @@ class UnpackedBytes(FileBytes):
 
 
 @lru_cache(_KEPT)
-def _unpacked(path: Path, size: int, _mtime_ns: int, _inode: int) -> _Copy:
+def _unpacked(
+    path: Path,
+    size: int,
+    _mtime_ns: int,
+    _inode: int,
+) -> _Copy:
     """Unpack a file; what is damaged in it is kept with the copy, which then ends there."""
     most = max(_USUAL, _MOST_COMPRESSED * size)
     copy = _Copy()

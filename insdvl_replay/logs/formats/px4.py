@@ -82,7 +82,13 @@ def _vehicle_start_us(found: Messages) -> int:
     return 0
 
 
-def _table(key: tuple[str, int], rows: Array, start_us: int, *, is_main: bool) -> InstrumentTable:
+def _table(
+    key: tuple[str, int],
+    rows: Array,
+    start_us: int,
+    *,
+    is_main: bool,
+) -> InstrumentTable:
     """Make a table of messages; only the main one of a role has the type by which it is found."""
     name, instance = key
     columns: dict[str, Array] = {}

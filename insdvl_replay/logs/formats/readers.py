@@ -118,7 +118,12 @@ class _Plan:
     """What is read of the messages of one layout, as one structure: words that must agree, numbers and texts."""
 
     def __init__(
-        self, layout: Layout, paths: Sequence[str], element: Element | None, *, is_cdr: bool
+        self,
+        layout: Layout,
+        paths: Sequence[str],
+        element: Element | None,
+        *,
+        is_cdr: bool,
     ) -> None:
         self.size = layout.size
         taken = _Taken()
@@ -304,7 +309,12 @@ class BinaryReader:
             raise LogError(text, "the schema in the log does not match the messages")
         return rows, plan, values
 
-    def _with_layout(self, block: Block, rows: Rows, plan: _Plan) -> tuple[Rows, Array]:
+    def _with_layout(
+        self,
+        block: Block,
+        rows: Rows,
+        plan: _Plan,
+    ) -> tuple[Rows, Array]:
         """Read those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
         # All that is read of a message is inside its record, since none is shorter than the layout.
         padding = block.sizes[rows] - plan.size
@@ -335,7 +345,12 @@ class BinaryReader:
                 "record with the default middleware, or convert the log with `ros2 bag convert`",
             )
 
-    def _wanted(self, plan: _Plan, values: Array, element: Element) -> Mask:
+    def _wanted(
+        self,
+        plan: _Plan,
+        values: Array,
+        element: Element,
+    ) -> Mask:
         """Find the elements with the texts that are wanted, (messages, elements)."""
         end = b"\0" if self._is_cdr else b""
         asked = [np.frombuffer(text.encode() + end, np.uint8) for text in element.texts]

@@ -99,7 +99,11 @@ class Recording:
     """
 
     def __init__(
-        self, path: Path, files: Collection[Path], *, allow_damaged: bool = False
+        self,
+        path: Path,
+        files: Collection[Path],
+        *,
+        allow_damaged: bool = False,
     ) -> None:
         self.path = path  # stands for the whole: the folder of a bag, or one of the files
         self.allow_damaged = allow_damaged

@@ -182,7 +182,13 @@ class _Offer:
             is_over.set()
 
 
-def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: bool) -> Path:
+def _fetched(
+    url: str,
+    sha256: str,
+    is_stopped: Callable[[], bool],
+    *,
+    offline: bool,
+) -> Path:
     kept = _Kept.of(url, sha256)
     if offline:
         if kept.is_there:
@@ -219,7 +225,12 @@ def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: 
             return _store(url, part, state, sha256)
 
 
-def _store(url: str, part: Path, state: Mapping[str, Any], sha256: str) -> Path:
+def _store(
+    url: str,
+    part: Path,
+    state: Mapping[str, Any],
+    sha256: str,
+) -> Path:
     """Keep a log that was fetched, and what its server says of it."""
     digest = _digest_of_whole(part, state, sha256, shown_url(url))
     kept = _logs() / digest / part.name
@@ -266,7 +277,12 @@ def _remove_abandoned(logs: Path) -> None:
                 shutil.rmtree(left)
 
 
-def _digest_of_whole(part: Path, state: Mapping[str, Any], sha256: str, shown: str) -> str:
+def _digest_of_whole(
+    part: Path,
+    state: Mapping[str, Any],
+    sha256: str,
+    shown: str,
+) -> str:
     """Return the digest of what was fetched; LogError if it is not all of the log, or another than the listed one."""
     size = part.stat().st_size
     if size != state.get("size", size):
@@ -460,7 +476,12 @@ def read_summary(url: str) -> LogSummary:
     return _summary(url, size, summary[: end - start])
 
 
-def _essential(url: str, size: int, offsets: bytes, room: int) -> bytes:
+def _essential(
+    url: str,
+    size: int,
+    offsets: bytes,
+    room: int,
+) -> bytes:
     """Read the part of a long summary that names the channels and their messages, by the offsets of its groups."""
     groups = _records(url, offsets)[Opcode.SUMMARY_OFFSET]
     essential = [group for group in groups if group.group_opcode in _ESSENTIAL]
@@ -511,7 +532,12 @@ def _records(url: str, content: bytes) -> "defaultdict[int, list[Any]]":
     return found
 
 
-def _part(url: str, start: int, end: int, size: int) -> bytes:
+def _part(
+    url: str,
+    start: int,
+    end: int,
+    size: int,
+) -> bytes:
     """Read a range of a file that had a size before."""
     content, now = _tail(url, end - start, end)
     if now != size:

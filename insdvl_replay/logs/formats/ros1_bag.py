@@ -185,7 +185,12 @@ class BagFile(ChunkedFile):
         if self._connections.setdefault(number, channel) != channel:
             raise DamageError(record.offset, f"connection {number} is not the same in two places")
 
-    def _find_messages(self, chunk: Chunk, buffer: memoryview, behind: memoryview) -> Messages:
+    def _find_messages(
+        self,
+        chunk: Chunk,
+        buffer: memoryview,
+        behind: memoryview,
+    ) -> Messages:
         """Find the messages of an open chunk, and hold its indexes against them; those without connection are lost."""
         if chunk.start in self._found:
             return self._found[chunk.start]
@@ -367,7 +372,12 @@ class _Alike(NamedTuple):
     time_ns: TimeNs
 
 
-def _alike(buffer: memoryview, places: Integers, starts: Integers, row: int) -> _Alike:
+def _alike(
+    buffer: memoryview,
+    places: Integers,
+    starts: Integers,
+    row: int,
+) -> _Alike:
     """Find the messages whose headers are like that of one, by where records and their data start, (k,)."""
     size = int(starts[row] - places[row]) - 8
     rows = np.flatnonzero(starts - places == size + 8)

@@ -245,7 +245,10 @@ class SqliteFile(LogFile):
 
 
 def _channel(
-    number: int, topic: _Topic, definitions: Mapping[str, _Definition], messages: int
+    number: int,
+    topic: _Topic,
+    definitions: Mapping[str, _Definition],
+    messages: int,
 ) -> LogChannel:
     """Return the channel that a topic is."""
     definition = definitions.get(topic.type_name, _Definition("", ""))

@@ -302,7 +302,11 @@ class TableFile(RowsFile):
         raise LogError(what, "one separator for names and rows, and a decimal point", self.path)
 
     def _note_header(
-        self, name: str, names: Header | None, head: int, titles: Sequence[str]
+        self,
+        name: str,
+        names: Header | None,
+        head: int,
+        titles: Sequence[str],
     ) -> None:
         """Report lines above the names, and columns without names."""
         if names and names.names_at:
@@ -313,7 +317,11 @@ class TableFile(RowsFile):
             self._note("table_header none", name)
 
     def _note_commented_rows(
-        self, name: str, comments: Sequence[bytes], separator: bytes | None, width: int
+        self,
+        name: str,
+        comments: Sequence[bytes],
+        separator: bytes | None,
+        width: int,
     ) -> None:
         """Report rows of numbers that are left out since they begin as comments do."""
         rows = [
@@ -322,7 +330,12 @@ class TableFile(RowsFile):
         if rows:
             self._note("table_comments", name, len(rows))
 
-    def _require_rows(self, name: str, fits: Mask, width: int) -> None:
+    def _require_rows(
+        self,
+        name: str,
+        fits: Mask,
+        width: int,
+    ) -> None:
         """Refuse a table with many rows of another width, and report a few."""
         wrong = int(np.count_nonzero(~fits))
         if wrong > max(1.0, _FEW * len(fits)):
@@ -379,7 +392,13 @@ class TableFile(RowsFile):
                 self.path,
             )
 
-    def _read_text(self, table: _Table, name: str, title: str, cells: Array) -> Array:
+    def _read_text(
+        self,
+        table: _Table,
+        name: str,
+        title: str,
+        cells: Array,
+    ) -> Array:
         """Read cells that are not all numbers: dates and times, else numbers; text alone has none."""
         if not (TIME_NAME.search(name) or DATE_NAME.search(name)):
             return self._numbers(table.topic, title, cells)
@@ -396,7 +415,12 @@ class TableFile(RowsFile):
             table.unread[name] = str(texts.iloc[0])[:40]
         return values
 
-    def _numbers(self, topic: str, title: str, cells: Array) -> Array:
+    def _numbers(
+        self,
+        topic: str,
+        title: str,
+        cells: Array,
+    ) -> Array:
         """Read cells that are not all numbers; a column of text has none."""
         series = _unquoted(cells)
         numbers = pd.to_numeric(series, errors="coerce")
@@ -416,7 +440,13 @@ class TableFile(RowsFile):
         self._require_few_texts(topic, title, is_text, known)
         return np.asarray(numbers.to_numpy())
 
-    def _require_few_texts(self, topic: str, title: str, is_text: Mask, known: int) -> None:
+    def _require_few_texts(
+        self,
+        topic: str,
+        title: str,
+        is_text: Mask,
+        known: int,
+    ) -> None:
         """Refuse a column of numbers with text in many of its known cells, and report a few."""
         count = int(np.count_nonzero(is_text))
         if count > max(1.0, _FEW * known):
@@ -481,7 +511,12 @@ class TableFile(RowsFile):
         self._note("table_without_times", table.topic)
         return _one_second_apart(table)
 
-    def _time_unit(self, table: _Table, name: str, values: Array) -> str:
+    def _time_unit(
+        self,
+        table: _Table,
+        name: str,
+        values: Array,
+    ) -> str:
         """Return the unit of a column of times: that of its title, else by the rate of a sensor; empty for none."""
         stated = table.units.get(name, "")
         if stated and stated not in TIME_UNITS_NS:
@@ -502,7 +537,13 @@ class TableFile(RowsFile):
             self._note("table_time_unit", table.topic, name=name, unit=unit)
         return unit
 
-    def _note_days(self, table: _Table, name: str, values: Array, calendar: Calendar) -> None:
+    def _note_days(
+        self,
+        table: _Table,
+        name: str,
+        values: Array,
+        calendar: Calendar,
+    ) -> None:
         """Report how exact times are that are days of a calendar; rounded ones concern every row."""
         code = "table_days"
         count = 1
@@ -649,7 +690,12 @@ def _unquoted(cells: Array) -> Any:
     return series
 
 
-def _read_times(table: _Table, name: str, series: Any, texts: Any) -> Array | None:
+def _read_times(
+    table: _Table,
+    name: str,
+    series: Any,
+    texts: Any,
+) -> Array | None:
     """Read cells as times of day, dates and times, or dates; None if they are none of these."""
     times = None if len(texts) and _ISO_DATE.match(texts.iloc[0]) else text_times(series)
     if times is not None:

@@ -148,7 +148,12 @@ class Pd0File(InstrumentFile):
             columns["velocity"] = np.where(is_by_beams[:, None], np.nan, velocity_d)
         return columns
 
-    def _velocity_d(self, fixed: Array, axes_mps: Floats, rpy_deg: Floats) -> Floats:
+    def _velocity_d(
+        self,
+        fixed: Array,
+        axes_mps: Floats,
+        rpy_deg: Floats,
+    ) -> Floats:
         """Return velocities of the vehicle, (k, 3), in its own axes, of those in the axes of the ensembles."""
         kind = (fixed["transform"] >> 3) & 3
         by_instrument = kind == Coordinates.INSTRUMENT
@@ -170,7 +175,12 @@ class Pd0File(InstrumentFile):
         self._note_turned(fixed, is_turned, is_turned & in_earth)
         return np.where(is_turned[:, None], turned_back(velocity, used_deg), velocity)
 
-    def _note_turned(self, fixed: Array, is_turned: Mask, in_earth: Mask) -> None:
+    def _note_turned(
+        self,
+        fixed: Array,
+        is_turned: Mask,
+        in_earth: Mask,
+    ) -> None:
         """Report velocities that the instrument has turned, and where its tilts may be those of other axes."""
         count = int(np.count_nonzero(is_turned))
         if not count:

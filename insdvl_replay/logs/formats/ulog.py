@@ -92,7 +92,12 @@ class UlogFile(InstrumentFile):
             is_last = start + len(data) == end
             start += self._read_piece(start, data, len(data) if is_last else _PIECE)
 
-    def _read_piece(self, start: int, data: bytes, end: int) -> int:
+    def _read_piece(
+        self,
+        start: int,
+        data: bytes,
+        end: int,
+    ) -> int:
         """Read the messages that begin before some place of a piece; return where the next one does."""
         places: dict[int, list[int]] = {}
         at = 0
@@ -119,7 +124,12 @@ class UlogFile(InstrumentFile):
             topic.parts.append(array[bytes_at].view(topic.dtype)[:, 0])
         return at
 
-    def _is_sound(self, data: bytes, at: int, stop: int) -> bool:
+    def _is_sound(
+        self,
+        data: bytes,
+        at: int,
+        stop: int,
+    ) -> bool:
         """Return whether a message that is none of data is one: a subscription to a layout, or what one follows."""
         if (
             data[at + 2] == _SUBSCRIPTION
@@ -144,7 +154,12 @@ class UlogFile(InstrumentFile):
             return 0
         return stop
 
-    def _next(self, data: bytes, at: int, end: int) -> int:
+    def _next(
+        self,
+        data: bytes,
+        at: int,
+        end: int,
+    ) -> int:
         """Return where the next message of data begins, behind damage."""
         heads: list[bytes] = []
         for number, topic in self._topics.items():
@@ -155,7 +170,12 @@ class UlogFile(InstrumentFile):
         found = re.compile(b"|".join(map(re.escape, heads))).search(data, at)
         return end if found is None else min(found.start(), end)
 
-    def _read_other(self, offset: int, kind: str, content: bytes) -> None:
+    def _read_other(
+        self,
+        offset: int,
+        kind: str,
+        content: bytes,
+    ) -> None:
         """Read a message that is none of data: a layout, a subscription, a dropout."""
         if kind == "F":
             name, _, fields = content.decode("ascii", "replace").partition(":")
@@ -192,7 +212,12 @@ class UlogFile(InstrumentFile):
         dtype = np.dtype(list(fields.items()))
         return dtype if dtype.itemsize < _LONGEST else None
 
-    def _field_type(self, type_name: str, count: int, level: int) -> Any:
+    def _field_type(
+        self,
+        type_name: str,
+        count: int,
+        level: int,
+    ) -> Any:
         """Return the type of a field; what is read of no message is its bytes."""
         if type_name in _SCALARS:
             return (_SCALARS[type_name], (count,)) if count > 1 else _SCALARS[type_name]

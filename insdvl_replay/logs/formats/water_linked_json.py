@@ -140,7 +140,10 @@ class WaterLinkedJson(InstrumentFile):
         yield [Record(0, bytes(element)) for element in elements]
 
     def _decode(
-        self, record: Record, velocities: list[list[float]], positions: list[list[float]]
+        self,
+        record: Record,
+        velocities: list[list[float]],
+        positions: list[list[float]],
     ) -> None:
         """Decode a report into a row of velocities or of positions."""
         text = record.content

@@ -86,7 +86,11 @@ def _of_reference(reference: ReferenceColumns) -> Iterator[Samples]:
 
 
 def covered_shares(
-    time_ns: TimeNs, valid: Mask, start_ns: int, end_ns: int, columns: int = _COLUMNS
+    time_ns: TimeNs,
+    valid: Mask,
+    start_ns: int,
+    end_ns: int,
+    columns: int = _COLUMNS,
 ) -> Floats:
     """Return the share of each column of a span, (columns,), that valid samples, (k,), cover, from 0 to 1."""
     if len(time_ns) < 2:
