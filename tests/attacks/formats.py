@@ -24,6 +24,7 @@ from victim import (
     DEFECTS,
     HARMLESS,
     Result,
+    last_line,
     ready,
     result_of,
     run_forked,
@@ -78,7 +79,7 @@ class Outcome:
 
     def line(self) -> str:
         """Say it in one line that can be searched and repeated."""
-        last = self.said.rstrip("\n").rpartition("\n")[2][:300]
+        last = last_line(self.said)
         what = f"--seed {self.seed} --count 1 --only {self.kind}: {self.harms}, {self.command}"
         return f"{self.verdict}: {what}: {last!r}"
 

@@ -22,6 +22,7 @@ from victim import (
     HARMLESS,
     Ended,
     Result,
+    last_line,
     ready,
     result_of,
     run_forked,
@@ -59,7 +60,7 @@ class Outcome:
 
     def line(self) -> str:
         """Say it in one line that can be searched and repeated."""
-        last = self.said.rstrip("\n").rpartition("\n")[2][:160]
+        last = last_line(self.said)
         what = f"{self.base}, {self.kind} {self.harms}, {self.command}"
         return f"{self.verdict}: --seed {self.seed} --count 1: {what}: {last!r}"
 

@@ -19,6 +19,7 @@ from victim import (
     HARMLESS,
     Ended,
     Result,
+    last_line,
     ready,
     result_of,
     run_forked,
@@ -78,7 +79,7 @@ class Outcome:
 
     def line(self) -> str:
         """Say it in one line that can be searched and repeated."""
-        last = self.said.rstrip("\n").rpartition("\n")[2][:300]
+        last = last_line(self.said)
         return f"{self.verdict}: --seed {self.seed} --count 1: {self.ending}, {self.harms}, {self.command}: {last!r}"
 
 

@@ -127,6 +127,11 @@ def _live(command: list[str] | Callable[[], int], said: Path, printed: Path) -> 
         os._exit(INTERNAL_ERROR)
 
 
+def last_line(said: str) -> str:
+    """Return the start of the last line that was said, which is that of an error."""
+    return said.rstrip("\n").rpartition("\n")[2][:300]
+
+
 def result_of(folder: Path) -> Result | None:
     """Read a result; None where there is none that is whole."""
     if not all((folder / name).is_file() for name in DIVE_FILES):

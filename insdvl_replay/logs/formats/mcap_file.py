@@ -304,7 +304,11 @@ class McapFile(ChunkedFile):
                 kind != Opcode.HEADER or length > size or not can_be_record(kind, length)
             ):
                 what = f"is not an MCAP file, nor a bag: it starts with bytes '{opening[:8].hex(' ')}'"
-                raise UnusableFileError(what, "give an .mcap, .db3 or .bag file", self.path)
+                raise UnusableFileError(
+                    what,
+                    "docs/inputs.md lists the logs, tables and files of instruments that are read",
+                    self.path,
+                )
             self.damage(
                 0, f"the opening bytes are '{opening[:magic].hex(' ')}', not those of an MCAP file"
             )
