@@ -62,7 +62,7 @@ Settings = Config | Paths
 def load_config(
     *files: Text,
     preset: str | None = None,
-    settings: Mapping[str, object] | Sequence[str] = (),
+    settings: Mapping[str, object] | str | Sequence[str] = (),
     allow_code: bool = False,
 ) -> Config:
     """Return the resolved settings, as the command line does.
@@ -74,7 +74,7 @@ def load_config(
     preset : str, optional
         ``levy-klein`` (of the paper by Levy and Klein, arXiv:2308.11762), ``fog``, ``tactical`` or ``mems``. Without
         one, and without ``[noise]``, a replay fits the noise to the dives.
-    settings : mapping or sequence of str
+    settings : mapping, str or sequence of str
         Single settings by their dotted keys: ``{"dvl.scale": 1.01}``, or ``["dvl.scale=1.01"]``. Values may be tuples,
         NumPy arrays and numbers, and paths. Nested mappings set only their own keys.
     allow_code : bool
@@ -85,7 +85,7 @@ def load_config(
     ConfigError
         A file cannot be read, a key or value is not valid, or a setting names code without ``allow_code``.
     """
-    pairs = [*_pairs(settings)] if isinstance(settings, Mapping) else list(settings)
+    pairs = [*_pairs(settings)] if isinstance(settings, Mapping) else _names(settings)
     return _load_config(
         preset, [_path("files", file) for file in files], pairs, allow_code=allow_code
     )
@@ -137,6 +137,13 @@ def _paths(given: Paths, name: str = "log") -> list[Path]:
     if isinstance(given, Iterable) and not isinstance(given, str | Path | Mapping):
         return [_path(name, part) for part in given]
     return [_path(name, given)]
+
+
+def _names(given: str | float | Iterable[str | float]) -> list[str]:
+    """Return an argument of several names; a text, or a number, is one of them."""
+    if isinstance(given, str | float):
+        return [str(given)]
+    return [str(name) for name in given]
 
 
 def _logs(given: Paths, name: str = "log") -> list[Path]:
@@ -314,13 +321,15 @@ def simulate(scenario: str, output: Text, *, force: bool = False, **options: Any
     Raises
     ------
     ConfigError
-        A scenario or a value is not valid, or the file exists without ``force`` or cannot be written.
-    TypeError
-        There is no such option.
+        A scenario or a value is not valid, there is no such option, or the file exists without ``force`` or cannot be
+        written.
     """
     from insdvl_replay.logs import write_dive
-    from insdvl_replay.sim.dive import simulate_dive
+    from insdvl_replay.sim.dive import OPTIONS, simulate_dive
 
+    for name in options:
+        if name not in OPTIONS:
+            raise WrongArgumentError(f"option '{name}' is not known", hint_for(name, OPTIONS))
     with result_file(_path("output", output), force=force) as path:
         write_dive(path, simulate_dive(scenario, **options))
     return Path(output)
@@ -411,11 +420,11 @@ def calibrate(
     logs: Paths,
     config: Settings | None = None,
     *,
-    only: Sequence[str] | None = None,
+    only: str | Sequence[str] | None = None,
     reference: bool = False,
     one_delay: bool = False,
     mounting_unknown: bool = False,
-    hold_out: Sequence[str | float] = (),
+    hold_out: str | float | Sequence[str | float] = (),
     allow_damaged: bool = False,
 ) -> "CommandResult":
     """Estimate the DVL's geometry and the sensors' noise, a log each dive; `CommandResult.settings` is TOML.
@@ -428,7 +437,7 @@ def calibrate(
         A log for each dive.
     config : Config, str, Path or sequence of them, optional
         Settings to begin with. Default: the default settings.
-    only : sequence of str, optional
+    only : str or sequence of str, optional
         Some of ``arm``, ``mounting``, ``delay``, ``scale`` and ``noise``. Default: all.
     reference : bool
         Compare with the dives' references, and calibrate these, too.
@@ -436,7 +445,7 @@ def calibrate(
         Estimate one delay for all dives, not one for each.
     mounting_unknown : bool
         Try 24 mountings first.
-    hold_out : sequence of str or float
+    hold_out : str, float or sequence of them
         Dives that test the result: names, or a share between 0 and 1.
     allow_damaged : bool
         Use the readable part of damaged logs.
@@ -457,9 +466,10 @@ def calibrate(
     def failed(error: Exception) -> None:
         raise error
 
+    groups = None if only is None else _names(only)
     asked = Asked(
-        require_groups(only, reference=reference),
-        [str(dive) for dive in hold_out],
+        require_groups(groups, reference=reference),
+        _names(hold_out),
         reference,
         one_delay,
         mounting_unknown,
@@ -477,9 +487,9 @@ def compare(
     old: Text,
     new: Text,
     *,
-    tables: Sequence[str] = (),
-    columns: Sequence[str] = (),
-    dives: Sequence[str] = (),
+    tables: str | Sequence[str] = (),
+    columns: str | Sequence[str] = (),
+    dives: str | Sequence[str] = (),
     pairs: Mapping[str, str] | None = None,
     tolerance_pct: float | None = None,
 ) -> "CommandResult":
@@ -489,7 +499,7 @@ def compare(
     ----------
     old, new : str or Path
         Result folders, or folders of results.
-    tables, columns, dives : sequence of str
+    tables, columns, dives : str or sequence of str
         Compare only these. Default: all.
     pairs : mapping of str to str, optional
         The new name of a filter by its old one.
@@ -499,7 +509,8 @@ def compare(
     Raises
     ------
     ConfigError
-        A folder holds no result, no dive or candidate is on both sides, or a name is not known.
+        A folder holds no result, no dive or candidate is on both sides, a name is not known, or the tolerance is no
+        percentage.
     ResultError
         A result cannot be read.
     """
@@ -509,9 +520,9 @@ def compare(
     found = compare_results(
         _path("old", old),
         _path("new", new),
-        tables=tables,
-        columns=columns,
-        dives=dives,
+        tables=_names(tables),
+        columns=_names(columns),
+        dives=_names(dives),
         filter_pairs=pairs or {},
         tolerance_pct=tolerance_pct,
     )
@@ -871,7 +882,8 @@ class DiveResult(Result):
         Parameters
         ----------
         kind : str
-            ``error``, ``track``, ``sigma``, ``nis``, ``outage`` or ``convergence``.
+            ``error``, ``track``, ``sigma``, ``nis``, ``outage`` or ``convergence``. The track of a stored result has
+            the reference if there is a `replay.mcap`.
         width_mm : float
             88 is a column, 180 a page.
         states : str
@@ -888,14 +900,21 @@ class DiveResult(Result):
         import msgspec
 
         from insdvl_replay.document.paper import paper_canvas, require_width
-        from insdvl_replay.show.plots.all_plots import paper_figure
+        from insdvl_replay.show.plots.all_plots import chosen_states, paper_figure
 
         require_width(width_mm, f"width_mm={width_mm}")
-        reference = self.reference if kind == "track" else None
+        chosen = chosen_states(kind, states, f"states={states}")
         rows = msgspec.to_builtins(self.report.tables)
-        return paper_canvas(
-            paper_figure(kind, self._trajectory, rows, states, reference), width_mm
-        )
+        drawing = paper_figure(kind, self._trajectory, rows, chosen, self._drawn_reference)
+        return paper_canvas(drawing, width_mm)
+
+    def _drawn_reference(self) -> "pd.DataFrame | None":
+        """Return the reference for a figure, which does without it."""
+        from insdvl_replay.results.frames import stored_reference
+
+        if self._replay is None:
+            return stored_reference(self.folder or Path(), self.report.baseline)
+        return self.reference
 
     def save_tracks(self, file: Text, *, force: bool = False) -> Path:
         """Write the tracks of all filters and the reference as ``.kml`` or ``.geojson``, and return the path.

@@ -49,11 +49,9 @@ def require_groups(names: Sequence[str] | None, *, reference: bool) -> tuple[str
     known = REFERENCE_GROUPS if reference else ALL_GROUPS
     groups = known if names is None else tuple(name.strip() for name in names if name.strip())
     for name in groups:
-        require_known("--only", name, known)
+        require_known("group of parameters", name, known)
     if not groups:
-        raise ConfigError(
-            "--only names nothing", f"choose from {', '.join(known)}, separated by commas"
-        )
+        raise ConfigError("no group of parameters is named", f"choose from {', '.join(known)}")
     return groups
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from insdvl_replay.calibration.innovations import ReadDive
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import NS_PER_S
-from insdvl_replay.core.errors import ConfigError, require_known
+from insdvl_replay.core.errors import ConfigError, hint_for
 
 HELD_OUT_SHARE: Final = 0.3  # of several dives, where nobody says which
 FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
@@ -46,7 +46,8 @@ class Division:
             aside |= _rows_of(wanted, names)
         if len(aside) == len(names):
             raise ConfigError(
-                "--hold-out leaves no dive to fit", "name more dives, or hold out fewer"
+                "all dives are held out, and none is left to fit",
+                "name more dives, or hold out fewer",
             )
         return cls._without(dives, aside)
 
@@ -95,15 +96,18 @@ class Division:
 
 
 def _rows_of(wanted: str, names: Sequence[str]) -> set[int]:
-    """Return the dives that are meant by a share, or by a name that several may have."""
+    """Return the dives that are meant by a name that several may have, which may be a number, or by a share."""
+    if wanted in names:
+        return {row for row, name in enumerate(names) if name == wanted}
     try:
         share = float(wanted)
     except ValueError:
-        require_known("--hold-out", wanted, names)
-        return {row for row, name in enumerate(names) if name == wanted}
+        raise ConfigError(
+            f"dive to hold out '{wanted}' is not known", hint_for(wanted, names)
+        ) from None
     if not 0.0 < share < 1.0:
         raise ConfigError(
-            f"--hold-out {wanted}: a share is between 0 and 1", "for example --hold-out 0.3"
+            f"share to hold out must be between 0 and 1, found {wanted}", "for example 0.3"
         )
     return _spread(share, len(names))
 

@@ -101,8 +101,10 @@ def compare_results(
 ) -> Comparison:
     """Compare two sets of results, each a report.json, a result folder or a folder of such at any depth.
 
-    ConfigError if both sides share no dive or no candidate, or a name is not known.
+    ConfigError if both sides share no dive or no candidate, a name is not known, or the tolerance is no percentage.
     """
+    if tolerance_pct is not None and not 0.0 <= tolerance_pct < math.inf:
+        raise ConfigError(f"tolerance {tolerance_pct:g}: is not a percentage", "for example 0.5")
     for name in tables:
         require_known("table", name, [layout.name for layout in LAYOUTS], most=len(LAYOUTS))
     layouts = [layout for layout in LAYOUTS if not tables or layout.name in tables]

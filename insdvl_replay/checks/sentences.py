@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.notes import text_of
 
 
 @dataclass(frozen=True)
@@ -26,10 +27,6 @@ _REFUSALS: Final = {
         "for so long",
         'imu.angular_rate_unit = "deg/s"; to read another field: imu.angular_rate = "field.path"',
     ),
-    "imu_too_slow": (
-        "the IMU has {rate_hz:.1f} samples a second, too few to follow a vehicle's motion",
-        "set imu.topic to a faster IMU; to try this one: imu.min_rate_hz = {least_hz:g}",
-    ),
     "imu_too_fast": (
         "the IMU has {rate_hz:.3g} samples a second, more than any: {count} samples in {span_s:.3g} s",
         'its times are in another unit: name it, such as imu.stamp = "time [ms]", or count samples: imu.stamp = '
@@ -47,18 +44,19 @@ _REFUSALS: Final = {
         "the specific force is {size:.3f} m/s^2 (median of the quiet seconds), but gravity is {gravity:.3f} m/s^2",
         "{cure}",
     ),
-    "imu_gyro_unit": (
-        "the angular rate is {scale:.3g} times the rate derived from {by}, in the whole dive",
-        'imu.angular_rate_unit = "{unit}"{ignore}',
-    ),
     "dvl_too_fast": (
         "the largest component of a ping is {speed_mps:g} m/s (median of all pings)",
         _UNIT_HINT,
     ),
-    "dvl_unit": (
-        "the DVL's velocity is {scale:.3f} times the reference's, in the whole dive",
-        _UNIT_HINT,
+}
+# Errors that say what a note says where less is wrong: its code, and their own hint.
+_AS_NOTES: Final = {
+    "imu_too_slow": (
+        "imu_slow",
+        "set imu.topic to a faster IMU; to try this one: imu.min_rate_hz = {least_hz:g}",
     ),
+    "imu_gyro_unit": ("imu_gyro_scale", 'imu.angular_rate_unit = "{unit}"{ignore}'),
+    "dvl_unit": ("dvl_scale", _UNIT_HINT),
 }
 
 
@@ -85,8 +83,13 @@ def without_mark(remark: Remark) -> Note | LogError:
 
 def refusal(key: str, place: str, **values: Any) -> LogError:
     """Return an error in a file (the place)."""
-    text, hint = _REFUSALS[key]
-    return LogError(text.format(**values), hint.format(**values), place)
+    if key in _AS_NOTES:
+        code, hint = _AS_NOTES[key]
+        said = text_of(code, **values)
+    else:
+        text, hint = _REFUSALS[key]
+        said = text.format(**values)
+    return LogError(said, hint.format(**values), place)
 
 
 def refused(note: Note, place: str) -> LogError:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeVar, get_args
 
 import typer
 
@@ -17,10 +17,13 @@ from insdvl_replay.core.states import SENSORS
 from insdvl_replay.show.plots import PaperPlot
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from insdvl_replay.sim.sensor_errors import SensorErrors
 
 _Value = TypeVar("_Value")
 _SHORT_S = 10.0
+_PLOTS: Final[tuple[str, ...]] = get_args(PaperPlot)
 
 
 def simulate(
@@ -143,10 +146,7 @@ def _vector(option: str, text: str) -> tuple[float, float, float]:
         return x, y, z
 
     example = f"{option} 0.3,-0.1,0.2"
-    vector = _parsed(parse, f"{option} {text}", text, "three numbers", example)
-    if not all(map(math.isfinite, vector)):
-        raise ConfigError(f"{option} {text}: is not finite", f"for example {example}")
-    return vector
+    return _parsed(parse, f"{option} {text}", text, "three numbers", example)
 
 
 def _sensors(texts: list[str]) -> "dict[str, SensorErrors]":
@@ -314,7 +314,7 @@ def figure(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A result folder.")],
     kind: Annotated[
         PaperPlot,
-        typer.Argument(metavar="KIND", help="error, track, sigma, nis, outage or convergence."),
+        typer.Argument(metavar="KIND", help=f"{', '.join(_PLOTS[:-1])} or {_PLOTS[-1]}."),
     ],
     output: Annotated[
         Path | None,
@@ -348,16 +348,13 @@ def figure(
     """
     from insdvl_replay.core.report import StoredReport
     from insdvl_replay.document.paper import drawn
-    from insdvl_replay.results.folder import REPLAY_LOG, TRAJECTORY_FILE, result_file
+    from insdvl_replay.results.folder import TRAJECTORY_FILE, result_file
     from insdvl_replay.results.stored_results import read_one_result
     from insdvl_replay.results.trajectory import read_trajectory
     from insdvl_replay.show.plots.all_plots import chosen_states, paper_figure
 
-    if states and kind != "sigma":
-        raise ConfigError(
-            f"--states {states}: works with sigma only, not with {kind}", "leave it out"
-        )
-    chosen_states(states)  # a wrong name is reported before anything is read
+    # What is wrong with the options is reported before anything is read.
+    chosen = chosen_states(kind, states, f"--states {states}")
     width_mm = _width_mm(width)
     folder, report = read_one_result(result, StoredReport)
     trajectory = read_trajectory(folder / TRAJECTORY_FILE)
@@ -365,12 +362,13 @@ def figure(
         raise ConfigError(
             f"{folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again"
         )
-    reference = None
-    if kind == "track" and (folder / REPLAY_LOG).is_file():
-        from insdvl_replay.results.frames import read_reference
 
-        reference = read_reference(folder, report.baseline)
-    drawing = paper_figure(kind, trajectory, report.tables, states, reference)
+    def reference() -> "pd.DataFrame | None":
+        from insdvl_replay.results.frames import stored_reference
+
+        return stored_reference(folder, report.baseline)
+
+    drawing = paper_figure(kind, trajectory, report.tables, chosen, reference)
     target = output or Path(f"{kind}.{format_}")
     if target.suffix != f".{format_}":
         ending = target.suffix.lstrip(".")

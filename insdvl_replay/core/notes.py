@@ -78,6 +78,12 @@ def note(code: str, count: int = 1, severity: Any = None, **fields: Any) -> Note
     return Note(name, text, count, severity or said.severity, hint)
 
 
+def text_of(code: str, **fields: Any) -> str:
+    """Return the sentence of a code, for an error that says the same; its fields are those of `note`."""
+    name, _, word = code.partition(" ")
+    return _sentence(name, word).text.format(**fields)
+
+
 class _Counted(int):
     """A count that is written with a clause."""
 

@@ -1,6 +1,6 @@
 """What the rows of the tables are about: the names of states and quantities, and which words are best."""
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from insdvl_replay.core.held_out import held_out_name, held_out_sensor
 from insdvl_replay.core.states import AIDING, AXES_N, BA, BG, DV, PHI, POSITION, SENSORS, STATES
@@ -111,9 +111,21 @@ def is_reserved(measurement: str) -> bool:
     return of_a_kind or measurement in MEASUREMENTS or measurement in AIDING
 
 
+class Stretch(NamedTuple):
+    """The length of the stretches over which a drift is measured."""
+
+    length: float
+    unit: str  # s, or m travelled
+
+
+DRIFT_STRETCHES: Final = {
+    "drift_30s": Stretch(30.0, "s"),
+    "drift_60s": Stretch(60.0, "s"),
+    "drift_100m": Stretch(100.0, "m"),
+}
 # Errors against the reference.
 ACCURACY: Final = (
-    "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "depth_60s", "level", "heading"
+    *DRIFT_STRETCHES, "velocity_along", "velocity_across", "depth_60s", "level", "heading"
 )  # fmt: skip
 # Rows of drift and their units: the horizontal position, what it drifts by over stretches, and the velocity.
 DRIFT_QUANTITIES: Final = {
@@ -180,9 +192,7 @@ EVIDENCE_QUANTITIES: Final = (
 _LABELS: Final = {
     **{state.id: state.label for state in STATES},
     **{f"outage_{window}s": f"DVL outage {window} s" for window in OUTAGE_WINDOWS_S},
-    "drift_30s": "drift in 30 s",
-    "drift_60s": "drift in 60 s",
-    "drift_100m": "drift in 100 m",
+    **{name: f"drift in {length:g} {unit}" for name, (length, unit) in DRIFT_STRETCHES.items()},
     "depth_60s": "depth in 60 s",
     "position_n": "position, north",
     "position_e": "position, east",

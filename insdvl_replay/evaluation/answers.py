@@ -292,6 +292,7 @@ def _pooled_row(
     level: float,
 ) -> PooledRow:
     rows = [row for row, _ in rows_of_dives]
+    compared = _compared(rows)
     interval = _interval(rows_of_dives, level)
     acts_most = _largest(row.acts for row in rows)
     noise_share = median_of(finite(row.reference_noise) for row in rows)
@@ -303,8 +304,8 @@ def _pooled_row(
         evidence=rows[0].evidence,
         quantity=rows[0].quantity,
         unit=rows[0].unit,
-        baseline=median_of(finite(row.baseline) for row in rows),
-        value=median_of(finite(row.value) for row in rows),
+        baseline=median_of(finite(row.baseline) for row in compared),
+        value=median_of(finite(row.value) for row in compared),
         ratio=interval.ratio,
         low=interval.low,
         high=interval.high,
@@ -312,7 +313,7 @@ def _pooled_row(
         low_always=interval.low_always,
         high_always=interval.high_always,
         dives=interval.dives,
-        dives_won=sum(finite(row.ratio) < 1.0 for row in rows),
+        dives_won=sum(finite(row.ratio) < 1.0 for row in compared),
         scatter=math.nan if is_by_vehicle(interval) else interval.scatter,
         p=interval.p,
         moves=median_of(finite(row.moves) for row in rows),
@@ -324,6 +325,14 @@ def _pooled_row(
         verdict_always=word_always,
         vehicles=_vehicles_named(rows_of_dives, interval),
     )
+
+
+def _compared(rows: Sequence[EvidenceRow]) -> Sequence[EvidenceRow]:
+    """Return the rows whose ratio counts, so that values and ratio are those of the same dives; all if none counts."""
+    compared = [row for row in rows if finite(row.ratio) > 0.0]
+    if compared:
+        return compared
+    return rows
 
 
 def _vehicles_named(rows: Sequence[tuple[EvidenceRow, str]], interval: Interval) -> int:

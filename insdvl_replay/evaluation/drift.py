@@ -25,7 +25,11 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.history import History
-from insdvl_replay.core.quantities import DRIFT_QUANTITIES, TRACK_FIT_QUANTITIES
+from insdvl_replay.core.quantities import (
+    DRIFT_QUANTITIES,
+    DRIFT_STRETCHES,
+    TRACK_FIT_QUANTITIES,
+)
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.tables import DriftRow, JumpRow, TrackFitRow
 from insdvl_replay.evaluation.reference_errors import (
@@ -36,8 +40,8 @@ from insdvl_replay.evaluation.reference_errors import (
 from insdvl_replay.evaluation.series import samples_in_mean, thinned
 from insdvl_replay.geometry.frames import find_jumps, north_east_m, steps_of, unexplained_m
 
-SEGMENT_S: Final = 60.0
-SEGMENT_M: Final = 100.0
+SEGMENT_S: Final = DRIFT_STRETCHES["drift_60s"].length
+SEGMENT_M: Final = DRIFT_STRETCHES["drift_100m"].length
 STEP_S: Final = 5.0  # Step between the starts of overlapping segments.
 ABOUT: Final = 0.1  # A segment may differ by this share if the reference has no sample at its end.
 ROUNDING: Final = 1e-6  # Share of a segment for rounding of sums.
@@ -71,6 +75,14 @@ class CourseErrors(NamedTuple):
 
     along_mps: Floats
     across_mps: Floats
+
+
+def drift_segments(name: str, time_ns: TimeNs, travelled_m: Floats) -> Segments:
+    """Choose the segments of a row of `DRIFT_STRETCHES`."""
+    stretch = DRIFT_STRETCHES[name]
+    if stretch.unit == "s":
+        return time_segments(time_ns, stretch.length)
+    return distance_segments(time_ns, travelled_m, stretch.length)
 
 
 def time_segments(time_ns: TimeNs, length_s: float = SEGMENT_S) -> Segments:

@@ -30,6 +30,7 @@ from insdvl_replay.core.quantities import (
     CONSISTENCY,
     CONVERGED,
     DRAWN_HEADING,
+    DRIFT_STRETCHES,
     PREDICTION,
     PRIMARIES,
     SECONDARIES,
@@ -44,7 +45,7 @@ from insdvl_replay.evaluation.convergence import MeasuredConvergence
 from insdvl_replay.evaluation.drift import (
     STEP_S,
     course_errors,
-    distance_segments,
+    drift_segments,
     segment_change,
     time_segments,
 )
@@ -58,8 +59,6 @@ from insdvl_replay.evaluation.reference_errors import (
 from insdvl_replay.evaluation.series import thinned
 from insdvl_replay.geometry.frames import north_east_down_m
 
-SEGMENTS_S: Final = (30.0, 60.0)
-DRIFTS: Final = ("drift_30s", "drift_60s", "drift_100m")
 # Quantities that a wrong heading changes only to second order.
 HEADING_FREE: Final = ("velocity_along", "depth_60s")
 SETTLED: Final = 1.2  # A sigma has settled once it stays below this many times the last one.
@@ -114,13 +113,12 @@ def accuracy_errors(
     time_ns = errors.time_ns
     if not bridged_gaps and len(time_ns):
         travelled_m = reference_distance_m(reference, time_ns)
-        segments_of = [time_segments(time_ns, length_s) for length_s in SEGMENTS_S]
-        segments_of.append(distance_segments(time_ns, travelled_m))
-        for name, segments in zip(DRIFTS, segments_of, strict=True):
+        for name in DRIFT_STRETCHES:
+            segments = drift_segments(name, time_ns, travelled_m)
             change_m = segment_change(errors, segments)[:, :2]
             # of both ends, two axes
             found[name] = ErrorSeries("m", change_m, 2.0 * noise.position_m)
-        down_m = segment_change(errors, segments_of[1])[:, 2:]
+        down_m = segment_change(errors, time_segments(time_ns))[:, 2:]
         found["depth_60s"] = ErrorSeries("m", down_m, math.sqrt(2.0) * noise.position_m)
     course = course_errors(errors, reference)
     attitude_deg = errors.attitude_error_rad / DEG

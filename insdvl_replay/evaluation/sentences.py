@@ -15,6 +15,7 @@ from insdvl_replay.evaluation.answers import (
     NOTABLE_PCT,
     Answer,
     CandidateAnswer,
+    largest_acts,
     seen_controls,
 )
 from insdvl_replay.evaluation.interval import change_found, dives_needed
@@ -219,7 +220,7 @@ def _acting(answer: Answer) -> str:
     if largest is None:
         return "how far it moves the errors is not known"
     if finite(largest.acts) == 0.0:
-        return "identical: it was never updated, its weight vanishes in the noise, or a setting was not read"
+        return _hardly_acting(answer)
     shown = _position_or_primary(answer)
     if shown is None or not math.isfinite(finite(shown.acts)):
         shown = largest
@@ -229,6 +230,18 @@ def _acting(answer: Answer) -> str:
     if answer.verdict == Verdict.NO_EFFECT:
         return f"{moved}; no error by more than {share_text(largest.acts_most)}"
     return f"{moved}; {_named(largest)} by {share_text(largest.acts)}"
+
+
+def _hardly_acting(answer: Answer) -> str:
+    """Say that a candidate is identical on all dives, or on most of them, and how far it moves an error on others."""
+    if largest_acts(answer.rows) == 0.0:
+        return "identical: it was never updated, its weight vanishes in the noise, or a setting was not read"
+    said = "identical on most dives"
+    known = [row for row in answer.rows if finite(row.acts_most) > 0.0]
+    most = max(known, key=lambda row: finite(row.acts_most), default=None)
+    if most is None:
+        return said
+    return f"{said}; moves {_named(most)} by up to {share_text(most.acts_most)} of its error"
 
 
 def _position_or_primary(answer: Answer) -> PooledRow | None:

@@ -325,6 +325,8 @@ def _misfit_by_errors(name: str, rows: Sequence[CredibilityRow]) -> str:
         if row.filter != name or row.quantity not in SETTLED or not is_sized:
             continue
         size = finite(row.mean_nees) / row.dof
+        if not size > 0.0:
+            continue
         part = row.quantity.removeprefix(SETTLED_PREFIX)
         found = f"NEES / dof of its {part} against the reference is {size:.2g}, expected 1"
         return f"the variance that {name} predicts is {_off(size)} ({found}); --control fits it"

@@ -152,6 +152,13 @@ def read_reference(folder: Path, baseline: str) -> "pd.DataFrame":
     return _timed(_with_metres(reference, origin), int(start.index[0]))
 
 
+def stored_reference(folder: Path, baseline: str) -> "pd.DataFrame | None":
+    """Read the reference of a result that may have no histories; None without them."""
+    if (folder / REPLAY_LOG).is_file():
+        return read_reference(folder, baseline)
+    return None
+
+
 def _read(folder: Path, prefixes: Sequence[str]) -> dict[str, Table]:
     """Read some topics of a result's replay.mcap, by name."""
     path = folder / REPLAY_LOG

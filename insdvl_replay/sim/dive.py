@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from inspect import signature
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
@@ -180,18 +181,20 @@ def exact_dive(
     _check_positive("duration", "s", end_s)
     if end_s > LONGEST_S:
         text = f"duration is {end_s:g} s, more than {LONGEST_S:g} s"
-        raise ConfigError(text, f"--duration {LONGEST_S:g}")
+        raise ConfigError(text, f"give at most {LONGEST_S:g} s")
     rates_hz = {"IMU": imu_rate_hz, "DVL": dvl_rate_hz, "reference": reference_rate_hz}
     for sensor, rate_hz in {**rates_hz, **sensor_rates_hz}.items():
         _check_positive(f"{sensor} rate", "Hz", rate_hz)
     if end_s * imu_rate_hz < 1.0:
         text = f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples"
-        raise ConfigError(text, "--duration 60")
+        raise ConfigError(text, "give a longer duration, such as 60 s")
     lost = list(lost_beams)
     for start_s, stop_s in outages:
         lost += [LostBeam(beam, start_s, stop_s) for beam in range(len(AZIMUTH_DEG))]
     for span in lost:
         _check_span(span, end_s)
+    _check_vector("lever arm", "m", lever_arm_m)
+    _check_vector("mounting", "deg", mounting_rpy_deg)
 
     course = _Course(Trajectory(found, end_s), end_s)
     imu = course.imu(imu_rate_hz)
@@ -213,6 +216,15 @@ def exact_dive(
     )
 
 
+OPTIONS: Final = tuple(
+    name
+    for function in (simulate_dive, exact_dive)
+    for name in signature(function).parameters
+    if name not in ("scenario", "exact_options", "sensor_rates_hz")
+)
+"""The options of `simulate_dive` by name, with those of `exact_dive`."""
+
+
 def _check_span(span: LostBeam, end_s: float) -> None:
     """Refuse an outage of a beam that ends before it starts, is outside the dive, or is of no beam."""
     beams = len(AZIMUTH_DEG)
@@ -221,11 +233,17 @@ def _check_span(span: LostBeam, end_s: float) -> None:
     if not span.start_s < span.end_s:
         raise ConfigError(f"{outage} must end after its start", hint)
     if span.start_s >= end_s or span.end_s <= 0.0:
-        hint += ", or a longer --duration"
+        hint += ", or a longer duration"
         raise ConfigError(f"{outage} is outside the dive of {end_s:g} s", hint)
     if not 0 <= span.beam < beams:
         hint = f"beams are counted from 0 to {beams - 1}"
         raise ConfigError(f"beam {span.beam} does not exist", hint)
+
+
+def _check_vector(what: str, unit: str, vector: Vector) -> None:
+    if np.shape(vector) != (3,) or not np.isfinite(vector).all():
+        text = f"{what} must be three finite numbers, found {vector}"
+        raise ConfigError(text, f"give the {what} in {unit}")
 
 
 def _check_positive(what: str, unit: str, value: float) -> None:
@@ -247,7 +265,7 @@ def add_errors(
     thousands of draws; readings are rounded to their quantum afterwards.
     """
     if seed < 0:
-        raise ConfigError(f"seed must be at least 0, found {seed}", f"--seed {-seed}")
+        raise ConfigError(f"seed must be at least 0, found {seed}", f"for example {-seed}")
     if exact.truth is None:
         raise ValueError("errors are added to an exact dive, which holds truth")
     accel_rng, gyro_rng, dvl_rng = map(

@@ -50,8 +50,13 @@ def test_a_user_holds_out_names_or_a_share_evenly_spread(
 
 @pytest.mark.parametrize("asked", [["z"], ["1.5"], ["0"], ["a", "b", "c"], ["0.99"]])
 def test_what_cannot_be_held_out_is_an_error(asked: list[str], read: ReadDive) -> None:
-    with pytest.raises(ConfigError, match="--hold-out"):
+    with pytest.raises(ConfigError, match=r"hold out|held out"):
         Division.asked(named(read, "abc"), asked)
+
+
+def test_a_number_may_be_the_name_of_a_dive(read: ReadDive) -> None:
+    division = Division.asked(named(read, "123"), ["2"])
+    assert (names(division.fitted), names(division.held_out)) == ("13", "2")
 
 
 def test_dives_of_the_same_name_are_held_out_together(read: ReadDive) -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -476,6 +477,48 @@ def test_resolved_settings(team: Path) -> None:
 
 
 # --- Errors
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: insdvl_replay.calibrate("dive.mcap", only="arms"),
+        lambda: insdvl_replay.calibrate("dive.mcap", only=[]),
+        lambda: insdvl_replay.calibrate("dive.mcap", only="arm", hold_out=1.5),
+        lambda: insdvl_replay.calibrate("dive.mcap", only="arm", hold_out="monday"),
+        lambda: insdvl_replay.calibrate("dive.mcap", only="arm", hold_out=0.3),
+        lambda: insdvl_replay.compare("old", "new", tolerance_pct=-1.0),
+        lambda: insdvl_replay.compare("old", "new", tolerance_pct=math.nan),
+        lambda: insdvl_replay.simulate("straight", "x.mcap", duration_s=1e-3),
+        lambda: insdvl_replay.simulate("straight", "x.mcap", duration_s=1e9),
+        lambda: insdvl_replay.simulate("straight", "x.mcap", outages=[(1e6, 2e6)]),
+        lambda: insdvl_replay.simulate("straight", "x.mcap", duration_s=1.0, seed=-1),
+        lambda: insdvl_replay.simulate("straight", "x.mcap", lever_arm_m=(1.0, 2.0)),
+    ],
+)
+def test_a_wrong_argument_is_not_named_as_an_option(call: Callable[[], Any], logs: Path) -> None:
+    _, said = refused(call, logs)
+    assert "hint: " in said
+    assert "--" not in said
+
+
+def test_an_option_of_a_simulation_that_is_not_known(logs: Path) -> None:
+    def call() -> Path:
+        return insdvl_replay.simulate("straight", "x.mcap", duration=60.0)
+
+    _, said = refused(call, logs)
+    assert said == "error: option 'duration' is not known; hint: did you mean duration_s?"
+    with pytest.raises(TypeError):
+        call()
+
+
+def test_one_name_is_a_list_of_one(logs: Path, tmp_path: Path) -> None:
+    log = logs / "dive.mcap"
+    for given in ("arm", ["arm"]):
+        found = insdvl_replay.calibrate(log, only=given)
+        asked = found.tables["parameters"].query("status != 'not asked'")
+        assert set(asked["parameter"]) == {"arm_x", "arm_y", "arm_z"}
+    assert load_config(settings="dvl.scale=1.01").dvl.scale == 1.01
 
 
 @pytest.mark.parametrize(

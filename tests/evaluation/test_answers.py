@@ -17,7 +17,7 @@ from insdvl_replay.evaluation.answers import (
     primary_of,
 )
 from insdvl_replay.evaluation.interval import log_ratio_interval
-from insdvl_replay.evaluation.sentences import headline, plan_line
+from insdvl_replay.evaluation.sentences import acts_line, headline, plan_line
 
 Dives = list[list[EvidenceRow]]
 BETTER, EQUAL, WORSE, WIDE = (
@@ -264,6 +264,15 @@ def test_identical_results_say_the_likely_reason() -> None:
     assert "never updated" in said
 
 
+def test_identical_on_most_dives_is_not_identical() -> None:
+    dives = dives_of({"position": (1.0,) * 3}, acts=0.0)
+    dives[2] = [evidence_row("position", 1.3, acts=0.4)]
+    found = answer(dives)
+    assert found.verdict == "undecided"
+    said = "acts: identical on most dives; moves the track by up to 40 % of its error"
+    assert acts_line(found) == said
+
+
 # --- Noise of the reference.
 
 
@@ -398,6 +407,29 @@ def test_filter_that_never_settles_on_a_dive_leaves_it_undecided() -> None:
     )
     found = answer(dives)
     assert found.settling == "undecided"
+
+
+def test_values_are_those_of_the_dives_that_have_a_ratio() -> None:
+    dives = dives_of({"position": EQUAL[:3], "convergence_velocity": (0.9, 0.8, 0.7)})
+    seen = [10.0, 20.0, 100.0]
+    for number, (dive, baseline) in enumerate(zip(dives, seen, strict=True)):
+        ratio = dive[1].ratio
+        assert ratio is not None
+        value: float | None = ratio * baseline
+        if number == 2:
+            value = None
+            ratio = math.nan
+        dive[1] = msgspec.structs.replace(dive[1], baseline=baseline, value=value, ratio=ratio)
+    row = row_of(answer(dives), "convergence_velocity")
+    assert (row.dives, row.dives_won) == (2, 2)
+    assert (row.baseline, row.value) == pytest.approx((15.0, 12.5))
+    assert row.ratio == pytest.approx(math.sqrt(0.72))
+
+
+def test_no_more_dives_are_won_than_count() -> None:
+    row = row_of(answer(dives_of({"position": (0.0, 0.5, 0.6, 0.55)})), "position")
+    assert (row.dives, row.dives_won) == (3, 3)
+    assert row.value == pytest.approx(1.1)
 
 
 # --- What was predicted.

@@ -94,6 +94,13 @@ def test_errors_of_another_size_are_named_with_their_value(times: float, word: s
     assert said.endswith("--control fits it")
 
 
+def test_a_baseline_without_any_error_is_no_misfit() -> None:
+    rows = rows_of(drawn(0.0))
+    assert rows[SETTLED_VELOCITY].verdict == Consistency.CONSERVATIVE
+    assert rows[SETTLED_VELOCITY].mean_nees == 0.0
+    assert said_of(drawn(0.0)) == ""
+
+
 def test_a_level_that_is_better_than_predicted_does_not_count() -> None:
     rows = rows_of(drawn(0.2))
     assert rows[SETTLED_LEVEL].mean_nees == pytest.approx(2.0 * 0.2**2, rel=0.1)

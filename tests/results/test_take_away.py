@@ -62,6 +62,27 @@ def test_every_plot_for_a_paper_can_be_named_and_every_name_is_drawn() -> None:
     assert get_args(PaperPlot) == tuple(FOR_PAPER)
 
 
+def test_plots_are_listed_where_they_are_described() -> None:
+    listed = f"{', '.join(f'`{kind}`' for kind in [*FOR_PAPER][:-1])} and `{[*FOR_PAPER][-1]}`"
+    assert listed in (PROJECT / "docs" / "python.md").read_text("utf-8")
+    assert listed.replace("`", "``").replace(" and ", " or ") in (Result.figure.__doc__ or "")
+
+
+def test_states_are_chosen_for_sigma_only(folder: Path) -> None:
+    result = read_result(folder)
+    with pytest.raises(ConfigError, match=r"^states=ba: works with sigma only, not with error"):
+        result.figure("error", states="ba")
+    assert len(result.figure("sigma", states="ba").axes) == 3
+
+
+def test_a_track_is_drawn_without_a_reference(folder: Path, tmp_path: Path) -> None:
+    kept = shutil.copytree(folder, tmp_path / "kept")
+    (kept / "replay.mcap").unlink()
+    track = read_result(kept).figure("track")
+    named = [text.get_text() for text in track.legends[0].get_texts()]
+    assert named == ["baseline", "aided", "start", "end"]
+
+
 @pytest.mark.parametrize("kind", FOR_PAPER)
 def test_every_kind_is_drawn_with_names_and_units(kind: str, folder: Path, tmp_path: Path) -> None:
     target = tmp_path / "drawn.svg"

@@ -549,7 +549,7 @@ def test_last_bit_of_another_machines_sine_does_not_show() -> None:
         ({"grade": "mens"}, "'mens'.*; .*mems"),
         ({"duration_s": -1.0}, "duration .*-1 s"),
         ({"duration_s": float("nan")}, "duration .*nan s"),
-        ({"duration_s": 0.005}, "IMU.*--duration"),
+        ({"duration_s": 0.005}, "IMU.*longer duration"),
         ({"imu_rate_hz": 0.0}, "IMU rate .*0 Hz"),
         ({"dvl_rate_hz": -2.0}, "DVL rate .*-2 Hz"),
         ({"reference_rate_hz": float("inf")}, "reference rate .*inf Hz"),
@@ -557,10 +557,13 @@ def test_last_bit_of_another_machines_sine_does_not_show() -> None:
         ({"lost_beams": [LostBeam(4, 0.0, 1.0)]}, "beam 4 .*0 to 3"),
         (
             {"duration_s": 300.0, "lost_beams": [LostBeam(0, 400.0, 500.0)]},
-            "400 s .*500 s .*300 s.*--duration",
+            "400 s .*500 s .*300 s.*longer duration",
         ),
-        ({"duration_s": 300.0, "outages": [(-20.0, 0.0)]}, "-20 s .*0 s .*--duration"),
-        ({"seed": -3}, "seed .*-3.*--seed 3"),
+        ({"duration_s": 300.0, "outages": [(-20.0, 0.0)]}, "-20 s .*0 s .*longer duration"),
+        ({"seed": -3}, "seed .*-3.*for example 3"),
+        ({"lever_arm_m": (1.0, 2.0)}, r"lever arm .*\(1.0, 2.0\)"),
+        ({"lever_arm_m": (float("nan"), 0.0, 0.0)}, "lever arm .*nan"),
+        ({"mounting_rpy_deg": (0.0, float("inf"), 0.0)}, "mounting .*inf"),
     ],
 )
 def test_impossible_dives_are_refused(arguments: dict[str, object], named: str) -> None:

@@ -60,6 +60,8 @@ FOR_PAPER: Final[Mapping[str, Callable[[StoredDive], Figure]]] = {
     "outage": outage_for_paper,
     "convergence": convergence_for_paper,
 }
+WITH_STATES: Final = "sigma"  # the only plot whose states are chosen
+WITH_REFERENCE: Final = "track"  # the only one that shows the reference
 
 
 # --- On a page.
@@ -106,21 +108,30 @@ def paper_figure(
     kind: str,
     trajectory: Trajectory,
     tables: Mapping[str, Sequence[Row]],
-    states: str = "",
-    reference: "pd.DataFrame | None" = None,
+    states: tuple[str, ...],  # from `chosen_states`
+    reference: "Callable[[], pd.DataFrame | None]",  # is asked only if the plot shows it
 ) -> Figure:
-    """Return a figure of a kind, by the tables of the dive; states are for sigma, the reference for the track."""
+    """Return a figure of a kind, by the tables of the dive."""
     kinds = tuple(FOR_PAPER)
     require_known("figure", kind, kinds, most=len(kinds))
-    dive = StoredDive(trajectory, tables, chosen_states(states), reference)
+    shown_reference = None
+    if kind == WITH_REFERENCE:
+        shown_reference = reference()
+    dive = StoredDive(trajectory, tables, states, shown_reference)
     figure = FOR_PAPER[kind](dive)
     if not figure.panels:
         raise ConfigError(f"there is nothing to draw for {kind}", f"kinds: {', '.join(kinds)}")
     return figure
 
 
-def chosen_states(text: str) -> tuple[str, ...]:
-    """Read names of states, or their beginnings such as ``ba``, with commas between them."""
+def chosen_states(kind: str, text: str, option: str) -> tuple[str, ...]:
+    """Read names of states, or their beginnings such as ``ba``, with commas between them; a plot without them has none.
+
+    The option, with its value, is for the sentence of the ConfigError.
+    """
+    if text and kind != WITH_STATES:
+        text = f"{option}: works with {WITH_STATES} only, not with {kind}"
+        raise ConfigError(text, "leave it out")
     names = tuple(part.strip() for part in text.split(",") if part.strip())
     known = [state.id for state in STATES]
     beginnings = list(dict.fromkeys(name.partition("_")[0] for name in known))
