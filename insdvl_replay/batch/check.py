@@ -140,7 +140,7 @@ def _results_of(
     logs = [dive for dive in dives if not _is_result(dive)]
     jobs = plan_jobs(logs, output, check.options, check.configs)
     # Stored results may have filters that no settings name.
-    if len(logs) == len(dives):
+    if jobs and len(logs) == len(dives):
         require_known_filters(check.gates, _filters_of(jobs))
     checked: list[Checked] = []
     # One outcome for each log, in the order of the dives.

@@ -280,7 +280,7 @@ def _check_place(gate: CellGate) -> None:
 
 def _check_conditions(gate: CellGate) -> None:
     """Raise without a condition, and for limits and words that no value of the column can meet."""
-    if gate.min is None and gate.max is None and gate.equals is None and gate.expected is None:
+    if gate.min is None and gate.max is None and not gate.wanted and gate.expected is None:
         raise ConfigError("has no condition", "add min, max, equals or expected")
     if gate.min is not None and gate.max is not None and gate.min > gate.max:
         raise ConfigError(

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -23,12 +23,14 @@ from insdvl_replay.core.errors import (
     Note,
     error_context,
 )
+from insdvl_replay.core.words import GateStatus
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.check import Part
     from insdvl_replay.changes.findings import Checked, CheckResult
 
 GATE_FAILED = 1
+_MISSED: Final = (GateStatus.UNUSABLE, GateStatus.FAILED)
 
 
 def compare(
@@ -258,7 +260,6 @@ def check(
     from insdvl_replay.changes.gate_file import chosen_gates, load_gates, settings_of
     from insdvl_replay.cli.screen import fetch_with_progress, replaying
     from insdvl_replay.core.settings_layers import SettingsLayers
-    from insdvl_replay.core.words import GateStatus
 
     part = _part(shard)
     chosen = chosen_gates(load_gates(gates), only, skip)
@@ -301,8 +302,10 @@ def check(
     _print_check(found, format_, output, summary, quiet=quiet)
     if found.count(GateStatus.FAILED):
         codes.append(GATE_FAILED)
-    if max(codes):
-        first = found.outcomes[0]
+    # None is missed where no gate is about the dive that cannot be used, which was reported above.
+    missed = [item for item in found.outcomes if item.status in _MISSED]
+    if max(codes) and missed:
+        first = missed[0]
         reasons = "; ".join(first.explained)
         sentence = check_sentence(found)
         log_to_stderr(f"error: {sentence}; the first: {first.dive}: {first.gate}: {reasons}")

@@ -455,6 +455,27 @@ def test_shards_are_all_dives_once(team: Path) -> None:
         assert check(team, FAILING, "--shard", wrong).returncode == 2
 
 
+def test_a_shard_without_a_dive_passes(team: Path) -> None:
+    done = check(team, PASSING, "--shard", "9/9")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_dive_that_cannot_be_used_and_has_no_gate_is_3(tmp_path: Path) -> None:
+    (tmp_path / "broken.mcap").write_bytes(b"no log" * 100)
+    gate = """
+[[gate]]
+name = "of another dive"
+table = "evidence"
+column = "ratio"
+max = 5
+dives = ["monday"]
+"""
+    done = check(tmp_path, gate, dives='["broken.mcap"]')
+    assert done.returncode == 3
+    [said] = done.stderr.splitlines()
+    assert "broken.mcap: is not an MCAP file" in said
+
+
 def test_a_gate_may_mean_some_dives(team: Path) -> None:
     done = check(team, FAILING + 'dives = ["tr*"]\n')
     assert re.findall(r"FAILED  (\w+):", done.stdout) == ["transit"]

@@ -53,6 +53,7 @@ def why(gate_: CellGate, report: StoredReport, expected: StoredReport | None = N
         (GATE + 'max = "1"', ": gate 1: max: ", "'1'", "min = 40"),
         (GATE + 'max = 1\nlevel = "loud"', ": gate 1: level ", "'loud'", "error, warn, off"),
         (GATE, ":1: gate 'a': ", "condition", "min, max, equals or expected"),
+        (f"{GATE}equals = []", ":1: gate 'a': ", "condition", "min, max, equals or expected"),
         (GATE + "max = 1\nmin = 2", ":1: gate 'a': ", "2", "min and max"),
         (GATE + "max = nan", ": gate 1: max: ", "nan", "min = 40"),
         (GATE + "max = 1\n" + GATE + "min = 1", ": ", "'a'", ""),

@@ -137,11 +137,21 @@ def test_fields_that_a_schema_lacks_are_done_without(read: Callable[..., Dive]) 
     np.testing.assert_array_equal(
         dive.dvl.time_ns, START_NS + np.array([100_000_000, 300_000_000])
     )
-    without = definition_text(WATER_LINKED).replace("velocity\n", "speed\n")
-    with pytest.raises(
-        LogError, match=r"is of type dvl_msgs/msg/DVL, but its schema lacks some of velocity"
-    ) as raised:
+
+
+@pytest.mark.parametrize(
+    ("written", "near"), [("speed", ""), ("velocty", "near: velocty, beams[*].velocty; ")]
+)
+def test_the_fields_that_are_needed_and_lacking_are_named(
+    written: str, near: str, read: Callable[..., Dive]
+) -> None:
+    without = definition_text(WATER_LINKED).replace("velocity\n", f"{written}\n")
+    with pytest.raises(LogError) as raised:
         read([water_linked(0.0), water_linked(0.2)], **{WATER_LINKED: without})
+    said = raised.value.what
+    lacking = "but its schema lacks velocity, beams[*].velocity"
+    assert said.endswith(f"is of type dvl_msgs/msg/DVL, {lacking}")
+    assert raised.value.hint.startswith(near or "for other types: ")
     assert 'dvl.velocity = "field.path"' in raised.value.hint
 
 

@@ -231,7 +231,7 @@ class TopicRole:
         known = self.types.get(type_of(first), KnownType())
         fields = self._fields(known, paths)
         self._require_whole(topic, fields)
-        self._require_enough(topic, first.type_name, known, fields)
+        self._require_enough(topic, first.type_name, known, fields, paths)
         element = self._element(topic, known)
         stamp = _stamp_of(known, paths) if self.stamp is None else self.stamp
         if first.untimed and stamp == LOG_TIME:
@@ -282,6 +282,7 @@ class TopicRole:
         type_name: str,
         known: KnownType,
         fields: Collection[str],
+        paths: Kinds,
     ) -> None:
         """Refuse a topic that has too little for the role."""
         if any(quantities <= set(fields) for quantities in self.enough):
@@ -289,10 +290,26 @@ class TopicRole:
         reason = (
             f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
         )
+        hint = self.how_to_name()
         if known.fields:
-            lacking = ", ".join(known.fields.values())
-            reason = f"is of type {type_name}, but its schema lacks some of {lacking}"
-        raise LogError(f"topic '{topic}' {reason}", self.how_to_name())
+            lacking = self._lacking(known, paths)
+            reason = f"is of type {type_name}, but its schema lacks {', '.join(lacking)}"
+            near = _nearest_of(lacking, known, paths)
+            if near:
+                hint = f"near: {', '.join(near)}; {hint}"
+        raise LogError(f"topic '{topic}' {reason}", hint)
+
+    def _lacking(self, known: KnownType, paths: Kinds) -> list[str]:
+        """List the fields of a type that the role needs, and that a schema lacks."""
+        needed = set[str]().union(*self.enough)
+        lacking = dict[str, None]()
+        for quantity, joined in known.fields.items():
+            if quantity not in needed:
+                continue
+            for path in split_paths(joined):
+                if not find_path(path, paths):
+                    lacking[path] = None
+        return [*lacking]
 
     def _element(self, topic: str, known: KnownType) -> Element | None:
         """Return which elements of a list in the messages count; None where the messages are no lists."""
@@ -354,6 +371,25 @@ class TopicRole:
         does = "for a proposal" if self.name in PROPOSED else "for a list of topics"
         by_name = f'{self.key} = "/topic" with {" or ".join(ways)}'
         return f"for other types: {by_name}; {does}: `insdvl-replay inspect`"
+
+
+def _nearest_of(lacking: Iterable[str], known: KnownType, paths: Kinds) -> list[str]:
+    """Return the paths beside those that a schema lacks that may be misspelt; what the type uses is not."""
+    used = set[str]()
+    for joined in known.fields.values():
+        used.update(split_paths(joined))
+    near = list[str]()
+    for path in lacking:
+        within, dot, name = path.rpartition(".")
+        names = list[str]()
+        for other in paths:
+            beside, _, other_name = other.rpartition(".")
+            if beside == within and other not in used:
+                names.append(other_name)
+        meant = nearest(name, names)
+        if meant:
+            near.append(f"{within}{dot}{meant}")
+    return near
 
 
 def _stamp_of(known: KnownType, paths: Kinds) -> str:
