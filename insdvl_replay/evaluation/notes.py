@@ -481,7 +481,8 @@ def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, 
     turning = turn > SMALL_TURN
     if not turning.any():
         return ()
-    worst = int(np.argmax(turn))
+    # A filter that broke down turns by no number.
+    worst = int(np.nanargmax(turn))
     apart_s = float(
         seconds(
             reference_ns[np.searchsorted(reference_ns, since[worst], side="right")], since[worst]
@@ -495,7 +496,7 @@ def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, 
         severity,
         apart_s=apart_s,
         turn_deg=turn[worst] / DEG,
-        change_mps=change_mps.max(),
+        change_mps=np.nanmax(change_mps),
         enough_hz=turn[worst] / SMALL_TURN / apart_s,
     )
     return (slow,)

@@ -255,7 +255,9 @@ def _answer(reports: Sequence[Report], name: str, level: float = LEVEL) -> Candi
     evaluated = [
         report for report in having if report.filters[name].verdict not in WITHOUT_VERDICT
     ]
-    if evaluated and answer.decisive is None and not answer.reason:
+    # Why other dives are not evaluated is no reason of those that are.
+    is_evaluated = answer.verdict not in WITHOUT_VERDICT
+    if evaluated and is_evaluated and answer.decisive is None:
         (lacking, _), *_ = Counter(map(lacking_evidence, evaluated)).most_common(1)
         answer = replace(answer, reason=lacking)
     return answer

@@ -78,7 +78,7 @@ NO_REFERENCE: Final = (
 # The meaning of the columns of the headline.
 SPECIFIED: Final = (
     "of distance: final horizontal error. CEP50, CEP95: 50 % and 95 % of the horizontal errors of this run are "
-    "smaller. without DVL: median drift in the DVL outage test, measured by the held-out velocities."
+    "smaller. outage: median drift in the DVL outage test, measured by the held-out velocities."
 )
 
 
@@ -101,7 +101,7 @@ def headline_table(report: Report, title: str = "", footnote: str = "") -> Itera
         header += ["of distance", "CEP50", "CEP95", "end"]
     heads = [f"{window_s} s" for window_s in windows_s]
     if heads:
-        heads[0] += " without DVL"
+        heads[0] = f"outage {heads[0]}: p50"
     header += heads
     if len(header) == 1:
         return
@@ -169,7 +169,7 @@ VALUES: Final = {
     "depth_rmse_m": ("depth rms", "m"),
     "velocity_rmse_mps": ("velocity rms", "m/s"),
     "drift_60s_rms_m": ("drift in 60 s", "m"),
-    "outage_60s_drift_m": ("60 s without DVL", "m"),
+    "outage_60s_drift_m": ("outage 60 s: p50", "m"),
     "nis_per_dof": ("NIS / dof", ""),
 }
 

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
+from insdvl_replay.evaluation.notes import reference_rate_notes
 from insdvl_replay.evaluation.reference_errors import covered_share
+from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.preparation.prepared import with_reference_at_imu
 from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
@@ -139,6 +142,17 @@ def test_reference_that_turns_nan_as_a_whole(tmp_path: Path, dive: Dive) -> None
     assert [note.code for note in notes(replay, "reference_slow")] == [
         note.code for note in notes(cut, "reference_slow")
     ]
+
+
+def test_turns_of_a_filter_that_broke_down_are_those_that_it_knew() -> None:
+    time_ns = np.arange(11) * SECOND
+    headings = np.where(time_ns < 7 * SECOND, 0.3 * time_ns / SECOND, np.nan)
+    mat_nb = mat_from_rpy(np.column_stack([np.zeros((11, 2)), headings]))
+    velocity_n = np.column_stack([np.cos(headings), np.sin(headings), np.zeros(11)])
+    history: Any = SimpleNamespace(time_ns=time_ns, mat_nb=mat_nb, velocity_n=velocity_n)
+    (slow,) = reference_rate_notes(history, time_ns[::2])
+    assert "turns by up to 34 deg" in slow.text
+    assert "nan" not in f"{slow.text} {slow.hint}"
 
 
 def test_number_in_the_last_row_does_not_cover_what_is_before(dive: Dive) -> None:

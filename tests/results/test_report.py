@@ -230,11 +230,11 @@ def test_screen_has_the_track_fit_and_leaves_its_table_to_the_page() -> None:
 
 def test_headline_has_a_line_for_each_filter_with_what_is_known() -> None:
     [table] = headline_table(report())
-    assert table.header == ("this run", "of distance", "CEP50", "CEP95", "end", "30 s without DVL")
+    assert table.header == ("this run", "of distance", "CEP50", "CEP95", "end", "outage 30 s: p50")
     assert table.rows[0] == ("baseline", "0.20 % of 1000 m", "1 m", "2 m", "2 m", "0.5 m")
     assert table.rows[1][1] == "0.25 % of 1000 m"
     [alone] = headline_table(report(used=unreferenced(tables())))
-    assert alone.header == ("this run", "30 s without DVL")
+    assert alone.header == ("this run", "outage 30 s: p50")
     assert alone.rows == (("baseline", "0.5 m"), ("aided", "0.4 m"))
     assert not list(headline_table(report(used=replace(unreferenced(tables()), outage=[]))))
 
@@ -246,7 +246,7 @@ def test_headline_gives_the_drift_after_60_and_120_s_where_there_are_such_window
         for window_s, windows in ((30, 9), (60, 4), (120, 2), (300, 0))
     ]
     [table] = headline_table(report(used=replace(tables(), outage=rows)))
-    assert table.header[-2:] == ("60 s without DVL", "120 s")
+    assert table.header[-2:] == ("outage 60 s: p50", "120 s")
     assert [cells[-2:] for cells in table.rows] == [("8.57 m", "17.1 m"), ("-", "-")]
 
 

@@ -21,7 +21,7 @@ NAMES = (
     "depth rms",
     "velocity rms",
     "drift in 60 s",
-    "60 s without DVL",
+    "outage 60 s: p50",
     "NIS / dof",
 )
 

@@ -32,6 +32,18 @@ def test_a_short_dive_without_reference_says_what_it_lacks() -> None:
     assert both.reason == answer.reason
 
 
+def test_the_reason_of_a_dive_that_is_not_evaluated_is_not_that_of_the_others() -> None:
+    unusable = bare("three", 60.0)
+    candidates = {
+        name: replace(found, verdict=Verdict.NOT_EVALUATED, reason="aided diverged")
+        for name, found in unusable.filters.items()
+    }
+    dives = [bare("one", 60.0), bare("two", 60.0), replace(unusable, filters=candidates)]
+    (answer,) = answers_of(dives)
+    assert (answer.verdict, answer.evaluated) == (Verdict.UNDECIDED, 2)
+    assert answer.reason.startswith("no reference, and too short")
+
+
 def test_a_long_dive_with_gaps_lacks_another_thing() -> None:
     assert "no 30 s in which the DVL has no gap" in lacking_evidence(bare("dive", 300.0))
     with_reference = report()

@@ -383,8 +383,8 @@ def _nearest_of(lacking: Iterable[str], known: KnownType, paths: Kinds) -> list[
         within, dot, name = path.rpartition(".")
         names = list[str]()
         for other in paths:
-            beside, _, other_name = other.rpartition(".")
-            if beside == within and other not in used:
+            other_within, _, other_name = other.rpartition(".")
+            if other_within == within and other not in used:
                 names.append(other_name)
         meant = nearest(name, names)
         if meant:
