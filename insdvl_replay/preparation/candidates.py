@@ -199,6 +199,8 @@ def _other_place(
 def _other_speed(history: History, baseline: History, known: Mask) -> str:
     """Say that a solution is far faster or slower than the baseline; empty if it is not."""
     rows = known & np.isfinite(baseline.velocity_n).all(axis=1)
+    if not rows.any():
+        return ""
     own_mps = np.linalg.norm(history.velocity_n[rows], axis=1)
     usual_mps = np.linalg.norm(baseline.velocity_n[rows], axis=1)
     off_mps = _rms(own_mps - usual_mps)
@@ -219,6 +221,9 @@ def _other_turns(
 ) -> str:
     """Say that a solution turns otherwise than baseline and gyros; empty if it does not."""
     rows = np.flatnonzero(known & np.isfinite(baseline.mat_nb).all(axis=(1, 2)))
+    # A baseline that broke down early may have none of them.
+    if not len(rows):
+        return ""
     since_s = seconds(history.time_ns[rows], history.time_ns[0])
     rows = rows[np.unique(np.searchsorted(since_s, np.arange(0.0, since_s[-1], COMPARED_S)))]
     own = _turns(history.mat_nb[rows])

@@ -141,21 +141,21 @@ def test_a_dive_that_cannot_be_used_does_not_stop_the_others(
 
 
 @pytest.mark.parametrize(
-    ("options", "meant"),
+    ("options", "wrong", "meant"),
     [
-        (["--only", "arms"], "arm"),
-        (["--only", ","], "arm"),
-        (["--hold-out", "2"], ""),
-        (["--hold-out", "0.5"], ""),
-        (["--hold-out", "dive_9"], "dive_1"),
+        (["--only", "arms"], "group of parameters 'arms'", "arm"),
+        (["--only", ","], "no group of parameters", "arm"),
+        (["--hold-out", "2"], "share to hold out", "0.3"),
+        (["--hold-out", "0.5"], "all dives are held out", "fewer"),
+        (["--hold-out", "dive_9"], "dive to hold out 'dive_9'", "dive_1"),
     ],
 )
 def test_what_is_asked_wrongly_is_refused(
-    dives: Path, options: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+    dives: Path, options: list[str], wrong: str, meant: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run_command_line([*calibrate(dives, "dive_1"), *options]) == 2
     said, _, hint = capsys.readouterr().err.partition("; hint: ")
-    assert said.startswith(f"error: {options[0]}")
+    assert said.startswith(f"error: {wrong}")
     assert meant in hint
 
 

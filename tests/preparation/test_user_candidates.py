@@ -381,6 +381,31 @@ def test_a_solution_that_turns_as_the_gyros_is_of_this_dive_though_the_baseline_
         history_of_candidate("mine", wrong, start, start.time_ns, dive.imu, velocities, own, none)
 
 
+def test_a_solution_that_begins_after_the_baseline_broke_down_is_not_compared_with_it(
+    dive: Dive, alone: Replay
+) -> None:
+    own = alone.histories[0]
+    count = len(own.time_ns)
+    is_broken = np.arange(count) >= count // 20
+    broken = replace(
+        own,
+        velocity_n=np.where(is_broken[:, None], np.nan, own.velocity_n),
+        mat_nb=np.where(is_broken[:, None, None], np.nan, own.mat_nb),
+    )
+    # A first row before the start, and a pause in which nothing is known.
+    kept = np.arange(count) >= count // 15
+    kept[0] = True
+    time_ns = own.time_ns[kept]
+    time_ns[0] -= 1
+    late = Solution(time_ns, own.position[kept], own.velocity_n[kept], own.mat_nb[kept])
+    start = start_of(dive)
+    velocities = dvl_velocities(dive.dvl)
+    history, _ = history_of_candidate(
+        "mine", late, start, start.time_ns, dive.imu, velocities, broken, own.time_ns[:0]
+    )
+    assert 0.92 < np.isfinite(history.velocity_n[:, 0]).mean() < 0.94
+
+
 class Failing(Candidate):
     """A class with a mistake."""
 
