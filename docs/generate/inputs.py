@@ -12,9 +12,22 @@ from insdvl_replay.logs.formats.known_formats import FORMATS, OTHER_FORMATS, For
 PAGE = PROJECT / "docs" / "inputs.md"
 
 
+TIMES_IN_FILES = {
+    "ardupilot": "time of the record, or of its frame",
+    "cerulean": "time in the sentence",
+    "nortek": "time in the sentence",
+    "nucleus": "`timeStamp` and `microSeconds`",
+    "px4": "`timestamp_sample`, else `timestamp`",
+    "teledyne": "the instrument's clock",
+    "waterlinked": "time of validity, else sum of `time`",
+}
+"""What readers of files of instruments take for the time of a row, by the first word of its type."""
+
+
 def _stamp(entry: KnownType) -> str:
     if entry.stamp == LOG_TIME:
-        return "the recorder's time"
+        maker = entry.names[0].partition(".")[0]
+        return TIMES_IN_FILES.get(maker, "the recorder's time")
     return f"`{entry.stamp}`" if entry.stamp else "header"
 
 

@@ -44,7 +44,8 @@ class KnownType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 # By name; of two types that a log has, the earlier one is the better source.
 Types = Mapping[str, KnownType]
-LOG_TIME: Final = "log_time"  # the recorder's time of arrival, as a stamp
+# As a stamp: the recorder's time of arrival; of a file of an instrument the time that its reader found.
+LOG_TIME: Final = "log_time"
 _ENTRIES: Final = msgspec.toml.decode(
     Path(__file__).with_name("known_types.toml").read_text("utf-8"),
     type=dict[str, list[KnownType]],
