@@ -8,18 +8,20 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
 from multiprocessing import get_context
 from pathlib import Path
 from random import Random
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any
 
 import raw_harm
-from instrument_logs import told, write_rest
-from instrument_writers import FORMATS, Written
+import zstandard
+from instrument_logs import Told, told, write_rest, write_whole
+from instrument_writers import FORMATS, Written, velocities_of_teledyne
+from moos_logs import alog, whole
 from victim import (
     DEFECTS,
     HARMLESS,
@@ -32,7 +34,7 @@ from victim import (
     verdict_on_result,
 )
 
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import UserError
 from insdvl_replay.logs import read_dive
 
@@ -53,6 +55,41 @@ LINES = (
 """What may stand where a line should."""
 
 
+ALOG_SETTINGS = """
+[imu]
+topic = "IMU"
+specific_force = "IMU_ACC_X, IMU_ACC_Y, IMU_ACC_Z"
+angular_rate = "IMU_GYRO_X, IMU_GYRO_Y, IMU_GYRO_Z"
+
+[dvl]
+topic = "DVL"
+velocity = "DVL_VEL_X, DVL_VEL_Y, DVL_VEL_Z"
+"""
+
+
+def moos(dive: Told) -> bytes:
+    """Write a log of MOOS."""
+    return whole(alog(dive.dive)).encode()
+
+
+def packed(dive: Told) -> bytes:
+    """Write a log that is compressed as a whole."""
+    with TemporaryDirectory() as folder:
+        plain = write_whole(Path(folder), replace(dive.dive, reference=None)).read_bytes()
+    return zstandard.ZstdCompressor(write_checksum=True).compress(plain)
+
+
+KINDS = {
+    **FORMATS,
+    "alog": Written(
+        "mission.alog", moos, velocities_of_teledyne, 1e-12, has_imu=True, is_protected=False
+    ),
+    "zstd": Written("dive.mcap.zstd", packed, Told.of_velocities, 1e-12, has_imu=True),
+}
+SETTINGS = {"alog": ALOG_SETTINGS}
+"""What names the columns of a format, where its types do not."""
+
+
 @dataclass(frozen=True)
 class Clean:
     """A whole file of an instrument: what it gives with the log of what it lacks, and the memory that takes."""
@@ -61,6 +98,7 @@ class Clean:
     known: Written
     content: bytes
     rest: Path
+    settings: Path
     result: Result
     columns: dict[str, Any]
     peak_mb: float
@@ -84,20 +122,28 @@ class Outcome:
         return f"{self.verdict}: {what}: {last!r}"
 
 
-def commands(path: Path, rest: Path, output: Path) -> dict[str, list[str]]:
+def commands(
+    path: Path,
+    rest: Path,
+    settings: Path,
+    output: Path,
+) -> dict[str, list[str]]:
     """Give the commands that are tried, by name."""
-    run = ["run", "--one-dive", str(path), str(rest), "-o", str(output), "--starts", "1"]
+    dive = ["--one-dive", str(path), str(rest)]
+    if settings.stat().st_size:
+        dive += ["-c", str(settings)]
+    run = ["run", *dive, "-o", str(output), "--starts", "1"]
     return {
         "run": run,
         "run --allow-damaged": [*run, "--allow-damaged"],
-        "inspect": ["inspect", "--one-dive", str(path), str(rest)],
+        "inspect": ["inspect", *dive],
     }
 
 
 def prepared(only: str, folder: Path) -> list[Clean]:
     """Replay the whole file of each format, here once so that all is loaded, and in a child."""
     cleans = []
-    for kind, known in FORMATS.items():
+    for kind, known in KINDS.items():
         if only not in kind:
             continue
         place = folder / f"clean_{kind}"
@@ -106,8 +152,10 @@ def prepared(only: str, folder: Path) -> list[Clean]:
         content = known.write(dive if known.has_imu else told())
         (place / known.name).write_bytes(content)
         rest = write_rest(place, dive.dive, imu=not known.has_imu)
-        tried = commands(place / known.name, rest, place / "results")
-        warm = commands(place / known.name, rest, place / "warm")
+        settings = place / "vehicle.toml"
+        settings.write_text(SETTINGS.get(kind, ""))
+        tried = commands(place / known.name, rest, settings, place / "results")
+        warm = commands(place / known.name, rest, settings, place / "warm")
         ready([warm["run"], warm["inspect"]])
         ended = run_forked(tried["run"], folder / "said")
         found = [path for path in (place / "results").iterdir() if path.is_dir()]
@@ -115,9 +163,9 @@ def prepared(only: str, folder: Path) -> list[Clean]:
         if result is None:
             raise SystemExit(f"{kind}: the clean file gives no result: {ended.said}")
         output = place / "columns"
-        read(place / known.name, rest, False, output)
+        read(place / known.name, rest, settings, False, output)
         columns = json.loads(output.read_text())
-        cleans.append(Clean(kind, known, content, rest, result, columns, ended.peak_mb))
+        cleans.append(Clean(kind, known, content, rest, settings, result, columns, ended.peak_mb))
     gc.freeze()
     return cleans
 
@@ -193,7 +241,8 @@ def attempts(seed: int, cleans: Sequence[Clean], folder: Path) -> Iterator[Outco
         same_content &= "_numbers" not in harms and "_lines" not in harms
         for allow in (False, True):
             output = folder / "columns"
-            ended = run_forked(partial(read, path, clean.rest, allow, output), folder / "said")
+            reading = partial(read, path, clean.rest, clean.settings, allow, output)
+            ended = run_forked(reading, folder / "said")
             judged = verdict(ended, clean.peak_mb)
             if judged == "ok" and not ended.code:
                 judged = _judged(json.loads(output.read_text()), clean, same_content=same_content)
@@ -201,7 +250,9 @@ def attempts(seed: int, cleans: Sequence[Clean], folder: Path) -> Iterator[Outco
             yield Outcome(seed, clean.kind, harms, f"read {allow}", judged, ended.said)
         if seed % 10:
             continue
-        for name, command in commands(path, clean.rest, folder / "results").items():
+        for name, command in commands(
+            path, clean.rest, clean.settings, folder / "results"
+        ).items():
             ended = run_forked(command, folder / "said")
             judged = verdict(ended, clean.peak_mb)
             if judged == "ok" and name != "inspect":
@@ -216,10 +267,16 @@ def attempts(seed: int, cleans: Sequence[Clean], folder: Path) -> Iterator[Outco
             yield Outcome(seed, clean.kind, harms, name, judged, ended.said)
 
 
-def read(path: Path, rest: Path, allow: bool, output: Path) -> int:
+def read(
+    path: Path,
+    rest: Path,
+    settings: Path,
+    allow: bool,
+    output: Path,
+) -> int:
     """Read a file with the log of what it lacks, and write a digest of its columns, and its notes."""
     try:
-        dive = read_dive([path, rest], Config(), allow_damaged=allow)
+        dive = read_dive([path, rest], load_config(file=settings), allow_damaged=allow)
     except UserError as error:
         sys.stderr.write(f"error: {error}\n")
         return 3
