@@ -204,7 +204,7 @@ def _file_facts(inventory: Inventory) -> Iterator[str]:
     library = log.library or MISSING
     yield f"{log.name}: {_size(log)}, profile {profile}, written by {library}"
     used = sum(1 for topic in inventory.topics if topic.messages)
-    yield f"{log.messages} messages on {used} of {len(inventory.topics)} topics, {_chunks(log)}"
+    yield f"{counted(log.messages, 'message')} on {used} of {len(inventory.topics)} topics, {_chunks(log)}"
     if log.start_utc is not None:
         yield f"{log.duration_s:.1f} s from {log.start_utc} (recorder's clock)"
     if log.metadata:
@@ -244,7 +244,7 @@ def _remarks(inventory: Inventory) -> Iterator[Remark]:
     reference = inventory.reference
     if reference is not None:
         yield Remark(
-            f"reference: {reference.rows} rows; share of the IMU's time between first and last row: "
+            f"reference: {counted(reference.rows, 'row')}; share of the IMU's time between first and last row: "
             f"position {reference.position_pct:.0f} %, velocity {reference.velocity_pct:.0f} %, "
             f"attitude {reference.attitude_pct:.0f} %"
         )
@@ -256,7 +256,7 @@ def _remarks(inventory: Inventory) -> Iterator[Remark]:
 
 def _ping_sentence(pings: PingFacts, announced: int) -> str:
     """State how many of the messages are pings; of those that the log announces, not all may have been read."""
-    messages = f"{pings.messages} messages"
+    messages = counted(pings.messages, "message")
     if pings.messages < announced:
         messages = f"the first {messages}"
     if pings.repeats:

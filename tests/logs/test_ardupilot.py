@@ -328,3 +328,35 @@ def test_the_other_displacements_can_be_named(tmp_path: Path) -> None:
     found = read_dive(paths, Config(dvl=Dvl(topic="dvl/odometry/0")))
     whole = read_dive(instrument_logs.write_whole(tmp_path, log.told.dive), Config())
     instrument_logs.assert_same_dvl(found, whole, VELOCITY_MPS, 1_000_000)
+
+
+def samples(count: int) -> list[bytes]:
+    """Records of an IMU, a hundred each second."""
+    found = []
+    for number in range(count):
+        rest = [0, 0, 30.0, 1, 1, 1000, 1000]
+        found.append(record("IMU", 10_000 * number, 0, *[0.0] * 5, -9.8, *rest))
+    return found
+
+
+@pytest.mark.parametrize("week", [0, 65_535])
+def test_impossible_week_is_no_date(week: int, tmp_path: Path) -> None:
+    fix = record("GPS", 0, 0, 3, 1000, week, 12, 80, 10, 10, 100, 0.0, 0.0, 0.0, 0.0, 1)
+    (tmp_path / "a.BIN").write_bytes(format_records() + b"".join(samples(100)) + fix)
+    times = open_recording(tmp_path / "a.BIN").log_times()
+    assert int(times[0][-1]) == 990_000_000
+
+
+def test_what_looks_like_a_head_hides_no_other_record(tmp_path: Path) -> None:
+    records = samples(20)
+    # As long as to the end of the record behind it.
+    kind = autopilot_logs.FORMATS["UNIT"][0]
+    size = 3 + struct.calcsize("<Qb64s")
+    at = 2 * len(records[0]) - size
+    damaged = bytearray(records[5])
+    damaged[at : at + 3] = bytes([0xA3, 0x95, kind])
+    records[5] = bytes(damaged)
+    (tmp_path / "a.BIN").write_bytes(format_records() + b"".join(records))
+    log = open_recording(tmp_path / "a.BIN")
+    assert [channel.messages for channel in log.channels] == [20]
+    assert not log.notes

@@ -262,3 +262,28 @@ def test_pings_of_outages_are_held_back_by_the_clock_of_the_imu(tmp_path: Path) 
     written_ns = stamped(dive.dvl.time_ns[inside])
     assert abs(len(held_back) - len(written_ns)) <= 1
     assert abs(float(seconds(held_back[0], int(written_ns[0])))) < 0.3
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_never_changes_tells_nothing() -> None:
+    dive = simulated(at_sea(5, legs=1), 5)
+    sway = velocities(dive)
+    unturned = Rows.of_attitudes(sway.time_ns, np.tile(np.eye(3), (len(sway.time_ns), 1, 1)))
+    with_both = clock_by_motion(dive.imu, [sway, unturned], are_stamps_likely=True)
+    assert with_both == clock_by_motion(dive.imu, [sway], are_stamps_likely=True)
+    at_rest = replace(
+        dive.imu,
+        specific_force_b=0.0 * dive.imu.specific_force_b,
+        angular_rate_b=0.0 * dive.imu.angular_rate_b,
+    )
+    steady = Rows.of_velocities(sway.time_ns, np.ones((len(sway.time_ns), 3)))
+    assert clock_by_motion(at_rest, [steady], are_stamps_likely=True) is None
+
+
+@pytest.mark.filterwarnings("error")
+def test_bursts_of_pings_far_apart_tell_nothing() -> None:
+    dive = simulated(at_sea(5, legs=1), 5)
+    sway = velocities(dive)
+    since_first = np.arange(len(sway.time_ns)) // 10 * 2_500_000_000
+    bursts = Rows(sway.time_ns[0] + since_first, sway.values)
+    assert clock_by_motion(dive.imu, [bursts]) is None

@@ -281,3 +281,43 @@ def test_solution_of_a_nucleus_can_be_judged(tmp_path: Path) -> None:
     assert np.isnan(found.position[:5, :2]).all()
     np.testing.assert_allclose(found.position[5:, :2], reference.position[5:, :2], atol=1e-12)
     np.testing.assert_allclose(found.mat_nb[5:], reference.mat_nb[5:], atol=1e-9)
+
+
+TEXTS = [kind for kind in FORMATS if kind not in {"ardupilot", "px4", "pd0", "pd4", "pd5"}]
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_byte_order_mark_is_no_content(kind: str, tmp_path: Path) -> None:
+    _, _, paths = written(tmp_path, kind)
+    expected = open_recording(paths[0])
+    paths[0].write_bytes(b"\xef\xbb\xbf" + paths[0].read_bytes())
+    found = open_recording(paths[0])
+    assert [one.messages for one in found.channels] == [one.messages for one in expected.channels]
+    assert not found.notes
+
+
+def test_byte_order_mark_is_no_part_of_a_title(tmp_path: Path) -> None:
+    titles = ["timeStamp", "microSeconds"]
+    titles += [title for title in TITLES if title not in titles]
+    content = as_table(packets(told().single()), titles)
+    (tmp_path / "nucleus_log.csv").write_bytes(b"\xef\xbb\xbf" + content)
+    assert len(open_recording(tmp_path / "nucleus_log.csv").channels) == 2
+
+
+def test_many_beginnings_of_sentences_take_no_time(tmp_path: Path) -> None:
+    _, _, paths = written(tmp_path, "water_linked_serial")
+    expected = open_recording(paths[0]).channels[0].messages
+    content = paths[0].read_bytes()
+    paths[0].write_bytes(content + 4 * (b"wra" * 300_000 + b"\r\n") + content)
+    assert open_recording(paths[0]).channels[0].messages == 2 * expected
+
+
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [(1, "1 line is of other kinds and is left"), (2, "2 lines are of other kinds and are left")],
+)
+def test_one_of_something_is_no_plural(count: int, said: str, tmp_path: Path) -> None:
+    _, _, paths = written(tmp_path, "pd6")
+    paths[0].write_bytes(paths[0].read_bytes() + b"calm sea\r\n" * count)
+    (note,) = open_recording(paths[0]).notes
+    assert said in note.text

@@ -122,3 +122,61 @@ def test_log_of_texts_alone_is_refused(tmp_path: Path) -> None:
     (tmp_path / "m.alog").write_text("%% LOGSTART 1000.0\n1.0 DEPLOY app true\n")
     with pytest.raises(LogError, match=r"has no lines that can be used; it has texts"):
         open_recording(tmp_path / "m.alog")
+
+
+def lines_of(start: str, count: int) -> list[str]:
+    """A log of one variable."""
+    lines = [f"%% LOGSTART {start}"]
+    for number in range(count):
+        lines.append(f"{0.1 * number:.5f} A_X app {number}")
+    return lines
+
+
+def test_logs_in_a_row_have_their_own_starts(tmp_path: Path) -> None:
+    lines = [*lines_of("1000000000", 10), *lines_of("1000003600", 5)]
+    (tmp_path / "m.alog").write_text(whole(lines))
+    (times,) = open_recording(tmp_path / "m.alog").log_times().values()
+    since_s = (times - 10**18) / 1e9
+    expected = [*(0.1 * np.arange(10)), *(3600.0 + 0.1 * np.arange(5))]
+    np.testing.assert_allclose(since_s, expected, rtol=0, atol=1e-6)
+
+
+def test_start_that_is_no_time_is_noted(tmp_path: Path) -> None:
+    (tmp_path / "m.alog").write_text(whole(lines_of("today", 10)))
+    (note,) = open_recording(tmp_path / "m.alog").notes
+    assert "the start of the log is 'today', which is no time in s" in note.text
+
+
+def test_byte_order_mark_and_other_line_ends(tmp_path: Path) -> None:
+    text = whole(lines_of("1000000000", 10)).replace("\n", "\r\n")
+    (tmp_path / "m.alog").write_bytes(b"\xef\xbb\xbf" + text.encode())
+    log = open_recording(tmp_path / "m.alog")
+    assert log.log_times()[0][0] == 10**18
+    assert not log.notes
+
+
+def test_values_of_a_reading_are_a_row_in_any_order(tmp_path: Path) -> None:
+    lines = ["%% LOGSTART 1000.0"]
+    for number in range(6):
+        for place, axis in reversed(list(enumerate("XYZ"))):
+            lines.append(f"{0.1 * number + 1e-4 * place:.5f} A_{axis} app {number}")
+    (tmp_path / "m.alog").write_text(whole(lines))
+    log = open_recording(tmp_path / "m.alog")
+    (block,) = log.blocks({log.channels[0].id})
+    rows = np.frombuffer(block.buffer, np.float64).reshape(6, -1)
+    np.testing.assert_array_equal(rows[:, 1:], np.repeat(np.arange(6.0)[:, None], 3, axis=1))
+
+
+def test_variables_without_a_prefix_are_a_table(tmp_path: Path) -> None:
+    text = whole(lines_of("1000000000", 10)).replace("A_X", "_X")
+    (tmp_path / "m.alog").write_text(text)
+    assert [channel.topic for channel in open_recording(tmp_path / "m.alog").channels] == ["X"]
+
+
+def test_table_that_is_too_wide_is_refused_before_it_is_made(tmp_path: Path) -> None:
+    lines = ["%% LOGSTART 1000000000"]
+    for number in range(40_000):
+        lines.append(f"{0.1 * number:.1f} A_{number % 2000} app [1x36]{{{'0,' * 35}0}}")
+    (tmp_path / "m.alog").write_text(whole(lines))
+    with pytest.raises(LogError, match="has more than 268435456 numbers"):
+        open_recording(tmp_path / "m.alog")

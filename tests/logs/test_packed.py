@@ -112,3 +112,27 @@ def test_what_is_no_log_is_named(tmp_path: Path) -> None:
     path.write_bytes(zstandard.compress(b"calm sea\n" * 20))
     with pytest.raises(LogError, match="is compressed with zstd, and has no log in it"):
         read_dive(path, Config())
+
+
+@pytest.mark.parametrize(
+    ("announced", "size", "found"),
+    [
+        (True, 4, "it ends within its head"),
+        (True, 6, "it ends within its head"),
+        (True, 12, r"it opens to 0 bytes, but \d+ were announced"),
+        (False, 8, "it ends within its first block"),
+    ],
+)
+def test_cut_begin_is_damage(announced: bool, size: int, found: str, tmp_path: Path) -> None:
+    compressor = zstandard.ZstdCompressor(write_content_size=announced)
+    path = tmp_path / "dive.mcap.zstd"
+    path.write_bytes(compressor.compress(written())[:size])
+    with pytest.raises(LogError, match=f"cannot be unpacked: {found}\nhint"):
+        read_dive(path, Config())
+
+
+def test_nothing_that_is_compressed_is_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "dive.mcap.zstd"
+    path.write_bytes(zstandard.compress(b""))
+    with pytest.raises(LogError, match="is compressed and empty"):
+        read_dive(path, Config())

@@ -212,3 +212,32 @@ def test_a_layout_that_cannot_be_is_of_no_known_topic(fields: str, tmp_path: Pat
     opened = open_recording(path)
     assert {note.code for note in opened.notes} == {"other_records"}
     assert any("sensor_baro (1)" in note.text for note in opened.notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "size", "can_be_used"),
+    [
+        ("sensor_combined", "float[2] timestamp;float[3] gyro_rad;", 20, False),
+        ("sensor_combined", "part timestamp;float[3] gyro_rad;", 20, False),
+        ("sensor_combined", "int64_t timestamp;float[3] gyro_rad;", 20, False),
+        ("vehicle_imu", "uint64_t timestamp;uint64_t[2] timestamp_sample;float x;", 28, True),
+        ("vehicle_imu", "uint64_t timestamp;part timestamp_sample;float x;", 20, True),
+        ("sensor_gps", "uint64_t timestamp;uint64_t time_utc_usec;uint8_t[2] fix_type;", 18, True),
+        ("vehicle_odometry", "uint64_t timestamp;float x;float[2] y;float z;", 24, True),
+    ],
+)
+def test_layouts_of_other_shapes(
+    name: str, fields: str, size: int, can_be_used: bool, tmp_path: Path
+) -> None:
+    content = autopilot_logs.ULOG_MAGIC + bytes(8) + message("F", b"part:uint64_t x;")
+    content += message("F", f"{name}:{fields}".encode())
+    content += message("A", bytes(3) + name.encode())
+    for number in range(20):
+        content += message("D", struct.pack("<HQ", 0, 1000 * number) + bytes(size - 8))
+    (tmp_path / "log_7.ulg").write_bytes(content)
+    if can_be_used:
+        log = open_recording(tmp_path / "log_7.ulg")
+        assert log.log_times()[0].tolist() == [1_000_000 * number for number in range(20)]
+    else:
+        with pytest.raises(LogError, match="it has sensor_combined without a time"):
+            open_recording(tmp_path / "log_7.ulg")

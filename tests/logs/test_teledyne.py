@@ -393,3 +393,20 @@ def test_damaged_lines_of_pd6(tmp_path: Path) -> None:
     found = read_dive([path, instrument_logs.write_rest(tmp_path, dive.dive)], Config())
     assert codes(found)["log_damaged"] == 4
     assert len(found.dvl.time_ns) == len(ensembles) - 4
+
+
+def test_pressure_above_the_water_is_negative(tmp_path: Path) -> None:
+    """Less than that of the air, as the number of 32 bits has it."""
+    ensembles = []
+    for number, ensemble in enumerate(teledyne_logs.pd0(teledyne_logs.dvl_told())):
+        changed = bytearray(ensemble[:-2])
+        leader = struct.unpack_from("<4H", changed, 6)[1]
+        struct.pack_into("<i", changed, leader + 48, number - 50)
+        ensembles.append(teledyne_logs.summed(bytes(changed)))
+    (tmp_path / "dvl.pd0").write_bytes(b"".join(ensembles))
+    log = open_recording(tmp_path / "dvl.pd0")
+    (channel,) = [one for one in log.channels if one.topic == "dvl/depth"]
+    (block,) = log.blocks({channel.id})
+    pressure_pa = np.frombuffer(block.buffer, np.float64).reshape(channel.messages, -1)[:, 1]
+    np.testing.assert_array_equal(pressure_pa[:3], [-500.0, -490.0, -480.0])
+    assert pressure_pa[60] == 100.0

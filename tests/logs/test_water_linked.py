@@ -169,3 +169,36 @@ def test_a_broken_clock_in_a_report_is_noted(tmp_path: Path) -> None:
     log = open_recording(tmp_path / "dvl.json")
     assert [note.code for note in log.notes] == ["clock_set"]
     assert log.channels[0].messages == len(reports) - 1
+
+
+def early_reports(count: int) -> list[Report]:
+    """Reports of the first firmware, which have no clock."""
+    report = {"time": 125.0, "vx": 0.1, "vy": 0.0, "vz": 0.0, "velocity_valid": True}
+    return [dict(report) for _ in range(count)]
+
+
+def test_report_without_the_time_since_the_last_one_is_lost_alone(tmp_path: Path) -> None:
+    reports = early_reports(100)
+    reports[50]["time"] = None
+    (tmp_path / "dvl.json").write_text(as_lines(reports))
+    log = open_recording(tmp_path / "dvl.json")
+    (times,) = log.log_times().values()
+    assert len(times) == 99
+    assert times[-1] == 99 * 125_000_000
+    assert {note.code for note in log.notes} == {"times_summed", "log_damaged"}
+
+
+def test_list_with_a_byte_order_mark_and_without_its_end(tmp_path: Path) -> None:
+    text = as_list(early_reports(100))
+    (tmp_path / "dvl.json").write_bytes(b"\xef\xbb\xbf" + text[:-20].encode())
+    log = open_recording(tmp_path / "dvl.json")
+    assert log.channels[0].messages == 99
+    begin = 3 + text.rfind("{")
+    damaged = [note.text for note in log.notes if note.code == "log_damaged"]
+    assert f"1 report is lost (byte {begin}: an element of the list is cut" in damaged[0]
+
+
+def test_many_empty_lines_take_no_time(tmp_path: Path) -> None:
+    text = as_lines(early_reports(10))
+    (tmp_path / "dvl.json").write_text(text + "\n" * 900_000 + text)
+    assert open_recording(tmp_path / "dvl.json").channels[0].messages == 20

@@ -59,6 +59,7 @@ _TINY: Final = 1e-9
 _LEAST_SHARE: Final = 0.05
 _UNKNOWN_S: Final = 1e3  # standard error of a lag of which nothing is known
 _UNIFORM: Final = 12.0**-0.5  # sd of what lies anywhere in a step
+_LEAST_TURN: Final = 1e-3  # rad, of all attitudes
 _LARGEST_TURN: Final = 1.0  # rad, between two attitudes; more is a jump
 
 
@@ -85,6 +86,13 @@ class Rows:
         turns[np.linalg.norm(turns, axis=1) > _LARGEST_TURN] = 0.0
         summed = np.cumsum(turns, axis=0)
         return cls(time_ns, np.concatenate([np.zeros((1, 3)), summed]), are_turns=True)
+
+    @property
+    def may_tell(self) -> bool:
+        """Whether there are enough rows; attitudes that never turn tell nothing."""
+        if len(self.time_ns) < FEWEST:
+            return False
+        return not self.are_turns or float(np.ptp(self.values, axis=0).max()) > _LEAST_TURN
 
     @cached_property
     def resolution_s(self) -> float:
@@ -208,7 +216,7 @@ def clock_by_motion(
     are_stamps_likely : bool
         Whether it must be clearly less likely that both have one clock.
     """
-    sources = [rows for rows in sources if len(rows.time_ns) >= FEWEST]
+    sources = [rows for rows in sources if rows.may_tell]
     if len(imu.time_ns) < FEWEST or not sources:
         return None
     motion = Motion(imu)
@@ -337,6 +345,8 @@ def _evidence(
     row_s = seconds(rows.time_ns, origin_ns)
     change, middle = _smoothed(row_s, rows.values, at_s, step_s)
     known = _is_near(row_s, at_s, step_s)
+    if not known.any():
+        return np.zeros(len(at_s) + len(of_imu) - 1)
     change = np.where(known[:, None], change - change[known].mean(axis=0), 0.0)
     change = _unit(change)
     ones = known.astype(np.float64)[:, None]
@@ -535,6 +545,8 @@ class _Fit:
             is_settled = abs(change_s) < 0.1 * sd_s
             if is_settled:
                 break
+        if not step.variance > 0.0:
+            return None  # what is the same at all times fits anywhere
         half_s = 0.5 * float(row_s[-1] - row_s[0])
         step_s = np.hypot(motion.step_s, rows.resolution_s) * _UNIFORM
         covariance = np.linalg.inv(step.information)

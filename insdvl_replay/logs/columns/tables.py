@@ -31,7 +31,7 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.dive_record import Clock
-from insdvl_replay.core.errors import LogError, Note, error_context, listed
+from insdvl_replay.core.errors import LogError, Note, counted, error_context, listed
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.units import TIME_UNITS_NS
 from insdvl_replay.logs.columns.topics import Source, code_of
@@ -191,7 +191,7 @@ class Table:
             raise LogError(text, hint, *self.where)
         missing = int(np.count_nonzero(~np.isfinite(values)))
         if missing:
-            text = f"stamp '{path}' is not a number in {missing} messages"
+            text = f"stamp '{path}' is not a number in {counted(missing, 'message')}"
             raise LogError(text, f'{self.source.role}.stamp = "log_time"', *self.where)
         counted_ns = _counted_ns(stamp, values[:, 0], log_time_ns)
         if counted_ns.dtype != np.int64:

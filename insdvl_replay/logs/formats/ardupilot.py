@@ -95,9 +95,14 @@ class ArdupilotFile(DataflashFile):
         fixed = gps.chosen((gps.values("Status") >= _FIX_3D) & (gps.values("GWk") > 0.0))
         if not len(fixed.rows):
             return 0
-        week_s = _GPS_EPOCH_S - _LEAP_S + _WEEK_S * fixed.whole("GWk")
-        utc_us = 10**6 * week_s + 1000 * fixed.whole("GMS")
-        return _US * int(np.median(utc_us - fixed.whole("TimeUS")))
+        week_s = _GPS_EPOCH_S - _LEAP_S + _WEEK_S * fixed.values("GWk")
+        starts_s = week_s + 1e-3 * fixed.values("GMS") - 1e-6 * fixed.values("TimeUS")
+        fixed = fixed.chosen((starts_s > 0.0) & (starts_s < 0.5 * LATEST_S))
+        if not len(fixed.rows):
+            return 0
+        utc_ms = 1000 * (_GPS_EPOCH_S - _LEAP_S + _WEEK_S * fixed.whole("GWk"))
+        utc_ms += fixed.whole("GMS")
+        return _US * int(np.median(1000 * utc_ms - fixed.whole("TimeUS")))
 
     def _timed(self, name: str) -> _Timed | None:
         """Return the records of a name that have a time; the others are lost. None without any."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Array, Floats, Integers, Mask, TimeNs
+from insdvl_replay.core.errors import counted_clause
 from insdvl_replay.logs.formats.instrument_file import InstrumentFile
 
 Bytes = NDArray[np.uint8]
@@ -164,7 +165,7 @@ class DataflashFile(InstrumentFile):
         """Lose the bytes between records."""
         for gap in np.flatnonzero(ends > begins).tolist():
             count = int(ends[gap] - begins[gap])
-            what = f"{count} bytes are no record of a known format"
+            what = counted_clause(count, "bytes are no record of a known format")
             # There were at least so many.
             self.lose(place + int(begins[gap]), what, 1 + count // _LONGEST)
 
@@ -195,11 +196,21 @@ def _records_in(data: Bytes, sizes: TimeNs, *, is_last: bool) -> TimeNs:
     is_followed = begins[ends]
     heads = heads[is_followed]
     ends = ends[is_followed]
-    # Two bytes within the values of a record may look like the head of another one.
+    return np.asarray(heads[_are_outside(heads, ends)])
+
+
+def _are_outside(heads: TimeNs, ends: TimeNs) -> Mask:
+    """Find the records, (k,), that begin within no other one: two bytes of its values may look like a head."""
+    are_outside = np.ones(len(heads), np.bool_)
     reached = np.maximum.accumulate(ends)
-    is_within = np.zeros(len(heads), np.bool_)
-    is_within[1:] = heads[1:] < reached[:-1]
-    return np.asarray(heads[~is_within])
+    overlapping = 1 + np.flatnonzero(heads[1:] < reached[:-1])
+    last = 0
+    for number in overlapping.tolist():
+        # What is within another one covers nothing itself.
+        if are_outside[number - 1]:
+            last = number - 1
+        are_outside[number] = heads[number] >= ends[last]
+    return are_outside
 
 
 def _rows(data: Bytes, starts: TimeNs, dtype: np.dtype[Any]) -> Array:

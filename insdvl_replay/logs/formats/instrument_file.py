@@ -7,6 +7,7 @@ Where they are more than few, the file is refused as any damaged log is, unless 
 
 import re
 from abc import abstractmethod
+from codecs import BOM_UTF8
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
@@ -87,9 +88,7 @@ class InstrumentFile(RowsFile):
             numbers = 0
             for table in self.tables():
                 numbers += _numbers_of(table)
-                if numbers > MOST_NUMBERS:
-                    what = f"has more than {MOST_NUMBERS} numbers"
-                    raise LogError(what, "split it, and give the parts", self.path)
+                self.require_room(numbers)
                 self._add(table)
         if not self.channels:
             raise self._nothing_error()
@@ -97,6 +96,12 @@ class InstrumentFile(RowsFile):
     @abstractmethod
     def tables(self) -> Iterator[InstrumentTable]:
         """Decode the file; what cannot be decoded goes to `lose`, what is of other kinds to `pass_over`."""
+
+    def require_room(self, numbers: int) -> None:
+        """Refuse a file whose tables would have too many numbers."""
+        if numbers > MOST_NUMBERS:
+            what = f"has more than {MOST_NUMBERS} numbers"
+            raise LogError(what, "split it, and give the parts", self.path)
 
     def lose(
         self,
@@ -122,6 +127,17 @@ class InstrumentFile(RowsFile):
             self.lose(int(offset), "a record has no time")
         return np.asarray(known)
 
+    def summed_us(self, since_last_ms: Floats) -> Floats:
+        """Return times from 0, us, (k,), of records that tell how long after the last one they are, and report it.
+
+        A record that does not tell it has no time, NaN.
+        """
+        count = len(since_last_ms)
+        self.add_note(note("times_summed", count, file=self.path.name, records=self.records))
+        known = (since_last_ms >= 0.0) & (since_last_ms < 1e3 * LATEST_S)
+        summed_ms = np.cumsum(np.where(known, since_last_ms, 0.0))
+        return np.where(known, 1e3 * summed_ms, np.nan)
+
     def add_note(self, one: Note) -> None:
         """Report something that was assumed."""
         self._notes.append(one)
@@ -139,7 +155,11 @@ class InstrumentFile(RowsFile):
         rest = b""
         for start, piece in self.pieces():
             first = start - len(rest)
-            parts = _split(rest + piece, boundary, first)
+            text = rest + piece
+            if not start and text.startswith(BOM_UTF8):
+                text = text.removeprefix(BOM_UTF8)
+                first = len(BOM_UTF8)
+            parts = _split(text, boundary, first)
             rest = parts.pop().content
             if len(rest) > LONGEST_RECORD:
                 end = start + len(piece) - len(rest)
@@ -214,7 +234,8 @@ class InstrumentFile(RowsFile):
         what = f"has no {self.records} that can be used"
         if self._lost:
             place, found = self._lost[0]
-            what += f"; {self._lost_count} are damaged, the first at byte {place}: {found}"
+            lost = counted_clause(self._lost_count, f"{self.records} are damaged")
+            what += f"; {lost}, the first at byte {place}: {found}"
         if self._others:
             what += f"; it has {listed(self._others)}"
         hint = "check that the instrument was recorded while it measured, and copy the file again"

@@ -31,10 +31,11 @@ from insdvl_replay.logs.formats.table_header import ColumnNames
 from insdvl_replay.logs.formats.table_rows import clean_name
 
 TYPE: Final = "table"  # as of tables that users made: settings or the search name the columns
-_START: Final = re.compile(rb"%+\s*LOGSTART\s+([+-]?\d{1,12}(?:\.\d*)?)\s*")
+_START: Final = re.compile(rb"%+\s*LOGSTART\s+(.*)", re.DOTALL)
 _NUMBER: Final = re.compile(rb"(?:D:)?\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)")
 _MATRIX: Final = re.compile(rb"(?:[DS]:)?\s*\[\s*(\d{1,4})x(\d{1,4})\s*\]\s*\{([^{}]*)\}")
 _MOST_VARIABLES: Final = 2_000
+_SHOWN: Final = 30  # bytes of what is no time
 _WIDEST: Final = 36  # numbers of a matrix
 _ONE_ROW_NS: Final = 5_000_000  # within which an application publishes one reading
 # Times are those of the clock, and not from the start, where they are later than this part of the start.
@@ -60,7 +61,9 @@ class AlogFile(InstrumentFile):
 
     def tables(self) -> Iterator[InstrumentTable]:
         """Decode the lines, and gather their variables into tables."""
-        self._start_s = 0.0
+        # The starts of logs, and how many values are in front of each; before the first one it is not known.
+        self._starts_s = [0.0]
+        self._begins = [0]
         self._count = 0
         self._variables: dict[tuple[bytes, bytes, int], _Variable] = {}
         for records in self.text_records():
@@ -68,7 +71,7 @@ class AlogFile(InstrumentFile):
                 self._decode(record)
         groups: dict[tuple[str, str], list[_Variable]] = {}
         for variable in self._variables.values():
-            prefix = variable.name.partition("_")[0]
+            prefix = variable.name.lstrip("_").partition("_")[0] or variable.name
             groups.setdefault((prefix, variable.source), []).append(variable)
         sources = Counter(prefix for prefix, _ in groups)
         for (prefix, source), variables in groups.items():
@@ -85,7 +88,7 @@ class AlogFile(InstrumentFile):
         if text.startswith(b"%"):
             start = _START.fullmatch(text)
             if start:
-                self._set_start(record, float(start[1]))
+                self._set_start(record, start[1])
             return
         if record.offset + len(record.content) == len(self.file):
             self.lose(record.offset, "the file ends within a line")
@@ -104,12 +107,15 @@ class AlogFile(InstrumentFile):
             return
         self._add_value(words[1], words[2], time_s, numbers)
 
-    def _set_start(self, record: Record, start_s: float) -> None:
-        """Take the time of the start, since 1970."""
-        if 0.0 <= start_s < LATEST_S:
-            self._start_s = start_s
+    def _set_start(self, record: Record, text: bytes) -> None:
+        """Take the time of the start, since 1970; a file of logs in a row has one for each."""
+        start_s = _number(text)
+        if start_s is not None and 0.0 <= start_s < LATEST_S:
+            self._starts_s.append(start_s)
+            self._begins.append(self._count)
         else:
-            self.lose(record.offset, f"the start of the log is {start_s:g} s")
+            shown = text[:_SHOWN].decode("utf-8", "replace")
+            self.lose(record.offset, f"the start of the log is '{shown}', which is no time in s")
 
     def _add_value(
         self,
@@ -145,10 +151,12 @@ class AlogFile(InstrumentFile):
         lines = np.concatenate([np.array(variable.lines, np.int64) for variable in variables])
         times_s = np.concatenate([np.array(variable.times_s) for variable in variables])
         order = np.argsort(lines)
-        time_ns = self._since_1970_ns(times_s[order])
+        time_ns = self._since_1970_ns(times_s[order], lines[order])
         row_of = np.empty(len(order), np.int64)
         row_of[order] = _rows(time_ns, number[order])
         is_first = np.diff(row_of[order], prepend=-1) != 0
+        width = sum(variable.width for variable in variables)
+        self.require_room(width * int(is_first.sum()))
         names = ColumnNames()
         columns: dict[str, Array] = {}
         begin = 0
@@ -161,26 +169,31 @@ class AlogFile(InstrumentFile):
             columns[names.unique(clean_name(variable.name))] = column
         return InstrumentTable(topic, TYPE, time_ns[is_first], columns)
 
-    def _since_1970_ns(self, times_s: Floats) -> Integers:
-        """Return times since 1970, of times from the start of the log or since 1970."""
-        is_whole = self._start_s > 0.0 and float(np.median(times_s)) > _SINCE_1970 * self._start_s
-        start_s = 0.0 if is_whole else self._start_s
-        start_ns = round(start_s * NS_PER_S)
-        return np.asarray(start_ns + np.rint(times_s * NS_PER_S).astype(np.int64))
+    def _since_1970_ns(self, times_s: Floats, lines: Integers) -> Integers:
+        """Return times since 1970, of times from the start of their log or since 1970."""
+        of_log = np.searchsorted(self._begins, lines, "right") - 1
+        starts_s = np.array(self._starts_s)[of_log]
+        if float(np.median(times_s)) > _SINCE_1970 * float(starts_s.max()):
+            starts_s[:] = 0.0
+        starts_ns = np.rint(starts_s * NS_PER_S).astype(np.int64)
+        return np.asarray(starts_ns + np.rint(times_s * NS_PER_S).astype(np.int64))
 
 
 def _rows(
     time_ns: Integers,
     number: Integers,
 ) -> Integers:
-    """Return the row of each value, in the order of the lines: a new one where a variable comes again, or later."""
+    """Return the row of each value, in the order of the lines: a new one where a variable comes again, or much later.
+
+    What was published together may be logged in any order.
+    """
     rows = np.empty(len(time_ns), np.int64)
     row = -1
     first_ns = 0
     seen: set[int] = set()
     for place, (time, variable) in enumerate(zip(time_ns.tolist(), number.tolist(), strict=True)):
-        is_late = not 0 <= time - first_ns <= _ONE_ROW_NS
-        if not seen or is_late or variable in seen:
+        is_other = abs(time - first_ns) > _ONE_ROW_NS
+        if not seen or is_other or variable in seen:
             row += 1
             first_ns = time
             seen.clear()

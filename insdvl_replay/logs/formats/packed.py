@@ -25,6 +25,7 @@ from insdvl_replay.logs.formats.log_file import (
 _USUAL: Final = 1 << 30  # bytes to which any file may open
 _MOST_COMPRESSED: Final = 64  # a larger one only if it is compressed less densely than this
 _PIECE: Final = 1 << 17  # as the blocks of zstd
+_LONGEST_HEAD: Final = 18  # bytes
 _KEPT: Final = 4  # unpacked files that stay, since a command opens a log several times
 
 
@@ -79,8 +80,6 @@ def _unpacked(
     copy = _Copy()
     try:
         with path.open("rb") as packed, copy.path.open("wb") as stream:
-            announced = zstandard.frame_content_size(packed.read(18))
-            packed.seek(0)
             reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
             written = 0
             try:
@@ -92,19 +91,37 @@ def _unpacked(
             except zstandard.ZstdError as error:
                 what = f"the compressed bytes cannot be unpacked any further ({error})"
                 copy.damages = (Damage(packed.tell(), what),)
-            if written < max(announced, 1) and not copy.damages:
-                what = f"it opens to {written} bytes, but {announced} were announced"
-                copy.damages = (Damage(size, what),)
+            if not copy.damages:
+                copy.damages = _lacking(path, written)
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
         folder = tempfile.gettempdir()
         what = f"is compressed, and there is no room in {folder} to unpack it"
         raise LogError(what, "set TMPDIR to a folder with room", path) from error
+    if not written and not copy.damages:
+        raise UnusableFileError("is compressed and empty", "copy it again", path)
     if not written:
         what = f"is compressed and cannot be unpacked: {copy.damages[0].found}"
         raise UnusableFileError(what, "copy it again", path)
     return copy
+
+
+def _lacking(path: Path, written: int) -> tuple[Damage, ...]:
+    """Return the damage of a file that ends before what it opens to does."""
+    with path.open("rb") as packed:
+        start = packed.read(_LONGEST_HEAD)
+        size = packed.seek(0, os.SEEK_END)
+    try:
+        announced = zstandard.frame_content_size(start)
+    except zstandard.ZstdError:
+        return (Damage(size, "it ends within its head"),)
+    if written < announced:
+        what = f"it opens to {written} bytes, but {announced} were announced"
+        return (Damage(size, what),)
+    if not written and announced:
+        return (Damage(size, "it ends within its first block"),)
+    return ()
 
 
 def _too_large(path: Path, size: int, most: int) -> LogError:

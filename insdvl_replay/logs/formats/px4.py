@@ -12,7 +12,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Array, Integers
 from insdvl_replay.logs.formats.instrument_file import LATEST_S, InstrumentTable
-from insdvl_replay.logs.formats.ulog import Messages, UlogFile
+from insdvl_replay.logs.formats.ulog import Messages, UlogFile, single_counts
 
 _IMUS: Final = ("vehicle_imu", "sensor_combined")
 _FIXES: Final = ("vehicle_gps_position", "sensor_gps")
@@ -73,7 +73,7 @@ def _vehicle_start_us(found: Messages) -> int:
     """Return the time of the vehicle's start since 1970, by the times of its receiver; 0 without a fix."""
     for name in _FIXES:
         rows = found.get((name, 0))
-        if rows is None or not {"time_utc_usec", "fix_type"} <= set(rows.dtype.names or ()):
+        if rows is None or not {"time_utc_usec", "fix_type"} <= single_counts(rows):
             continue
         fixed = rows[(rows["fix_type"] >= _FIX_3D) & (rows["time_utc_usec"] > 0)]
         starts_us = fixed["time_utc_usec"].astype(np.int64) - fixed["timestamp"].astype(np.int64)
@@ -108,8 +108,9 @@ def _table(
 
 def _add_newer(columns: dict[str, Array]) -> None:
     """Add columns that older versions have under other names, and whether a velocity is in the axes of the body."""
+    single = {label for label, values in columns.items() if values.ndim == 1}
     for label, parts in _JOINED.items():
-        if label not in columns and all(part in columns for part in parts):
+        if label not in columns and single.issuperset(parts):
             columns[label] = np.stack([columns[part] for part in parts], axis=1)
     for label, (older, factor) in _SCALED.items():
         if label not in columns and older in columns:
@@ -121,7 +122,7 @@ def _add_newer(columns: dict[str, Array]) -> None:
 def _time_us(name: str, rows: Array) -> Integers:
     """Return the times of validity, (k,): of fixes those of the messages, as their type has it."""
     time_us = rows["timestamp"].astype(np.int64)
-    if name in _FIXES or _SAMPLED not in (rows.dtype.names or ()):
+    if name in _FIXES or _SAMPLED not in single_counts(rows):
         return time_us
     sampled_us = rows[_SAMPLED].astype(np.int64)
     # Later than its message no sample is.

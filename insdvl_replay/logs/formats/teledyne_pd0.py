@@ -55,7 +55,7 @@ _FIELDS: Final[dict[int, Fields]] = {
         "heading": ("<u2", 19),  # 0.01 deg
         "pitch": ("<i2", 21),
         "roll": ("<i2", 23),
-        "pressure": ("<u4", 49),  # 10 Pa
+        "pressure": ("<i4", 49),  # 10 Pa; above the water it may be less than that of the air
         "y2k_clock": ("8u1", 58),  # century first
     },
     _BOTTOM: {

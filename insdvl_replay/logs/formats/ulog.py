@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from insdvl_replay.core.dive_columns import Array
+from insdvl_replay.core.errors import counted_clause
 from insdvl_replay.core.notes import note
 from insdvl_replay.logs.formats.instrument_file import LATEST_S, InstrumentFile
 
@@ -46,6 +47,11 @@ class _Topic(NamedTuple):
     instance: int
     dtype: np.dtype[Any] | None  # None where its layout is not known
     parts: list[Array]  # its messages
+
+
+def single_counts(rows: Array) -> set[str]:
+    """Return which fields of messages are one number without a sign each, as times and kinds are."""
+    return {label for label in rows.dtype.names or () if rows.dtype[label].kind == "u"}
 
 
 class UlogFile(InstrumentFile):
@@ -112,7 +118,7 @@ class UlogFile(InstrumentFile):
             else:
                 begin = at
                 at = self._next(data, at + 1, end)
-                what = f"{at - begin} bytes are no message of a known topic"
+                what = counted_clause(at - begin, "bytes are no message of a known topic")
                 self.lose(start + begin, what, 1 + (at - begin) // 256)
         array = np.frombuffer(data, np.uint8)
         for number, found in places.items():
@@ -248,12 +254,13 @@ class UlogFile(InstrumentFile):
             if not topic.parts or topic.dtype is None:
                 continue
             rows = np.concatenate(topic.parts)
-            if topic.dtype.names is None or "timestamp" not in topic.dtype.names:
+            if "timestamp" not in single_counts(rows):
                 self.pass_over(f"{topic.name} without a time", len(rows))
                 continue
             possible = rows["timestamp"] < _LATEST_US
             late = int(np.count_nonzero(~possible))
             if late:
-                self.lose(0, f"{late} messages of {topic.name} have impossible times", late)
+                clause = f"messages of {topic.name} have impossible times"
+                self.lose(0, counted_clause(late, clause), late)
             found[topic.name, topic.instance] = rows[possible]
         return found

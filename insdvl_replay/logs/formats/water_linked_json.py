@@ -6,7 +6,9 @@ Lines may be indented, may have a time of arrival in front, or may be the elemen
 
 import math
 import re
+from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
+from json import JSONDecoder
 from typing import Final
 
 import msgspec
@@ -17,7 +19,6 @@ from insdvl_replay.core.dive_columns import (
     Floats,
 )
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.core.notes import note
 from insdvl_replay.logs.formats.instrument_file import (
     LATEST_S,
     InstrumentFile,
@@ -84,9 +85,10 @@ _WIDTHS: Final = {
     "covariance": 9, **{f"transducers.{name}": _BEAMS for name in _OF_A_BEAM},
 }  # fmt: skip
 # A report begins at the left edge; what is indented goes on with it, and so do brackets that close.
-_BOUNDARY: Final = re.compile(rb"[\r\n]+(?=[^\s}\]])")
+_BOUNDARY: Final = re.compile(rb"(?<![\r\n])[\r\n]+(?=[^\s}\]])")
 _LIST: Final = re.compile(rb"\s*\[\s*\{")
 _LARGEST_LIST: Final = 1 << 28  # bytes
+_MOST_DAMAGED: Final = 1_000  # elements of a list, behind which it is not read any further
 _NO_NUMBER: Final = re.compile(rb"(?<=[:,\[])\s*[+-]?(?:NaN|Infinity)(?=[\s,}\]])")
 _ANY: Final = msgspec.json.Decoder(_AnyReport, strict=False)
 _VELOCITY: Final = msgspec.json.Decoder(_Velocity, strict=False)
@@ -123,21 +125,34 @@ class WaterLinkedJson(InstrumentFile):
 
     def _reports(self) -> Iterator[list[Record]]:
         """Give the reports: those of a list, or one a line."""
-        if not _LIST.match(self.file.read(0, 1 << 10)):
+        start = bytes(self.file.read(0, 1 << 10))
+        if not _LIST.match(start.removeprefix(BOM_UTF8)):
             yield from self.text_records(_BOUNDARY)
             return
         if len(self.file) > _LARGEST_LIST:
             what = f"is one list of {len(self.file)} bytes; one is read up to {_LARGEST_LIST}"
             raise LogError(what, "write one report a line", self.path)
-        try:
-            content = self.file.read(0, len(self.file))
-            elements = msgspec.json.decode(content, type=list[msgspec.Raw])
-        except _UNREADABLE as error:
-            hint = "copy it again, or write one report a line"
-            raise LogError(
-                f"is a list in JSON that is damaged: {error}", hint, self.path
-            ) from error
-        yield [Record(0, bytes(element)) for element in elements]
+        yield self._elements(bytes(self.file.read(0, len(self.file))))
+
+    def _elements(self, content: bytes) -> list[Record]:
+        """Return the elements of a list; behind a damaged one the search goes on."""
+        text = content.decode(
+            "latin-1"
+        )  # a byte is a letter, so that places are those of the file
+        decoder = JSONDecoder()
+        found: list[Record] = []
+        damaged = 0
+        begin = text.find("{")
+        while begin >= 0 and damaged < _MOST_DAMAGED:
+            try:
+                end = decoder.raw_decode(text, begin)[1]
+                found.append(Record(begin, content[begin:end]))
+            except (ValueError, RecursionError):
+                self.lose(begin, "an element of the list is cut, or no JSON")
+                end = begin + 1
+                damaged += 1
+            begin = text.find("{", end)
+        return found
 
     def _decode(
         self,
@@ -185,10 +200,7 @@ class WaterLinkedJson(InstrumentFile):
         columns: dict[str, Array] = dict(zip(_WIDTHS, np.split(rows, ends, axis=1), strict=True))
         offsets, time_us, since_last_ms = [columns.pop(name)[:, 0] for name in _TIMES]
         if len(rows) and np.isnan(time_us).all():
-            time_us = np.cumsum(since_last_ms) * 1e3
-            self.add_note(
-                note("times_summed", len(rows), file=self.path.name, records=self.records)
-            )
+            time_us = self.summed_us(since_last_ms)
         known = self.with_times(offsets, time_us * 1e-6)
         kept = {name: values[known] for name, values in columns.items()}
         time_ns = np.rint(time_us[known]).astype(np.int64) * 1000

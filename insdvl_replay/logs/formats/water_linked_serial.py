@@ -13,7 +13,6 @@ from insdvl_replay.core.dive_columns import (
     Array,
     Floats,
 )
-from insdvl_replay.core.notes import note
 from insdvl_replay.geometry.frames import beam_vectors
 from insdvl_replay.logs.formats.instrument_file import InstrumentTable
 from insdvl_replay.logs.formats.sentences import (
@@ -61,7 +60,8 @@ class WaterLinkedSerial(SentenceFile):
     """A file of sentences of a DVL; those of transducers are joined to the velocities beside them."""
 
     form: ClassVar[re.Pattern[bytes]] = re.compile(
-        rb"(w[rc][a-z?!][^*]{0,1000})\*([0-9a-fA-F]{2})"
+        # Behind a beginning there is no other one, or long lines would be searched again and again.
+        rb"(w[rc][a-z?!](?:[^*w]|w(?![rc][a-z?!])){0,1000}+)\*([0-9a-fA-F]{2})"
     )
 
     @staticmethod
@@ -143,9 +143,7 @@ class WaterLinkedSerial(SentenceFile):
     def _early_velocities(self, rows: Floats) -> InstrumentTable:
         """Make the table of velocities of early sentences, which have no clock."""
         single = _columns(rows, _LAYOUTS["wrx"])
-        said = note("times_summed", len(rows), file=self.path.name, records=self.records)
-        self.add_note(said)
-        time_us = np.cumsum(single["time"]) * 1e3
+        time_us = self.summed_us(single["time"])
         columns: dict[str, Array] = {
             "velocity": rows[:, 2:5],
             "velocity_valid": single["valid"],
