@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import sys
+import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -321,6 +322,8 @@ def _attempts_of(seeds: list[int]) -> list[Outcome]:
 
 def campaign(seeds: range, only: str, jobs: int, folder: Path) -> Iterator[Outcome]:
     """Try all seeds; say each defect as it is found."""
+    # Children end without the steps that remove what they have unpacked.
+    tempfile.tempdir = str(folder)
     _Work.cleans = prepared(only, folder)
     _Work.folder = folder
     portions = [list(seeds[i : i + 5]) for i in range(0, len(seeds), 5)]
