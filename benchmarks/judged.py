@@ -31,8 +31,9 @@ from insdvl_replay.evaluation.interval import (
     word_of_interval,
 )
 from insdvl_replay.nav.user_candidate import CandidateStart, Solution
-from insdvl_replay.preparation.programs import UserProcesses, solution_of_class
+from insdvl_replay.preparation.programs import UserProcesses
 from insdvl_replay.preparation.replay import Replay
+from insdvl_replay.preparation.user_process import solution_of_class
 
 SIZES: Final = (3, 5, 8)
 """Dives of the groups on which the tool says its word."""

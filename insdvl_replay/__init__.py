@@ -89,13 +89,24 @@ __all__ = [
     "simulate",
 ]
 
+_API = "insdvl_replay.api"
+# What the class of a user imports has modules of its own, since it is loaded anew by each process that runs the class.
+_MODULES = {
+    "Candidate": "insdvl_replay.nav.user_candidate",
+    "Solution": "insdvl_replay.nav.user_candidate",
+    "UserMeasurement": "insdvl_replay.nav.user_measurement",
+    "UserNoise": "insdvl_replay.nav.user_measurement",
+    "UserReadings": "insdvl_replay.nav.user_measurement",
+    "run_as_program": "insdvl_replay.preparation.user_process",
+}
+
 
 def __getattr__(name: str) -> "Any":
     """Load the public names when they are asked for: whoever wants help on a command must not wait for numpy."""
     if name in __all__:
-        from insdvl_replay import api
+        from importlib import import_module
 
-        return getattr(api, name)
+        return getattr(import_module(_MODULES.get(name, _API)), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -8,7 +8,6 @@ kind, such as settings where a path is expected, is a WrongArgumentError, which 
 """
 
 import os
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,6 +34,7 @@ from insdvl_replay.nav.user_candidate import Solution as Solution
 from insdvl_replay.nav.user_measurement import UserMeasurement as UserMeasurement
 from insdvl_replay.nav.user_measurement import UserNoise as UserNoise
 from insdvl_replay.nav.user_measurement import UserReadings as UserReadings
+from insdvl_replay.preparation.user_process import run_as_program as run_as_program
 from insdvl_replay.results.folder import (
     MAPS,
     PAGE,
@@ -639,26 +639,6 @@ def check(
         planned, _path("results", results), Replaying(force=True), fetch_dives, update=update
     )
     return CommandResult(check_result(outcome))
-
-
-def run_as_program(candidate: type[Candidate]) -> None:
-    """Run your filter as a program that settings name with ``{dive}``, ``{start}`` and ``{solution}``, in this order.
-
-    Parameters
-    ----------
-    candidate : type
-        Your class, derived from `Candidate`.
-
-    Raises
-    ------
-    SystemExit
-        The program was called without these three paths.
-    """
-    if len(sys.argv) != 4:
-        raise SystemExit(f"usage: {sys.argv[0]} DIVE START SOLUTION")
-    from insdvl_replay.preparation.programs import run_as_program as run
-
-    run(candidate, *map(Path, sys.argv[1:]))
 
 
 # --- Results.

@@ -36,6 +36,7 @@ _NUMBA_OPTIONS: Final[dict[str, Any]] = {
     "nogil": True,
     "no_cfunc_wrapper": True,
 }
+_to_inline: list[Callable[..., Any]] = []  # what the compiler has not been told of yet
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
@@ -131,17 +132,35 @@ def parallel_map(
 
     The compiled filter and numpy's long loops release the interpreter lock. After an exception or an interrupt,
     ``stop`` is called, running items are finished and no more are started. By default one thread per core is used.
+    A single item is done in this thread.
     """
+    todo = list(items)
+    if len(todo) <= 1:
+        yield from _one_by_one(work, todo, stop)
+        return
     from concurrent.futures import ThreadPoolExecutor  # imports logging
 
     executor = ThreadPoolExecutor(jobs or os.cpu_count())
     try:
-        yield from executor.map(work, items)
+        yield from executor.map(work, todo)
     except BaseException:
         stop()
         raise
     finally:
         executor.shutdown(cancel_futures=True)
+
+
+def _one_by_one(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    stop: Callable[[], None],
+) -> Iterator[Result]:
+    try:
+        for item in items:
+            yield work(item)
+    except BaseException:
+        stop()
+        raise
 
 
 def report_stage(stage: str) -> None:
@@ -266,6 +285,8 @@ def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
     import numba  # takes half a second, and `is_warm` does not need it
     from numba.core import config
 
+    while _to_inline:
+        _register_inlined(_to_inline.pop())
     dispatcher: Any = numba.njit(**_NUMBA_OPTIONS)(function)
     if not getattr(config, "DISABLE_JIT", False):
         dispatcher._cache = _cache_class()(function)  # same as `cache=True`
@@ -276,11 +297,20 @@ def inlined(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Inline a function into the compiled functions that call it; called from Python, it is plain Python.
 
     As calls, many of them would pass dozens of numbers in memory, and the filter would be 25 % slower. With entry
-    points for Python, compilation would take twice as long.
+    points for Python, compilation would take twice as long. The compiler learns of it once something is compiled, so
+    that a process which compiles nothing, such as that of a user's class, does not load it.
     """
+    if "numba" in sys.modules:
+        _register_inlined(function)
+    else:
+        _to_inline.append(function)
+    return function
+
+
+def _register_inlined(function: Callable[..., Any]) -> None:
     from numba.extending import register_jitable
 
-    return register_jitable(forceinline=True, **_NUMBA_OPTIONS)(function)
+    register_jitable(forceinline=True, **_NUMBA_OPTIONS)(function)
 
 
 def plain(function: Callable[_P, _T]) -> Callable[_P, _T]:

@@ -31,7 +31,8 @@ from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.user_candidate import CandidateError, Solution
-from insdvl_replay.preparation.solution_files import MOST_COVARIANCES, MOTION
+from insdvl_replay.preparation.solution_check import MOTION
+from insdvl_replay.preparation.solution_files import MOST_COVARIANCES
 from insdvl_replay.preparation.solutions import recorded_history
 
 COMPARED_S: Final = 10.0  # over which turns are compared with those of the baseline

@@ -10,10 +10,8 @@ import math
 import os
 import pickle
 import queue
-import resource
 import select
 import signal
-import struct
 import subprocess
 import sys
 import threading
@@ -22,32 +20,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
-from insdvl_replay.core.config import Config, Evaluation, Filter
-from insdvl_replay.core.errors import ConfigError, visible
-from insdvl_replay.logs import read_dive
-from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
-from insdvl_replay.nav.user_measurement import failure_text, load_class
-from insdvl_replay.preparation.solution_files import LONGEST_LINE, checked_solution, read_solution
+from insdvl_replay.core.config import Filter
+from insdvl_replay.core.errors import visible
+from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution
+from insdvl_replay.preparation.solution_files import LONGEST_LINE, read_solution
+from insdvl_replay.preparation.user_process import HEADER, MARK, children_s, run_class
 
 TIMEOUT_S: Final = 600.0
 LONGEST_OUTPUT: Final = 1 << 16  # bytes of stdout, and of stderr, that are kept of one run
 LONGEST_PART: Final = 1 << 20  # bytes of an answer that are read at once
-# before each answer of a class: that it is one, and its length
-MARK = b"solution"
-HEADER = struct.Struct("<8sQ")
 # by input, of a dive's name
 DIVE_FILES: Final = {
     "class": "{}.pickle",
     "clean": "{}.mcap",
     "log": "{}_log.mcap",
-}
-# as `logs.write_dive` writes them
-_TOPICS: Final = {
-    "/pressure": "depth",
-    "/ahrs": "heading",
-    "/gnss": "position",
 }
 Process = subprocess.Popen[bytes]
 
@@ -97,11 +83,11 @@ class UserProcesses:
             word = word.replace("{start}", str(start_file))
             words.append(word.replace("{solution}", str(solution_file)))
         try:
-            begun_s = _children_s()
+            begun_s = children_s()
             process = self._started(words, f"{run}: ")
             try:
                 code = process.wait(self.timeout_s)
-                self._keep_cpu_s(_children_s() - begun_s)
+                self._keep_cpu_s(children_s() - begun_s)
             except subprocess.TimeoutExpired as error:
                 raise CandidateError(self.too_late) from error
             finally:
@@ -143,7 +129,7 @@ class UserProcesses:
                 "-P",
                 "-u",
                 "-c",
-                f"from {__name__} import run_class; run_class()",
+                f"from {run_class.__module__} import run_class; run_class()",
                 word,
             ]
             process = self._started(
@@ -256,12 +242,6 @@ class UserProcesses:
         return "".join(texts)
 
 
-def _children_s() -> float:
-    """Return the processor seconds of all processes that this one has waited for."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
 def _ended(code: int) -> str:
     if code >= 0:
         return f"ended with exit code {code}"
@@ -290,70 +270,3 @@ def _tail(path: Path) -> str:
     if text.endswith("\n") or not text:
         return text
     return f"{text}\n"
-
-
-# --- In the process of a class.
-
-
-def run_class() -> None:
-    """Run the class that the command line names over each dive that comes on stdin, and answer on stdout."""
-    asked = os.fdopen(os.dup(0), "rb")
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.dup2(2, 1)  # what the class prints goes to a file
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
-    with contextlib.suppress(EOFError, KeyboardInterrupt):
-        while True:
-            dive_file, start = pickle.load(asked)
-            answer: Solution | Exception
-            begun_s = time.process_time() + _children_s()
-            try:
-                answer = solution_of_class(sys.argv[1], dive_file, start)
-            except (CandidateError, ConfigError) as error:
-                answer = error
-            content = pickle.dumps((answer, time.process_time() + _children_s() - begun_s))
-            answers.write(HEADER.pack(MARK, len(content)) + content)
-            answers.flush()
-
-
-def _end_with(parent: int) -> None:
-    """End this process once its parent was killed."""
-    while os.getppid() == parent:
-        time.sleep(1.0)
-    os._exit(1)
-
-
-def solution_of_class(word: str, dive_file: Path, start: CandidateStart) -> Solution:
-    """Import a class, run it over a dive, from a start, and check what it returns."""
-    try:
-        kind = load_class(word, Candidate)
-    except ValueError as error:
-        hint = "PYTHONPATH must contain the folder of the module"
-        raise ConfigError(f"{word} {error}", f"example: docs/own_filter.md; {hint}") from error
-    dive = pickle.loads(dive_file.read_bytes())
-    try:
-        solution = kind().run(dive, start)
-    except (Exception, SystemExit) as error:
-        raise CandidateError(f"{word} fails{failure_text(error, kind)}") from error
-    if not isinstance(solution, Solution):
-        raise CandidateError(f"run of {word} returns {type(solution).__name__}, not Solution")
-    return checked_solution(solution)
-
-
-def run_as_program(
-    kind: type[Candidate],
-    dive_file: Path,
-    start_file: Path,
-    solution_file: Path,
-) -> None:
-    """Run a class over the files that a program is given."""
-    start = CandidateStart.from_json(start_file.read_bytes())
-    dive = read_dive(dive_file, Config())
-    topics = [channel.topic for channel in dive.channels if channel.topic in _TOPICS]
-    if topics:
-        sensors = tuple(_TOPICS[topic] for topic in topics)
-        dive = read_dive(dive_file, Config(evaluation=Evaluation(held_out=sensors)))
-    solution = checked_solution(kind().run(dive, start))
-    given = {name: column for name, column in vars(solution).items() if column is not None}
-    with solution_file.open("wb") as file:
-        np.savez(file, **given)

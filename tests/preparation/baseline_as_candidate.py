@@ -62,6 +62,18 @@ class BaselineWithCov(Baseline):
     gives_cov = True
 
 
+class OwnSolution(Solution):
+    """A kind of solution that only the module of the class knows."""
+
+
+class Deriving(Baseline):
+    """A class that returns its own kind of solution."""
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """Return it."""
+        return OwnSolution(**vars(super().run(dive, start)))
+
+
 if __name__ == "__main__":
     # Processes of the class load this module, and need nothing of it.
     from insdvl_replay.api import run_as_program

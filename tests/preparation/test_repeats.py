@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+import unrepeatable
 from unrepeatable import CHAOS_M
 
 from insdvl_replay.core.config import Config, Evaluation, Filter
@@ -75,7 +76,7 @@ def test_random_answers_have_no_verdict_and_their_spread_is_said(dive: Dive) -> 
 
 @pytest.mark.nightly
 def test_equal_answers_have_the_digest_of_the_solution(dive: Dive) -> None:
-    first, second = (replay_dive(dive, config(of_class("Baseline"))) for _ in range(2))
+    first, second = (replay_dive(dive, config(of_class("Level"))) for _ in range(2))
     [note] = notes_of(first, "answers_repeat")
     assert re.search(r"SHA-256 [0-9a-f]{16}", note.text)
     assert first.notes == second.notes
@@ -150,9 +151,8 @@ def test_without_a_reference_the_drift_without_the_dvl_is_compared(dive: Dive) -
 def test_a_program_is_run_again(is_random: bool, dive: Dive, tmp_path: Path) -> None:
     script = tmp_path / "mine.py"
     lines = ["import sys", f"sys.path.insert(0, {str(Path(__file__).parent)!r})"]
-    kind = "Random" if is_random else "Baseline"
-    module = "unrepeatable" if is_random else "baseline_as_candidate"
-    lines += [f"from {module} import {kind}", "from insdvl_replay.api import run_as_program"]
+    kind = "Random" if is_random else "Level"
+    lines += [f"from unrepeatable import {kind}", "from insdvl_replay import run_as_program"]
     script.write_text("\n".join([*lines, f"run_as_program({kind})", ""]))
     mine = Filter(program=(sys.executable, str(script), "{dive}", "{start}", "{solution}"))
     replay = replay_dive(dive, config(mine))
@@ -308,6 +308,10 @@ def test_built_in_filters_move_by_hardly_anything_with_a_later_copy_of_a_sample(
         assert (
             0.0 < apart_m(one, other) < 1e-3 * float(np.sqrt(np.mean(np.sum(error_m**2, axis=1))))
         )
+
+
+def test_the_filters_of_these_tests_know_how_far_stamps_are_moved() -> None:
+    assert unrepeatable.LATER_NS == LATER_NS
 
 
 def test_one_sample_in_ten_thousand_is_repeated() -> None:

@@ -1,8 +1,6 @@
 """Filters of the user's: a program or a class gets the evidence of any candidate, and its failures change no other."""
 
-import contextlib
 import json
-import os
 import re
 import sys
 import time
@@ -30,20 +28,21 @@ from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
 from insdvl_replay.nav.user_measurement import load_class
 from insdvl_replay.preparation.candidates import history_of_candidate
-from insdvl_replay.preparation.programs import run_as_program
 from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
+from insdvl_replay.preparation.solution_check import checked_solution
 from insdvl_replay.preparation.solution_files import (
     ATTITUDE,
     POSITION,
     VELOCITY,
-    checked_solution,
     read_solution,
 )
 from insdvl_replay.preparation.source_errors import ATTITUDE_FLOOR, VELOCITY_FLOOR_MPS
+from insdvl_replay.preparation.user_process import run_over_files
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 
 HERE = "baseline_as_candidate"
+FAILING = "failing_candidates"
 FILTERS = {"baseline": Filter(aiding=("velocity",)), "beams": Filter(aiding=("beams",))}
 HEADER = ",".join(["time_ns", *POSITION, *VELOCITY, *ATTITUDE])
 FIRST_LINES = (
@@ -214,14 +213,6 @@ def test_a_dive_without_a_file_has_no_log_to_give(
     assert "its input is the log" in replay.verdicts["mine"].sentence
 
 
-class Depths(Candidate):
-    """A class that names the sensors it is given."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Fail, with their names."""
-        raise ValueError(f"given {sorted(dive.sensors)}")
-
-
 @pytest.mark.parametrize(
     ("held_out", "given"), [((), "given ['depth']"), (("depth",), "given []")]
 )
@@ -230,7 +221,7 @@ def test_a_class_is_not_given_a_sensor_that_is_held_out(
 ) -> None:
     sensors = {"depth": SensorErrors(0.05, 4.0)}
     dive = simulate_dive("lawnmower", seed=3, duration_s=30.0, imu_rate_hz=50.0, sensors=sensors)
-    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Depths"), held_out=held_out))
+    replay = replay_dive(dive, config(Filter(candidate=f"{FAILING}:Depths"), held_out=held_out))
     assert given in replay.verdicts["mine"].sentence
 
 
@@ -406,79 +397,10 @@ def test_a_solution_that_begins_after_the_baseline_broke_down_is_not_compared_wi
     assert 0.92 < np.isfinite(history.velocity_n[:, 0]).mean() < 0.94
 
 
-class Failing(Candidate):
-    """A class with a mistake."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Fail."""
-        sys.stdout.write("before\n")
-        raise ZeroDivisionError("here")
-
-
-class Leaving(Candidate):
-    """A class that prints past Python, and ends its process."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """End."""
-        os.write(1, b"to the descriptor\n")
-        os._exit(7)
-
-
-class Sleeping(Candidate):
-    """A class that does not end."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Wait."""
-        time.sleep(77.0)
-        raise AssertionError
-
-
-class OwnSolution(Solution):
-    """A kind of solution that only the module of the class knows."""
-
-
-class Daemon(Candidate):
-    """A class that leaves a process behind, which keeps its pipes open and is in no group of the tool."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Leave it, and end."""
-        if os.fork() == 0:
-            os.setsid()
-            time.sleep(20.0)
-        os._exit(7)
-
-
-class Writing(Candidate):
-    """A class that writes wherever it can."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Write, and return nothing that is read."""
-        for descriptor in range(3, 30):
-            with contextlib.suppress(OSError):
-                os.write(descriptor, b"anything, which is longer than a header")
-        raise AssertionError
-
-
-class Deriving(Baseline):
-    """A class that returns its own kind of solution."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Return it."""
-        return OwnSolution(**vars(super().run(dive, start)))
-
-
-class Unfinished(Candidate):
-    """A class without a result."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Return nothing."""
-        return None  # type: ignore[return-value]
-
-
 @pytest.mark.parametrize(
     ("word", "reason", "printed"),
     [
-        ("Failing", "test_user_candidates.py: ZeroDivisionError: here", "before\n"),
+        ("Failing", "failing_candidates.py: ZeroDivisionError: here", "before\n"),
         ("Leaving", "ended with exit code 7", "to the descriptor\n"),
         ("Unfinished", "returns NoneType, not Solution", ""),
         ("Writing", "wrote into the pipe of its answer", ""),
@@ -492,7 +414,7 @@ def test_a_class_that_fails(
     alone: Replay,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:{word}")))
+    replay = replay_dive(dive, config(Filter(candidate=f"{FAILING}:{word}")))
     assert reason in replay.verdicts["mine"].sentence
     assert rows_of_others(replay) == rows_of_others(alone)
     assert replay.printed.get("mine", "") == printed
@@ -500,7 +422,7 @@ def test_a_class_that_fails(
 
 
 def test_a_class_that_hangs_is_ended(dive: Dive, alone: Replay) -> None:
-    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Sleeping", timeout_s=0.5)))
+    replay = replay_dive(dive, config(Filter(candidate=f"{FAILING}:Sleeping", timeout_s=0.5)))
     assert "mine did not end within 0.5 s" in replay.verdicts["mine"].sentence
     assert replay.verdicts["mine"].verdict == Verdict.NOT_EVALUATED
     assert rows_of_others(replay) == rows_of_others(alone)
@@ -508,7 +430,7 @@ def test_a_class_that_hangs_is_ended(dive: Dive, alone: Replay) -> None:
 
 def test_a_process_that_a_class_left_behind_is_not_waited_for(dive: Dive) -> None:
     began_s = time.monotonic()
-    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Daemon")))
+    replay = replay_dive(dive, config(Filter(candidate=f"{FAILING}:Daemon")))
     assert "mine ended with exit code 7" in replay.verdicts["mine"].sentence
     assert time.monotonic() - began_s < 15.0
 
@@ -516,15 +438,15 @@ def test_a_process_that_a_class_left_behind_is_not_waited_for(dive: Dive) -> Non
 def test_a_class_may_return_its_own_kind_of_solution(
     dive: Dive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(sys.modules[__name__], "OwnSolution")  # this process does not know it
-    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Deriving")))
+    monkeypatch.delattr(sys.modules[HERE], "OwnSolution")  # this process does not know it
+    replay = replay_dive(dive, config(Filter(candidate=f"{HERE}:Deriving")))
     assert replay.verdicts["mine"].verdict == Verdict.NO_EFFECT
 
 
 @pytest.mark.parametrize(
     ("word", "reason"),
     [
-        (f"{__name__}:Failng", "is not in test_user_candidates; the nearest name is Failing"),
+        (f"{FAILING}:Failng", "is not in failing_candidates; the nearest name is Failing"),
         ("not_there:Mine", "cannot be imported: No module named 'not_there'"),
         (f"{__name__}:config", "is not a class derived from Candidate"),
     ],
@@ -536,7 +458,7 @@ def test_a_class_that_is_not_there_is_reported(word: str, reason: str) -> None:
 
 def test_a_class_that_is_not_there_is_an_error_of_the_settings(dive: Dive) -> None:
     with pytest.raises(ConfigError, match=r":Failng is not in .*; the nearest name is Failing"):
-        replay_dive(dive, config(Filter(candidate=f"{__name__}:Failng")))
+        replay_dive(dive, config(Filter(candidate=f"{FAILING}:Failng")))
 
 
 def test_files_of_the_current_folder_are_not_modules_of_a_class(
@@ -544,22 +466,12 @@ def test_files_of_the_current_folder_are_not_modules_of_a_class(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "pickle.py").write_text("raise SystemExit(3)\n")
-    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Failing")))
+    replay = replay_dive(dive, config(Filter(candidate=f"{FAILING}:Failing")))
     assert "ZeroDivisionError: here" in replay.verdicts["mine"].sentence
 
 
-class Scaling(Candidate):
-    """A class that changes what it is given."""
-
-    def run(self, dive: Dive, start: CandidateStart) -> Solution:
-        """Fail, with what it was given."""
-        given = float(np.sum(np.abs(dive.imu.angular_rate_b)))
-        dive.imu.angular_rate_b[:] *= 2.0
-        raise ValueError(f"given {given:.6g}")
-
-
 def test_a_class_cannot_change_the_dive_of_others(dive: Dive) -> None:
-    scaling = Filter(candidate=f"{__name__}:Scaling")
+    scaling = Filter(candidate=f"{FAILING}:Scaling")
     filters = {**FILTERS, "mine": scaling, "other": scaling}
     verdicts = replay_dive(dive, settings_of(filters, starts=1)).verdicts
     first, second = (verdicts[name].sentence for name in ("mine", "other"))
@@ -662,7 +574,7 @@ def test_the_files_of_a_program_hold_what_a_class_is_given(dive: Dive, tmp_path:
     )
     write_dive(tmp_path / "dive.mcap", given)
     (tmp_path / "start.json").write_bytes(start.to_json())
-    run_as_program(
+    run_over_files(
         Baseline, tmp_path / "dive.mcap", tmp_path / "start.json", tmp_path / "solution"
     )
     read, direct = read_solution(tmp_path / "solution", start), Baseline().run(given, start)
