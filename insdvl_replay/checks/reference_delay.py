@@ -166,11 +166,12 @@ def reference_delay(imu: ImuColumns, reference: ReferenceColumns | None) -> Refe
     integrals = _Integrals.of(imu)
     # Readings may be averages before their stamps, or around them.
     of_step_s = _UNIFORM * imu.usual_step_s
-    by_turns, is_aligned = _by_turns(imu, reference, integrals, FARTHEST_S)
-    if by_turns is None and _both_turn(imu, reference, integrals):
-        by_turns, is_aligned = _by_turns(imu, reference, integrals, VERY_FAR_S)
+    turned = _by_turns(imu, reference, integrals, FARTHEST_S)
+    if not turned.is_explained and _both_turn(imu, reference, integrals):
+        turned = _by_turns(imu, reference, integrals, VERY_FAR_S)
+    by_turns = turned.delay
     by_accelerations = None
-    if is_aligned:
+    if turned.is_aligned:
         attitude_s = 0.0 if by_turns is None else by_turns.delay_s
         by_accelerations = _by_accelerations(imu, reference, integrals, attitude_s)
     return _together(_widened(by_turns, of_step_s), _widened(by_accelerations, of_step_s))
@@ -330,19 +331,30 @@ def _both_turn(imu: ImuColumns, reference: ReferenceColumns, integrals: _Integra
     return min(_size(measured), _size(found.values)) > least
 
 
+@dataclass(frozen=True)
+class _ByTurns:
+    """What the turns of a reference say of its delay."""
+
+    delay: Delay | None
+    is_aligned: bool = True  # its axes are those of the IMU, as far as they tell
+    is_explained: bool = (
+        False  # the turns are those of the gyros, so no farther delay is looked for
+    )
+
+
 def _by_turns(
     imu: ImuColumns,
     reference: ReferenceColumns,
     integrals: _Integrals,
     farthest_s: float,
-) -> tuple[Delay | None, bool]:
-    """Compare turns with the gyros; return also whether the reference has the axes of the IMU."""
+) -> "_ByTurns":
+    """Compare turns with the gyros at all delays up to the farthest."""
     found = _turns_of(imu, reference, farthest_s)
     legs = found.legs
     turns = found.values
     mat_nb = reference.mat_nb
     if len(legs.first) < FEWEST_LEGS:
-        return None, True
+        return _ByTurns(None)
     searched = found.some(_COARSE_LEGS if farthest_s == FARTHEST_S else _FAR_LEGS)
     coarse_s = np.arange(-farthest_s + COARSE_S, farthest_s, COARSE_S)
     misfits = []
@@ -351,14 +363,19 @@ def _by_turns(
         misfits.append(_misfit(tried))
     best = int(np.argmin(misfits))
     if not 0 < best < len(coarse_s) - 1:
-        return None, True
+        return _ByTurns(None)
+    best_s = float(coarse_s[best])
 
     def compared(delay_s: float) -> Difference:
         return _turns(legs, turns, mat_nb, integrals, delay_s)
 
-    delay = _fitted(compared, legs, float(coarse_s[best]), _size(turns))
-    delay_s = delay.delay_s if delay is not None else 0.0
-    return delay, _is_aligned(legs, turns, integrals, delay_s)
+    delay = _fitted(compared, legs, best_s, _size(turns))
+    if delay is not None:
+        is_aligned = _is_aligned(legs, turns, integrals, delay.delay_s)
+        return _ByTurns(delay, is_aligned, is_explained=True)
+    is_aligned = _is_aligned(legs, turns, integrals, 0.0)
+    left = _left_of(compared(best_s))
+    return _ByTurns(None, is_aligned, is_explained=_explains(float(np.sum(left**2)), _size(turns)))
 
 
 def _turns(
@@ -519,12 +536,21 @@ def _left(values: Floats, constants: Floats) -> Floats:
     return np.asarray(values - unit @ solved)
 
 
-def _misfit(difference: Difference) -> float:
-    """Return the mean size of what no constant explains; jumps count once, not by their squares."""
+def _left_of(difference: Difference) -> Floats:
+    """Return what no constant explains, (3 k, 1)."""
     count = len(difference.values)
     constants = difference.constants.reshape(3 * count, -1)
-    left = _left(difference.values.reshape(-1, 1), constants)
-    return float(np.mean(np.abs(left)))
+    return _left(difference.values.reshape(-1, 1), constants)
+
+
+def _misfit(difference: Difference) -> float:
+    """Return the mean size of what no constant explains; jumps count once, not by their squares."""
+    return float(np.mean(np.abs(_left_of(difference))))
+
+
+def _explains(left: float, signal: float) -> bool:
+    """Return whether a fit explains a signal, by its squares and those that are left."""
+    return left < (1.0 - EXPLAINED) * signal
 
 
 def _fitted(
@@ -545,7 +571,7 @@ def _fitted(
         if abs(change_s) < 0.1 * sd_s:
             break
     has_settled = abs(change_s) < sd_s and abs(delay_s - start_s) < 2.0 * COARSE_S
-    if has_settled and left < (1.0 - EXPLAINED) * signal:
+    if has_settled and _explains(left, signal):
         return Delay(delay_s, sd_s)
     return None
 
