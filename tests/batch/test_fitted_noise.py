@@ -66,6 +66,7 @@ def test_a_dive_without_a_noise_gets_one_that_fits_and_a_line_says_so(
     assert "noise fitted" not in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_python_fits_the_same_noise_as_the_command(tmp_path: Path) -> None:
     report = replayed([EIGHT], tmp_path / "out")["figure_eight"]
     result = replay_log(EIGHT, load_config(settings={"evaluation.starts": 1}))
@@ -161,6 +162,7 @@ def test_both_sides_of_a_change_have_the_noise_before_it(
     assert before["config"]["noise"]["accel_white_mps_rts"] < 0.1 * Noise().accel_white_mps_rts
 
 
+@pytest.mark.nightly
 def test_compare_settings_and_check_of_python_fit_it_too(
     dives: list[Path], tmp_path: Path
 ) -> None:

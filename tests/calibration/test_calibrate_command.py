@@ -286,6 +286,7 @@ def test_notes_of_the_dives_are_reported_when_asked(
     assert "info: dive_1: " in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_all_eight_are_shown_and_found_by_the_dive_that_is_made_for_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

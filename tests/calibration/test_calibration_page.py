@@ -45,6 +45,7 @@ def drawn(found: Calibration, dives: list[ReadDive]) -> dict[str, Figure]:
     return {f"{place} {figure.title}": figure for place, figure in enumerate(figures)}
 
 
+@pytest.mark.nightly
 def test_pictures_show_what_the_tables_say(found: Calibration, dives: list[ReadDive]) -> None:
     first, second, delays, between = drawn(found, dives).values()
     for figure, row in zip((first, second), found.dives, strict=True):

@@ -191,6 +191,7 @@ def test_what_was_put_in_is_found(found: Calibration) -> None:
     assert abs(finite(dive.track_scale_after_pct)) < 0.2
 
 
+@pytest.mark.nightly
 def test_a_straight_line_shows_neither_arm_nor_whose_axes_are_turned() -> None:
     held = calibrated(beside("straight", 2, duration_s=150.0))
     assert held.reference is not None
@@ -202,6 +203,7 @@ def test_a_straight_line_shows_neither_arm_nor_whose_axes_are_turned() -> None:
     assert held.after.scale == pytest.approx(SCALE, abs=0.002)
 
 
+@pytest.mark.nightly
 def test_a_reference_whose_axes_are_known_reports_the_heading_of_the_dvl() -> None:
     """On a straight line, too: the sum of both turns is seen, and all of it is given to the DVL."""
     told = calibrated(beside("straight", 2), only=("mounting", "scale"))
@@ -212,6 +214,7 @@ def test_a_reference_whose_axes_are_known_reports_the_heading_of_the_dvl() -> No
     assert told.after.mounting_rpy_deg[2] == pytest.approx(-YAW_DEG, abs=0.1)
 
 
+@pytest.mark.nightly
 def test_without_attitude_clock_and_scale_alone_are_reported() -> None:
     told = calibrated(beside("figure-eight", 3, attitude=False))
     assert told.reference is not None
@@ -284,6 +287,7 @@ def test_dives_together_are_surer_and_their_scatter_is_reported(found: Calibrati
     assert finite(clock.birge) < 3.0
 
 
+@pytest.mark.nightly
 def test_a_dependent_reference_is_doubted_and_none_is_an_error() -> None:
     read = beside("straight", 1, duration_s=60.0)
     settings = msgspec.structs.replace(read.config.reference, independent=False)

@@ -140,7 +140,8 @@ def test_no_such_dive_of_ten_does(scenario: str, grade: str) -> None:
         assert not found & {"delay", "arm_x", "arm_y", "arm_z"}, seed
 
 
-@pytest.mark.parametrize("times", [1.0, pytest.param(10.0, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("times", [1.0, 10.0])
 def test_dives_that_are_still_take_nothing_from_one_that_shows_how_the_dvl_is_built_in(
     times: float,
 ) -> None:
@@ -188,7 +189,8 @@ def test_strong_manoeuvres_show_the_delay_next_to_a_noisy_imu(grade: str) -> Non
     assert np.nanmax(np.abs(errors_over_sds(found, BUILT_IN))) < 3.5
 
 
-@pytest.mark.parametrize("duration_s", [600.0, pytest.param(None, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("duration_s", [600.0, None])
 def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm(
     duration_s: float | None,
 ) -> None:

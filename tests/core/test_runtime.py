@@ -150,17 +150,9 @@ def empty(path: Path) -> None:
     path.write_bytes(b"")
 
 
-@pytest.mark.parametrize(
-    ("which", "damage"),
-    [
-        (1, cut),
-        *(
-            pytest.param(0, damage, marks=pytest.mark.nightly)
-            for damage in (cut, empty, Path.unlink)
-        ),
-        *(pytest.param(1, damage, marks=pytest.mark.nightly) for damage in (empty, Path.unlink)),
-    ],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("damage", [cut, empty, Path.unlink])
 def test_damaged_code_is_compiled_again_and_mended(
     damage: Callable[[Path], None], which: int, tmp_path: Path
 ) -> None:

@@ -68,6 +68,7 @@ def test_a_damaged_log_is_replayed_and_the_found_settings_repeat_it(
     assert (first / "dive" / "vehicle.toml").is_file()
 
 
+@pytest.mark.nightly
 def test_dives_that_fit_or_cannot_be_read_do_not_decide_for_the_others(
     good: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -193,6 +194,7 @@ def test_tracks_are_added_with_the_settings_that_were_found(
     assert (out / "dive" / "reference.tum").is_file()
 
 
+@pytest.mark.nightly
 def test_a_late_reference_is_found_beside_a_late_dvl(good: Dive, tmp_path: Path) -> None:
     log = tmp_path / "dive.mcap"
     assert good.reference is not None

@@ -227,6 +227,7 @@ def test_heading_at_the_start_is_that_under_which_the_tracks_agree(tmp_path: Pat
     assert abs((found_deg - truth_deg + 180.0) % 360.0 - 180.0) < 1.0
 
 
+@pytest.mark.nightly
 def test_dives_share_their_mounting_and_not_their_heading(turning: Dive, tmp_path: Path) -> None:
     logs = [tmp_path / f"{number}.mcap" for number in (1, 2)]
     for log in logs:

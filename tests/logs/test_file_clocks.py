@@ -204,7 +204,10 @@ SETTINGS = Config(
 )
 
 
-@pytest.mark.parametrize(("offset_s", "since_boot"), [(OFFSET_S, False), (OFFSET_S, True)])
+@pytest.mark.parametrize(
+    ("offset_s", "since_boot"),
+    [(OFFSET_S, False), pytest.param(OFFSET_S, True, marks=pytest.mark.nightly)],
+)
 def test_pd0_is_brought_onto_the_clock_of_a_table(
     offset_s: float, since_boot: bool, tmp_path: Path
 ) -> None:
@@ -224,6 +227,7 @@ def test_pd0_is_brought_onto_the_clock_of_a_table(
     assert [note.text for note in inventory.notes if note.code == "file_clock"] == [said.text]
 
 
+@pytest.mark.nightly
 def test_an_imu_without_settings_is_aligned_before_they_are_searched(tmp_path: Path) -> None:
     dive = simulated(at_sea(11), 11)
     written(tmp_path / "dive", dive, OFFSET_S)

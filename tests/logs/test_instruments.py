@@ -46,7 +46,13 @@ def written(folder: Path, kind: str) -> tuple[Written, Told, list[Path]]:
     )
 
 
-@KINDS
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, marks=pytest.mark.nightly) if kind.startswith("pd") else kind
+        for kind in FORMATS
+    ],  # `test_teledyne` replays those of Teledyne each day
+)
 def test_replay_is_that_of_the_mcap(kind: str, tmp_path: Path) -> None:
     known, dive, paths = written(tmp_path, kind)
     apart_mps, apart_m = instrument_logs.compare(

@@ -6,9 +6,16 @@ A change that means to move numbers stores them anew, `make net`, and its commit
 import net
 import pytest
 
+# What takes longest, and has tests of its own beside these.
+NIGHTLY = ("propose", "calibrate", "observability")
+CASES = [
+    pytest.param(case, marks=pytest.mark.nightly) if case in NIGHTLY else case
+    for case in net.CASES
+]
+
 
 @pytest.mark.all_starts
-@pytest.mark.parametrize("case", net.CASES)
+@pytest.mark.parametrize("case", CASES)
 def test_commands_say_what_they_said(case: str) -> None:
     if case in net.RECORDED and not net.SHARED.is_dir():
         pytest.skip("needs ../shared/data (real dives)")

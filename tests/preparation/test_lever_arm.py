@@ -47,6 +47,7 @@ def test_velocity_of_the_moved_point_is_the_rate_of_its_way(turning: Dive) -> No
     np.testing.assert_allclose(apart_m, apart_n - apart_n[0], rtol=0.0, atol=0.01)
 
 
+@pytest.mark.nightly
 def test_reference_of_another_point_is_as_good_once_its_lever_arm_is_known(turning: Dive) -> None:
     assert turning.reference is not None
     elsewhere = replace(

@@ -230,6 +230,7 @@ def test_a_vehicle_has_a_factor_of_its_own_and_the_tool_is_told_its_name() -> No
     assert world_of("a copy").config_of(5) == world_of("a copy").config
 
 
+@pytest.mark.nightly
 def test_one_of_five_filters_is_better_and_is_named_before_anything_is_run() -> None:
     world = world_of("five at once, the first is named and 0.8 of the baseline")
     assert (world.candidates, world.config.evaluation.candidate) == (FIVE, "first")

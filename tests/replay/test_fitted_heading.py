@@ -181,6 +181,7 @@ def test_an_attitude_to_start_from_goes_before_it() -> None:
     assert not any(note.code == "start_heading_fitted" for note in fitted.notes)
 
 
+@pytest.mark.nightly
 def test_commands_take_it_from_a_file(
     truth: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -108,7 +108,8 @@ def test_with_a_gate_a_dvl_that_grows_noisier_is_followed_and_not_rejected() -> 
         assert adaptive.nis[late].mean() / 3.0 < 1.3
 
 
-@pytest.mark.parametrize("aiding", [pytest.param("velocity", marks=pytest.mark.nightly), "beams"])
+@pytest.mark.nightly
+@pytest.mark.parametrize("aiding", ["velocity", "beams"])
 def test_what_an_outage_did_to_the_velocity_is_not_taken_for_noise(aiding: str) -> None:
     """The first ping after it is off by what the INS has drifted by, and says nothing of the DVL."""
     changes = list[Floats]()

@@ -140,6 +140,7 @@ def fitted(snapir: Path) -> dict[str, Replay]:
     return {run: replay_log(snapir / f"snapir_{run}.mcap", config) for run in RUNS}
 
 
+@pytest.mark.nightly
 def test_the_example_is_as_noisy_as_it_says_along_each_axis(fitted: dict[str, Replay]) -> None:
     for run, replay in fitted.items():
         for row in replay.tables.consistency:

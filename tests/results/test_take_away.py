@@ -107,7 +107,7 @@ def test_every_kind_is_drawn_with_names_and_units(kind: str, folder: Path, tmp_p
     assert re.search(r'width="24\d\.\d+pt"', text), "88 mm are 249 pt"
 
 
-@pytest.mark.parametrize("width_mm", [60.0, 88.0, 180.0])
+@pytest.mark.parametrize("width_mm", [60.0, 88.0, pytest.param(180.0, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("kind", FOR_PAPER)
 def test_no_text_of_a_figure_is_cut_or_covers_another(
     kind: str, width_mm: float, folder: Path

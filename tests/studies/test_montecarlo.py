@@ -388,6 +388,7 @@ def test_work_is_given_back_in_order_and_ends_at_the_first_error() -> None:
 # --- Pictures.
 
 
+@pytest.mark.nightly
 def test_picture_is_drawn_in_shown_units_and_to_the_same_bytes() -> None:
     rng = np.random.default_rng(5)
     columns = [np.arange(30.0), *(rng.random((30, 12)) for _ in range(3))]
