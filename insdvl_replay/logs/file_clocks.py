@@ -25,7 +25,7 @@ from insdvl_replay.logs.columns.clock_by_motion import (
 from insdvl_replay.logs.columns.dvl import decode_dvl
 from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.sensors import decode_sensor
-from insdvl_replay.logs.columns.tables import SAME_CLOCK_S, Table, read_tables
+from insdvl_replay.logs.columns.tables import SAME_CLOCK_S, Table, read_tables, stamp_path
 from insdvl_replay.logs.columns.topics import LOG_TIME, Source, Topics, role_with
 from insdvl_replay.logs.formats.log_file import LogFile
 from insdvl_replay.logs.formats.recording import CHANNELS_OF_A_PART, Recording
@@ -55,7 +55,8 @@ def align_files(log: Recording, sources: Sequence[Source], config: Config) -> No
     if not files or is_given:
         return
     imu_table, dvl_table = read_tables(log, [imu_source, dvl_source])
-    if dvl_source.stamp != LOG_TIME and not dvl_table.is_time_column(dvl_source.stamp):
+    path = stamp_path(dvl_source.stamp)
+    if path != LOG_TIME and not dvl_table.is_time_column(path):
         return
     try:
         imu = _without_latency(decode_imu(imu_table, config.imu)[0], imu_source.latency_s)

@@ -245,6 +245,22 @@ def test_files_by_one_clock_stay_as_they_are(tmp_path: Path) -> None:
     assert "file_clock" not in {note.code for note in found.notes}
 
 
+def test_pings_that_settings_count_are_taken_as_they_are(tmp_path: Path) -> None:
+    """The rate and the latency are those of the settings; no clock is looked for."""
+    dive = simulated(at_sea(9), 9)
+    dvl = velocities(dive, 0.0)
+    columns = {"time [s]": dvl.time_ns / 1e9}
+    for axis, values in zip("xyz", dvl.values.T, strict=True):
+        columns[f"dvl_{axis} [m/s]"] = values
+    pd.DataFrame(columns).to_csv(tmp_path / "dvl.csv", index=False)
+    counted = Dvl(topic="dvl.csv", velocity="dvl_x, dvl_y, dvl_z", kind="velocity", stamp="5 Hz")
+    settings = Config(imu=SETTINGS.imu, dvl=counted)
+    found = read_dive([write_imu(tmp_path, dive.imu), tmp_path / "dvl.csv"], settings)
+    step_s = np.diff(seconds(found.dvl.time_ns, int(dvl.time_ns[0])))
+    assert np.abs(step_s - 0.2).max() < 1e-6
+    assert "file_clock" not in {note.code for note in found.notes}
+
+
 def test_a_straight_dive_by_two_clocks_is_refused_with_what_to_set(tmp_path: Path) -> None:
     dive = simulated("straight", 1)
     paths = written(tmp_path, dive, 1000.0)
