@@ -104,7 +104,7 @@ def find_dives(
         try:
             for dive in _meant(name, base, results=results):
                 first = found.setdefault(dive.url or os.path.realpath(dive.path), dive)
-                if (first.settings, first.sha256) != (dive.settings, dive.sha256):
+                if _listed_as(first) != _listed_as(dive):
                     text = f"{dive.url or dive.path}: is listed twice, with different settings or digests"
                     raise ConfigError(text, "leave one of them out")
         except _UNUSABLE_PATH as error:
@@ -113,6 +113,11 @@ def find_dives(
                 f"{name}: is not a usable path: {reason}", "check the path"
             ) from error
     return list(found.values())
+
+
+def _listed_as(dive: FoundDive) -> tuple[object, ...]:
+    """Return what a list says of a dive that must be the same wherever it is listed."""
+    return dive.settings, dive.sha256, dive.parts
 
 
 def _natural(path: Path) -> tuple[NaturalKey, ...]:

@@ -19,6 +19,8 @@ class FoundDive:
     settings: Path | None = None  # of this dive
     vehicle: str = ""  # that made it; empty: the settings say which
     error: UserError | None = None  # why it cannot be used
+    # the files of a folder that is not there; once they are fetched, the path is a folder with them
+    parts: tuple["DivePart", ...] = ()
 
     @property
     def name_giver(self) -> Path:
@@ -27,6 +29,14 @@ class FoundDive:
             return self.path
         place = shown_url(self.url).partition("://")[2].removesuffix("?...")
         return Path("/", *place.split("/"))
+
+
+@dataclass(frozen=True)
+class DivePart:
+    """One of several files that are one dive, such as the table of the IMU."""
+
+    name: str  # in the folder of the dive; a table is a topic of this name
+    file: FoundDive
 
 
 Fetch = Callable[[Sequence[FoundDive]], Sequence[FoundDive]]

@@ -36,7 +36,13 @@ class Look:
         """Return the dives with their files, as far as they are needed."""
         if self.needs_files:
             return fetch(found, offline=self.offline)
-        return found
+        files = []
+        for dive in found:
+            if dive.parts:
+                files += fetch([dive])
+            else:
+                files.append(dive)
+        return files
 
 
 def inspect_dive(

@@ -1,10 +1,11 @@
 """Manifests: TOML files that list dives with their digests, licences, settings and tags.
 
-A dive is a path relative to the manifest, or a URL. A URL needs the digest of its log, so that the
-same manifest always means the same dives.
+A dive is a path relative to the manifest, a URL, or a folder whose files have URLs of their own. A URL needs the
+digest of its file, so that the same manifest always means the same dives.
 """
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
@@ -13,15 +14,31 @@ from urllib.parse import urlsplit
 
 from msgspec import Meta, Struct
 
-from insdvl_replay.batch.found import FoundDive, dive_of_url
+from insdvl_replay.batch.found import DivePart, FoundDive, dive_of_url
 from insdvl_replay.core.config_file import SECTIONS, converted, read_toml
 from insdvl_replay.core.errors import ConfigError, LogError, UserError, error_context, listed
 from insdvl_replay.core.path_kinds import require_kind_of_toml
 from insdvl_replay.core.runtime import parallel_map, track_progress
 from insdvl_replay.logs.formats.recording import open_recording
-from insdvl_replay.logs.formats.remote import StalledError, fetched, file_digest
+from insdvl_replay.logs.formats.remote import (
+    StalledError,
+    fetched,
+    file_digest,
+    folder_of_files,
+)
 
 _EXAMPLE: Final = '[[dive]] path = "dive.mcap" or url = "https://..." with sha256'
+_EXAMPLE_OF_FILES: Final = (
+    'path = "dive_7" and files = [{ name = "imu.csv", url = "https://...", sha256 = "..." }]'
+)
+
+
+class ManifestFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One of several files of a dive."""
+
+    name: Annotated[str, Meta(pattern=r"^[^./\\\0][^/\\\0]*$")]  # in the folder of the dive
+    url: str
+    sha256: Annotated[str, Meta(pattern="^[0-9a-fA-F]{64}$")]
 
 
 class ManifestDive(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -32,6 +49,7 @@ class ManifestDive(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     # of the log, as a report has it
     sha256: Annotated[str, Meta(pattern="^([0-9a-fA-F]{64})?$")] = ""
     settings: str = ""  # a file for -c, relative to the manifest
+    files: tuple[ManifestFile, ...] = ()  # of the folder `path`, where it is not there
     vehicle: str = ""  # that made it, instead of `vehicle.name` of the settings
     licence: str = ""  # for people
     faults: str = ""  # for people
@@ -58,6 +76,7 @@ def manifest_dives(file: Path, tag: str = "") -> list[FoundDive]:
     if not manifest.dive:
         raise ConfigError(f"{file}: lists no dives", _EXAMPLE)
     for number, dive in enumerate(manifest.dive, 1):
+        _require_folder(dive, f"{file}: dive {number}")
         if bool(dive.path) == bool(dive.url) or (dive.url and not dive.sha256):
             raise ConfigError(
                 f"{file}: dive {number}: needs a path, or a url with its sha256", _EXAMPLE
@@ -72,13 +91,39 @@ def manifest_dives(file: Path, tag: str = "") -> list[FoundDive]:
     return [_found(dive, file) for dive in chosen]
 
 
+def _require_folder(dive: ManifestDive, place: str) -> None:
+    """Raise ConfigError if a dive lists files, and no folder that they are in."""
+    if not dive.files:
+        return
+    if not dive.path or dive.url or dive.sha256:
+        text = f"{place}: files need the path of their folder, and neither url nor sha256"
+        raise ConfigError(text, _EXAMPLE_OF_FILES)
+    names = set[str]()
+    for part in dive.files:
+        if part.name in names:
+            text = f"{place}: two of its files have the name {part.name}"
+            raise ConfigError(text, _EXAMPLE_OF_FILES)
+        names.add(part.name)
+
+
 def _found(dive: ManifestDive, file: Path) -> FoundDive:
     sha256 = dive.sha256.lower()
     settings = file.parent / dive.settings if dive.settings else None
+    parts = []
+    for part in dive.files:
+        with error_context(file):
+            parts.append(DivePart(part.name, dive_of_url(part.url, part.sha256.lower())))
     if dive.url:
         with error_context(file):
             return replace(dive_of_url(dive.url, sha256, settings), vehicle=dive.vehicle)
-    return FoundDive(file.parent / dive.path, "", sha256, settings, dive.vehicle)
+    return FoundDive(
+        file.parent / dive.path,
+        "",
+        sha256,
+        settings,
+        dive.vehicle,
+        parts=tuple(parts),
+    )
 
 
 def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[FoundDive]:
@@ -88,13 +133,15 @@ def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[Fo
 
     A server that stalled is not asked for other dives.
     """
-    if not any(dive.sha256 or dive.url for dive in dives):
+    if not any(dive.sha256 or dive.url or dive.parts for dive in dives):
         return list(dives)
     stopped = Event()
     stalled = set[str]()
 
     def had(dive: FoundDive) -> FoundDive:
         try:
+            if dive.parts:
+                return replace(dive, path=_folder_of(dive, had))
             if not dive.url:
                 _require_digest(dive)
                 return dive
@@ -113,6 +160,40 @@ def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[Fo
 
     found = parallel_map(had, dives, stop=stopped.set)
     return [dive for _, dive in zip(track_progress("fetching logs", dives), found, strict=True)]
+
+
+def _folder_of(dive: FoundDive, had: Callable[[FoundDive], FoundDive]) -> Path:
+    """Return the folder with the files of a dive: the one that is there, else one in the cache."""
+    if dive.path.exists():
+        _require_files(dive)
+        return dive.path
+    files = {}
+    lines = []
+    for part in dive.parts:
+        file = had(part.file)
+        if file.error is not None:
+            raise file.error
+        files[part.name] = file.path
+        lines.append(f"{part.name} {part.file.sha256}\n")
+    key = hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
+    return folder_of_files(key, dive.path.name, files)
+
+
+def _require_files(dive: FoundDive) -> None:
+    """Raise LogError where a folder on this machine does not have the files that its manifest lists, and no others."""
+    hint = "restore it, or remove it: then its files are fetched"
+    others = {path.name for path in dive.path.iterdir()}
+    for part in dive.parts:
+        digest = "missing"
+        if part.name in others:
+            digest = file_digest(dive.path / part.name)
+            others.remove(part.name)
+        if digest != part.file.sha256:
+            text = f"the SHA-256 of {part.name} is {digest}; the manifest says {part.file.sha256}"
+            raise LogError(text, hint, dive.path)
+    if others:
+        names = listed(sorted(others))
+        raise LogError(f"has {names}, which the manifest does not list", hint, dive.path)
 
 
 def _require_digest(dive: FoundDive) -> None:

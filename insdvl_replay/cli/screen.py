@@ -197,7 +197,8 @@ def fetch_with_progress(
     """Fetch the remote logs of dives, and show the progress; each dive that cannot be had has its error."""
     from insdvl_replay.batch.manifest import fetch_dives
 
-    with progress("fetching logs") if any(dive.url for dive in dives) else nullcontext():
+    is_remote = any(dive.url or dive.parts for dive in dives)
+    with progress("fetching logs") if is_remote else nullcontext():
         return fetch_dives(dives, offline=offline)
 
 

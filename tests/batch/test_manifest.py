@@ -60,6 +60,11 @@ def test_a_folder_has_the_digest_of_its_report(tmp_path: Path) -> None:
         "x = 1",
         f'url = "dive.mcap"\nsha256 = "{WRONG}"',
         f'url = "http://[bad/"\nsha256 = "{WRONG}"',
+        f'files = [{{ name = "a.mcap", url = "file:///a.mcap", sha256 = "{WRONG}" }}]',
+        'path = "dive"\nfiles = [{ name = "a.mcap", url = "file:///a.mcap" }]',
+        f'path = "dive"\nfiles = [{{ name = "../a.mcap", url = "file:///a.mcap", sha256 = "{WRONG}" }}]',
+        f'path = "dive"\nfiles = [{{ name = "a.mcap", url = "a.mcap", sha256 = "{WRONG}" }}]',
+        f'path = "dive"\nsha256 = "{WRONG}"\nfiles = [{{ name = "a", url = "file:///a", sha256 = "{WRONG}" }}]',
     ],
 )
 def test_a_wrong_entry_is_a_wrong_setting(tmp_path: Path, line: str) -> None:
@@ -147,6 +152,67 @@ def test_the_vehicle_of_a_dive_is_that_of_its_manifest_else_of_its_settings(
     assert again["tool"]["started_at"] == reports["a"]["tool"]["started_at"], (
         "the same vehicle is no other setting"
     )
+
+
+def test_the_files_of_a_dive_are_fetched_into_one_folder(tmp_path: Path, cache: Path) -> None:
+    """A folder next to the manifest is used instead, if it has these files and no others."""
+    from_elsewhere = tmp_path / "elsewhere"
+    from_elsewhere.mkdir()
+    entry = 'path = "dive"\nfiles = [\n'
+    for number, name in enumerate(("imu", "dvl")):
+        (from_elsewhere / f"{name}_1.csv").write_text(f"table {number}\n")
+        digest = hashlib.sha256(f"table {number}\n".encode()).hexdigest()
+        url = (from_elsewhere / f"{name}_1.csv").as_uri()
+        entry += f'  {{ name = "{name}.csv", url = "{url}", sha256 = "{digest}" }},\n'
+    listed = manifest(tmp_path, f"{entry}]")
+    (folder,) = found_paths(listed)
+    assert folder.name == "dive"
+    assert cache in folder.parents
+    texts = {file.name: file.read_text() for file in folder.iterdir()}
+    assert texts == {"imu.csv": "table 0\n", "dvl.csv": "table 1\n"}
+    (folder / "dvl.csv").write_text("changed\n")
+    assert found_paths(listed) == [folder]
+    assert (folder / "dvl.csv").read_text() == "table 1\n"
+
+    own = tmp_path / "dive"
+    own.mkdir()
+    with pytest.raises(LogError, match=r"the SHA-256 of imu\.csv is missing"):
+        found_paths(listed)
+    for name in ("imu", "dvl"):
+        (own / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
+    assert found_paths(listed) == [own]
+    (own / "more.csv").write_text("")
+    with pytest.raises(LogError, match=r"has more\.csv, which the manifest does not list"):
+        found_paths(listed)
+
+
+def test_commands_know_a_dive_of_files_by_its_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "log_7.mcap").write_bytes(LOG)
+    url = (tmp_path / "log_7.mcap").as_uri()
+    entry = f'path = "seven"\nfiles = [{{ name = "x.mcap", url = "{url}", sha256 = "{SHA256}" }}]'
+    listed = manifest(tmp_path, entry)
+    assert run_command_line(["inspect", listed]) == 0
+    assert capsys.readouterr().out.startswith("seven can be replayed")
+    output = tmp_path / "out"
+    assert run_command_line(["run", listed, "-o", str(output), "--starts", "1", "-q"]) == 0
+    assert (output / "seven" / "report.json").is_file()
+
+
+def test_a_dive_whose_file_has_another_digest_stops_no_other_dive(tmp_path: Path) -> None:
+    for name in ("a.mcap", "b.mcap"):
+        (tmp_path / name).write_bytes(LOG)
+    url = (tmp_path / "a.mcap").as_uri()
+    listed = manifest(
+        tmp_path,
+        f'path = "dive"\nfiles = [{{ name = "x.mcap", url = "{url}", sha256 = "{WRONG}" }}]',
+        'path = "b.mcap"',
+    )
+    lost, found = fetch_dives(find_dives([listed]))
+    assert lost.error is not None
+    assert SHA256 in lost.error.message
+    assert found.error is None
 
 
 def test_settings_that_are_not_there_end_with_2(tmp_path: Path) -> None:

@@ -243,6 +243,43 @@ def _store(
     return kept
 
 
+def folder_of_files(key: str, name: str, files: Mapping[str, Path]) -> Path:
+    """Return a folder of the cache that has some files under names of their own, and nothing else.
+
+    Parameters
+    ----------
+    key : str
+        Stands for the content of all files and for their names.
+    name : str
+        Of the folder, which names the dive.
+    files : mapping of str to Path
+        The files in the cache, or on this machine, by their names in the folder.
+    """
+    folder = cache_folder() / "dives" / key / name
+    if _has_files(folder, files):
+        return folder
+    with _refused(str(folder)):
+        _make_private(folder.parent.parent, folder.parent)
+        with TemporaryDirectory(dir=folder.parent, prefix=".part") as made:
+            whole = Path(made) / name
+            whole.mkdir()
+            for file_name, file in files.items():
+                shutil.copyfile(file, whole / file_name)
+            if folder.exists():
+                shutil.rmtree(folder)
+            whole.rename(folder)
+    return folder
+
+
+def _has_files(folder: Path, files: Mapping[str, Path]) -> bool:
+    """Return whether a folder has copies of all files."""
+    for name, file in files.items():
+        copy = folder / name
+        if not copy.is_file() or file_digest(copy) != file_digest(file):
+            return False
+    return True
+
+
 def _logs() -> Path:
     """Return the folder of logs."""
     return cache_folder() / "logs"
