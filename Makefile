@@ -11,7 +11,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 COMPILE := PYTHONPATH=tests/replay $(BIN)/python tests/compiled_filters.py
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint style bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark docs clean
+.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint style bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark benchmark-settings docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --preset levy-klein --output replay --force --rerun
@@ -147,9 +147,14 @@ DIVES ?= ../shared/data/snapir
 reproduce: .venv/run.stamp
 	$(BIN)/python docs/generate/reproduction.py $(DIVES)
 
-# Candidates of benchmarks/public on the public dives; only what is new is replayed. With ONLY=NAME, the rows of one are printed.
+# Candidates of benchmarks/public on the public dives; only what is new is replayed. With ONLY=NAME, the details of one are printed.
+# Logs and tables that are in the folder DATA are not fetched.
 benchmark: .venv/run.stamp
-	$(BIN)/python docs/generate/benchmark.py $(ONLY)
+	DATA=$(DATA) $(BIN)/python docs/generate/benchmark.py $(ONLY)
+
+# The settings of the Snapir's dives for the benchmark, with the clocks of the published tables: five minutes.
+benchmark-settings: .venv/run.stamp
+	DATA=$(DATA) $(BIN)/python docs/generate/benchmark_settings.py
 
 # How the DVLs of the three examples are built in, found from nothing; git tells what moved. The examples have these values: copy what
 # moved. Dives 09 and 11 of the Snapir, whose DVL is noisy, are left out, and confirm it. Needs the logs of ../shared/data, or of DATA.

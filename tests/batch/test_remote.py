@@ -53,6 +53,27 @@ def test_a_log_is_fetched_once_and_asked_for_once(server: LogServer) -> None:
         assert server.asked == ["HEAD"]
 
 
+def test_the_files_of_a_dive_are_fetched_once_and_kept_for_offline(
+    server: LogServer, tmp_path: Path
+) -> None:
+    url = f"{server.url}/dive.mcap"
+    entry = f'path = "seven"\nfiles = [{{ name = "x.mcap", url = "{url}", sha256 = "{SHA256}" }}]'
+    dives = find_dives([manifest(tmp_path, entry)])
+    (lost,) = fetch_dives(dives, offline=True)
+    assert lost.error is not None
+    assert "offline nothing is fetched" in lost.error.message
+    (found,) = fetch_dives(dives)
+    assert [file.name for file in found.path.iterdir()] == ["x.mcap"]
+    assert server.asked.count("GET") == 1
+    server.asked.clear()
+    assert fetch_dives(dives, offline=True) == [found]
+    assert server.asked == []
+    server.logs["/dive.mcap"] = OTHER
+    (changed,) = fetch_dives(find_dives([manifest(tmp_path, entry.replace(SHA256, WRONG))]))
+    assert changed.error is not None
+    assert "the SHA-256 of what was sent is" in changed.error.message
+
+
 def test_a_log_that_changed_is_fetched_again_and_refused_if_its_digest_is_known(
     server: LogServer,
 ) -> None:
