@@ -11,7 +11,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 COMPILE := PYTHONPATH=tests/replay $(BIN)/python tests/compiled_filters.py
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint style bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark benchmark-settings docs clean
+.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint style bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark benchmark-settings pull_request docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --preset levy-klein --output replay --force --rerun
@@ -155,6 +155,10 @@ benchmark: .venv/run.stamp
 # The settings of the Snapir's dives for the benchmark, with the clocks of the published tables: five minutes.
 benchmark-settings: .venv/run.stamp
 	DATA=$(DATA) $(BIN)/python docs/generate/benchmark_settings.py
+
+# What the changes of a pull request do on the eight dives, in docs/pull_request.md: eight minutes of one processor.
+pull_request: .venv/run.stamp
+	$(BIN)/python docs/generate/judged_pull_request.py $(DIVES)
 
 # How the DVLs of the three examples are built in, found from nothing; git tells what moved. The examples have these values: copy what
 # moved. Dives 09 and 11 of the Snapir, whose DVL is noisy, are left out, and confirm it. Needs the logs of ../shared/data, or of DATA.

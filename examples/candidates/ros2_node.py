@@ -4,6 +4,9 @@
 
 It needs a sourced ROS 2 and the `mcap` storage of rosbag2. Put your node in `NODE`, and its topic of
 `nav_msgs/msg/Odometry` in `TOPIC`. Runs at the same time need different domains: each run takes its own.
+
+A fourth argument names the setup file of a workspace, such as `./before/install/setup.bash`. The node is then the one
+that is built there, so that two workspaces are two versions of a filter.
 """
 
 import json
@@ -56,13 +59,30 @@ def parameters(start):
     return ["-p", "use_sim_time:=true", "-p", f"initial_state:={state}"]
 
 
-def main(dive, start, solution):
+def of_workspace(command, setup):
+    """Return a command that runs in a workspace, by its setup file; without one the command as it is."""
+    if setup is None:
+        return command
+    return ["bash", "-c", 'source "$0" && exec "$@"', setup, *command]
+
+
+def stop(running):
+    """Interrupt all commands, as Ctrl-C does: `ros2 run` alone would not pass the signal on to its node."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # this process is in the group, too
+    os.killpg(0, signal.SIGINT)
+    for process in running:
+        process.wait()
+
+
+def main(dive, start, solution, setup=None):
     """Play a dive to the node."""
+    if os.getpgrp() != os.getpid():
+        os.setpgid(0, 0)  # a group of its own, with the commands that it starts
     environment = os.environ | {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder, "bag")
         commands = [
-            [*NODE, *parameters(json.loads(Path(start).read_text()))],
+            of_workspace([*NODE, *parameters(json.loads(Path(start).read_text()))], setup),
             [*TRANSFORM, "--frame-id", "base_link"],
             ["ros2", "bag", "record", "--storage", "mcap", "--output", str(bag), TOPIC],
         ]
@@ -82,10 +102,9 @@ def main(dive, start, solution):
                 dive,
             ]
             subprocess.run(play, env=environment, check=True)
+            time.sleep(SETTLE_S)  # the last messages
         finally:
-            for process in reversed(running):
-                process.send_signal(signal.SIGINT)
-                process.wait()
+            stop(running)
         [recorded] = bag.glob("*.mcap")
         shutil.move(recorded, solution)
 

@@ -158,9 +158,26 @@ def test_the_network_is_evaluated_as_a_measurement(weights: Path, dive: Dive) ->
 
 # --- A node of ROS 2, with a stand-in for its command.
 
+NODE = """
+import os, pathlib, signal, sys, time
+signal.signal(signal.SIGINT, lambda *_: sys.exit(0))
+try:
+    time.sleep(60)
+finally:
+    pathlib.Path("node").write_text(os.environ.get("WORKSPACE", "none"))
+"""
+# The true `ros2 run` waits for its node, too, and does not pass signals on to it.
 ROS2 = """#!{python}
-import pathlib, shutil, signal, sys, time
+import pathlib, shutil, signal, subprocess, sys, time
 words = sys.argv[1:]
+if words[:2] == ["run", "robot_localization"]:
+    node = subprocess.Popen([sys.executable, "-c", {node!r}])
+    while node.returncode is None:
+        try:
+            node.wait()
+        except KeyboardInterrupt:
+            pass
+    sys.exit(0)
 if words[:2] == ["bag", "play"]:
     sys.exit(not words[-1].endswith("dive.mcap"))
 signal.signal(signal.SIGINT, lambda *_: sys.exit(0))
@@ -173,12 +190,15 @@ time.sleep(60)
 
 
 @pytest.mark.nightly
-def test_the_node_of_ros_2_is_played_to_and_recorded(dive: Dive, tmp_path: Path) -> None:
+@pytest.mark.parametrize("workspace", ["", "before", "after"])
+def test_the_node_of_ros_2_is_played_to_and_recorded(
+    workspace: str, dive: Dive, tmp_path: Path
+) -> None:
     assert dive.reference is not None
     write_dive(tmp_path / "dive.mcap", replace(dive, reference=None))
     write_dive(tmp_path / "recorded.mcap", dive)
     (tmp_path / "ros2").write_text(
-        ROS2.format(python=sys.executable, recorded=str(tmp_path / "recorded.mcap"))
+        ROS2.format(python=sys.executable, node=NODE, recorded=str(tmp_path / "recorded.mcap"))
     )
     (tmp_path / "ros2").chmod(0o755)
     start = CandidateStart(
@@ -189,6 +209,11 @@ def test_the_node_of_ros_2_is_played_to_and_recorded(dive: Dive, tmp_path: Path)
     )
     (tmp_path / "start.json").write_bytes(start.to_json())
     words = [sys.executable, str(EXAMPLES / "ros2_node.py"), "dive.mcap", "start.json", "solution"]
+    if workspace:
+        setup = tmp_path / workspace / "setup.bash"
+        setup.parent.mkdir()
+        setup.write_text(f"export WORKSPACE={workspace}\n")
+        words.append(f"./{workspace}/setup.bash")
     subprocess.run(
         words,
         cwd=tmp_path,
@@ -196,3 +221,4 @@ def test_the_node_of_ros_2_is_played_to_and_recorded(dive: Dive, tmp_path: Path)
         check=True,
     )
     assert (tmp_path / "solution").read_bytes() == (tmp_path / "recorded.mcap").read_bytes()
+    assert (tmp_path / "node").read_text() == (workspace or "none"), "the node itself was stopped"
