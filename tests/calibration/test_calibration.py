@@ -374,6 +374,7 @@ def test_turns_alone_next_to_errors_of_single_beams_err_as_much_as_is_said() -> 
     assert max(of_sd.values()) < 1.5, of_sd
 
 
+@pytest.mark.nightly
 def test_a_few_wild_pings_hardly_move_it(eight: ReadDive) -> None:
     beams = eight.dive.dvl.beam_velocity_mps
     assert beams is not None

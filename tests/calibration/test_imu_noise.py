@@ -174,7 +174,8 @@ def test_dives_that_are_still_take_nothing_from_one_that_shows_how_the_dvl_is_bu
             assert finite(row.sd) < 1.1 * finite(of_one.sd)
 
 
-@pytest.mark.parametrize("grade", [pytest.param("tactical", marks=pytest.mark.nightly), "mems"])
+@pytest.mark.nightly
+@pytest.mark.parametrize("grade", ["tactical", "mems"])
 def test_slow_turns_next_to_a_noisy_imu_show_the_arm_and_no_delay(grade: str) -> None:
     found = calibrated(as_configured("figure-eight", grade, 42))
     assert "delay" not in proposed(found)

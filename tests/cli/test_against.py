@@ -90,13 +90,8 @@ def test_exit_codes_are_those_of_compare(
     assert printed.err.count("broken.mcap") == 1
 
 
-@pytest.mark.parametrize(
-    "option",
-    [
-        ["--against", "dvl.scale=1.1"],
-        pytest.param(["--control"], marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("option", [["--against", "dvl.scale=1.1"], ["--control"]])
 def test_where_settings_are_needed_the_hint_says_how_they_are_found(
     option: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

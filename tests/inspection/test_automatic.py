@@ -36,6 +36,7 @@ def written(dive: Dive, damage: str, folder: Path) -> Path:
     return log
 
 
+@pytest.mark.nightly
 def test_a_damaged_log_is_replayed_and_the_found_settings_repeat_it(
     good: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

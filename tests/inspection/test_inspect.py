@@ -159,7 +159,14 @@ def test_sign_of_a_turned_accelerometer() -> None:
     assert 'imu.specific_force_axes = "-x-y-z"' in warnings(inventory)
 
 
-@pytest.mark.parametrize("name", ["auto_square", "gnss_challenging", "grid_gyro_scale_wrong"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("auto_square", marks=pytest.mark.nightly),
+        "gnss_challenging",
+        "grid_gyro_scale_wrong",
+    ],
+)
 def test_repeats_of_a_dvl_that_is_published_faster_than_it_pings(name: str) -> None:
     pings = inspected(f"blueye_x3/{name}.mcap", IMU2, deep=True).pings
     assert pings is not None

@@ -54,10 +54,11 @@ def word(report: Path) -> str:
 # --- Real logs that nobody has written settings for.
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "typed_in", "mounting_rpy_deg"),
     [
-        pytest.param("blueye_x3/auto_square.mcap", (), (0.0, 0.0, 0.0), marks=pytest.mark.nightly),
+        ("blueye_x3/auto_square.mcap", (), (0.0, 0.0, 0.0)),
         ("ufmil/run_1.mcap", ("--set", "initial.latitude_deg=29.65"), (0.0, 0.0, 90.0)),
     ],
 )

@@ -121,7 +121,12 @@ def assert_right(
     assert abs(clock.drift - DRIFT) < 3.0 * clock.drift_sd
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+NIGHTLY = pytest.mark.nightly
+
+
+@pytest.mark.parametrize(
+    "seed", [1, pytest.param(2, marks=NIGHTLY), pytest.param(3, marks=NIGHTLY)]
+)
 @pytest.mark.parametrize(
     ("grade", "imu_hz", "dvl_hz", "worst_s"),
     [("tactical", 100.0, 4.0, WORST_S), ("mems", 50.0, 8.0, 0.02), ("mems", 20.0, 2.0, 0.04)],

@@ -87,6 +87,7 @@ def test_a_late_reference_is_late_and_says_the_same() -> None:
     assert (drawn.reported.dvl.time_ns - drawn.exact.dvl.time_ns)[0] == pytest.approx(0.12e9)
 
 
+@pytest.mark.nightly
 def test_a_better_start_makes_the_same_compass_worse() -> None:
     """A start heading of 0.02 deg is better than the compass, and one of 1 deg is worse, on the median dive."""
     ratios = []
@@ -109,6 +110,7 @@ def test_a_class_without_a_change_is_a_copy_of_the_baseline(
         assert log_ratio_of(found.records[OTHER], quantity) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.nightly
 def test_the_tool_reports_the_true_ratio_and_a_page_tells_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

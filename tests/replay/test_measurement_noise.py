@@ -123,7 +123,8 @@ def test_what_an_outage_did_to_the_velocity_is_not_taken_for_noise(aiding: str) 
     assert np.mean(np.concatenate(changes) > 0.02) < 0.02
 
 
-@pytest.mark.parametrize("aiding", ["velocity", pytest.param("beams", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("aiding", ["velocity", "beams"])
 def test_how_noisy_the_dvl_is_is_not_forgotten_where_a_filter_is_set_to_it_again(
     aiding: str,
 ) -> None:

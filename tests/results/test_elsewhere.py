@@ -81,6 +81,7 @@ def test_foxgloves_libraries_read_every_message_with_the_values_of_the_tables(
     )
 
 
+@pytest.mark.nightly
 def test_both_readers_of_ros_read_every_message_with_the_values_of_the_tables(
     result: Path,
 ) -> None:

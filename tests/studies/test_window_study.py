@@ -347,6 +347,7 @@ def real(snapir: Path) -> dict[str, pd.DataFrame]:
     return dict(report.tables)
 
 
+@pytest.mark.nightly
 def test_real_dives_fall_and_rise_with_the_window(real: dict[str, pd.DataFrame]) -> None:
     pooled = real["window"][real["window"]["log"] == "*"]
     middle = rmse_of(pooled, "middle", "compensated")
@@ -375,6 +376,7 @@ def test_real_dives_are_further_off_at_the_end_and_without_lever_arm(
     assert pooled["ignored", "middle"] > 1.05 * pooled["compensated", "middle"]
 
 
+@pytest.mark.nightly
 def test_best_window_at_the_end_depends_on_the_point_of_the_vehicle(snapir: Path) -> None:
     """At the point of the reference, 1.8 m ahead of the IMU, all of the arm is the DVL's."""
     best = best_of(
@@ -386,6 +388,7 @@ def test_best_window_at_the_end_depends_on_the_point_of_the_vehicle(snapir: Path
     assert pooled["ignored", "middle"] > 1.5 * pooled["compensated", "middle"]
 
 
+@pytest.mark.nightly
 def test_finer_reference_of_real_dives_prefers_two_velocities(
     snapir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
