@@ -272,15 +272,19 @@ def wild_pings() -> Iterator[Line]:
 
 def right_angles() -> Iterator[Line]:
     """A mounting that is off by 90 deg."""
-    predicted = 0
+    row = NAMES.index("mounting_z")
+    right = 0
+    refused = 0
     found_again = 0
     for seed in range(6000, 6005):
         turned = built_in_otherwise("figure-eight", seed, DvlErrors(), yaw_deg=90.0)
         astray = found_of(turned)
-        predicted += astray.rows[NAMES.index("mounting_z")].status == Estimated.ESTIMATED
+        refused += astray.rows[row].status != Estimated.ESTIMATED
+        right += abs(astray.after.mounting_rpy_deg[2] - 90.0) < 1.0
         found = found_of(turned.with_config(with_mounting(CONFIG, likeliest_mounting([turned]))))
         found_again += abs(found.after.mounting_rpy_deg[2] - 90.0) < 1.0
-    yield "90 deg off in heading", "refused", f"believed on {predicted} of 5 dives"
+    said = f"within 1 deg on {right}, refused on {refused} of 5 dives"
+    yield "90 deg off in heading", "found, or refused", said
     yield "90 deg off, `--mounting unknown`", "found", f"within 1 deg on {found_again} of 5 dives"
 
 
@@ -352,7 +356,8 @@ def real_vehicles() -> Iterator[Line]:
 
 def three_commands() -> Iterator[Line]:
     """`inspect --propose`, `calibrate`, `run`: what the replay says of its own innovations."""
-    asked = "consistent"
+    # Noise that dives contradict but do not determine is that of the class of the IMU, which may be too large.
+    asked = "consistent or conservative"
     for name, typed in (
         ("blueye_x3/auto_square", ()),
         ("ufmil/run_1", ("--set", "initial.latitude_deg=29.65")),
