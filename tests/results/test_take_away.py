@@ -297,7 +297,8 @@ def test_history_has_a_row_for_each_time_with_all_digits(tmp_path: Path) -> None
     arguments += ["--preset", "levy-klein"]
     assert run_command_line(arguments) == 0
     made = pd.read_csv(tmp_path / "figure_eight" / "history_aided.csv")
-    frame = replay_log(SAMPLE, load_config(preset="levy-klein", settings=settings)).histories["aided"]
+    config = load_config(preset="levy-klein", settings=settings)
+    frame = replay_log(SAMPLE, config).histories["aided"]
     assert list(made.columns) == list(frame.columns)
     np.testing.assert_array_equal(made["heading_deg"].to_numpy(), frame["heading_deg"].to_numpy())
     assert (np.diff(made["time_ns"]) > 0).all()
