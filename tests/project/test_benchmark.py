@@ -17,10 +17,12 @@ from benchmark_details import checks
 from benchmark_dives import Place, name_of
 from benchmark_finding import quote
 from benchmark_page import Footnotes, by_data_set, cell_text, interval_bar
+from benchmark_settings import settings_of_dives, settings_text
 from written import PROJECT
 
 from insdvl_replay import read_result
 from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.report import Report
@@ -415,3 +417,35 @@ def test_the_page_is_what_the_program_writes(snapir: Path) -> None:
     for quoting in benchmark.QUOTING:
         assert quote(sets) in quoting.read_text("utf-8"), again
     assert benchmark_page.assay(sets) in benchmark.QUOTING_ASSAY.read_text("utf-8"), again
+
+
+@pytest.mark.nightly
+def test_the_settings_of_the_snapir_are_what_the_command_finds(
+    snapir: Path, tmp_path: Path
+) -> None:
+    assert snapir.parent == PLACE.data
+    place = replace(PLACE, build=tmp_path)
+    dives = place.data_sets["snapir"]
+    folders = [place.logs[name_of(dive)] for dive in dives]
+    base = load_config(file=place.public / "settings" / "snapir.toml")
+    found = settings_of_dives([Path(str(folder)) for folder in folders], base)
+    for dive, config in zip(dives, found, strict=True):
+        stored = load_config(file=place.public / dive["settings"])
+        for key, tolerance in (
+            ("latency_s", 2e-4),
+            ("lever_arm_m", 2e-4),
+            ("mounting_rpy_deg", 2e-3),
+            ("scale", 2e-5),
+            ("beam_sd_mps", 1e-4),
+        ):
+            value = getattr(config.dvl, key)
+            assert value == pytest.approx(getattr(stored.dvl, key), abs=tolerance), key
+        latency_s = stored.reference.latency_s
+        assert config.reference.latency_s == pytest.approx(latency_s, abs=2e-3)
+        assert load_config(file=_written(tmp_path, config)) == config
+
+
+def _written(folder: Path, config: Config) -> Path:
+    file = folder / "settings.toml"
+    file.write_text(settings_text(config), "utf-8")
+    return file
