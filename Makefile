@@ -11,7 +11,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 COMPILE := PYTHONPATH=tests/replay $(BIN)/python tests/compiled_filters.py
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint style bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark benchmark-settings pull_request docs clean
+.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint style bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark benchmark-settings pull_request claims docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --preset levy-klein --output replay --force --rerun
@@ -159,6 +159,10 @@ benchmark-settings: .venv/run.stamp
 # What the changes of a pull request do on the eight dives, in docs/pull_request.md: eight minutes of one processor.
 pull_request: .venv/run.stamp
 	$(BIN)/python docs/generate/judged_pull_request.py $(DIVES)
+
+# Filters of published papers on the public dives of ../shared/data; what has a result is kept. With ONLY=NAME, one is run again.
+claims: .venv/run.stamp
+	$(BIN)/python docs/generate/published_claims.py $(ONLY)
 
 # How the DVLs of the three examples are built in, found from nothing; git tells what moved. The examples have these values: copy what
 # moved. Dives 09 and 11 of the Snapir, whose DVL is noisy, are left out, and confirm it. Needs the logs of ../shared/data, or of DATA.

@@ -281,23 +281,33 @@ def read_results(folder: Text) -> "DiveResults":
     return DiveResults(content, dives, Path(folder))
 
 
-def plan(folder: Text) -> "CommandResult":
+def plan(
+    folder: Text | None = None, *, tracks: int | None = None, ratio: float = 0.9
+) -> "CommandResult":
     """Return what the dives of a result can find, and how many dives find smaller changes: table plan.
 
     Parameters
     ----------
-    folder : str or Path
+    folder : str, Path or None
         A result folder, or a folder of results.
+    tracks : int or None
+        Instead of a folder: what so many dives can find, for several scatters over dives.
+    ratio : float
+        With ``tracks``: the ratio of errors that is looked for, below the band.
 
     Raises
     ------
     ConfigError
-        The folder holds no result.
+        The folder holds no result, both or none of folder and tracks are given, or the ratio cannot be found.
     ResultError
         A result cannot be read, or is of a version that cannot be read.
     """
-    from insdvl_replay.show.plan import plan_result
+    from insdvl_replay.show.plan import EITHER, plan_of_tracks, plan_result
 
+    if folder is None and tracks is not None:
+        return CommandResult(plan_of_tracks(tracks, ratio))
+    if folder is None or tracks is not None:
+        raise ConfigError(*EITHER)
     found, notes = read_reports(_path("folder", folder), Report)
     return CommandResult(replace(plan_result([report for _, report in found]), notes=notes))
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from flow_picture import flow_picture
 from verdict_picture import verdict_picture
 from written import PROJECT
 
@@ -58,6 +59,7 @@ PICTURES: dict[str, Callable[[], bytes]] = {
     "docs/figure_eight_track.svg": lambda: track(sample("figure_eight")),
     "docs/lawnmower_track.svg": lambda: track(lawnmower()),
     "docs/verdict.svg": verdict_picture,
+    "docs/flow.svg": flow_picture,
 }
 
 

@@ -127,8 +127,16 @@ def compare(
 
 def plan(
     folder: Annotated[
-        Path, typer.Argument(metavar="RESULTS", help="A result folder, or a folder of results.")
-    ],
+        Path | None,
+        typer.Argument(metavar="RESULTS", help="A result folder, or a folder of results."),
+    ] = None,
+    tracks: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="Instead of RESULTS: what so many dives can find."),
+    ] = None,
+    ratio: Annotated[
+        float, typer.Option(metavar="R", help="With --tracks: the ratio that is looked for.")
+    ] = 0.9,
     format_: opt.PrintedAs = "table",
     verbose: opt.Verbose = 0,
     color: opt.Colored = "auto",
@@ -136,17 +144,24 @@ def plan(
     """Show what change the dives of a result can find, and how many dives find smaller ones.
 
     A change is found if it is better or worse in four of five cases. The scatter over dives is that of the result.
+    Without a result, --tracks tells it for several scatters.
 
     \b
     Example:
       insdvl-replay plan replay
       insdvl-replay plan replay --format csv > plan.csv
+      insdvl-replay plan --tracks 5 --ratio 0.9
     """
     from insdvl_replay.cli.screen import written
     from insdvl_replay.core.report import Report
     from insdvl_replay.results.stored_results import read_reports
-    from insdvl_replay.show.plan import plan_result
+    from insdvl_replay.show.plan import EITHER, plan_of_tracks, plan_result
 
+    if folder is None and tracks is not None:
+        write_stdout(written(plan_of_tracks(tracks, ratio), format_))
+        return
+    if folder is None or tracks is not None:
+        raise ConfigError(*EITHER)
     found, notes = read_reports(folder, Report)
     write_stdout(written(plan_result([report for _, report in found]), format_))
     log_notes(notes, verbose=verbose > 0)

@@ -218,6 +218,24 @@ def change_found(scatter: float, dives: int, level: float = LEVEL) -> float:
     return _exp(-(math.log(BAND) + most * error))
 
 
+def chance_found(scatter: float, dives: int, ratio: float, level: float = LEVEL) -> float:
+    """Return how often so many dives find a ratio that is below the band; 0 for fewer than three dives.
+
+    The logarithm of the ratio is normal over dives with the given standard deviation.
+    """
+    if dives < FEWEST_DIVES:
+        return 0.0
+    freedom = dives - 1.0
+    quantile = float(stdtrit(freedom, 0.5 + 0.5 * level))
+    beyond = -math.log(ratio * BAND)
+    return 1.0 - float(nctdtr(freedom, beyond * math.sqrt(dives) / scatter, quantile))
+
+
+def smallest_sign_p(dives: int) -> float:
+    """Return the smallest two-sided p of a sign test: the one if all dives are on one side."""
+    return math.ldexp(1.0, 1 - dives)
+
+
 def dives_needed(scatter: float, ratio: float, level: float = LEVEL) -> int | None:
     """Return the fewest dives that find a ratio below 1 in four of five cases; None for more than a thousand."""
     if not change_found(scatter, MOST_DIVES, level) >= ratio:

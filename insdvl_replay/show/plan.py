@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Final
 
 from msgspec import Struct
 
-from insdvl_replay.core.errors import counted
+from insdvl_replay.core.errors import ConfigError, counted
 from insdvl_replay.core.quantities import FEWEST_DIVES
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import Col, Number, PooledRow, finite
@@ -19,11 +19,21 @@ from insdvl_replay.document.parts import (
 )
 from insdvl_replay.document.tables import shown
 from insdvl_replay.evaluation.answers import CandidateAnswer
-from insdvl_replay.evaluation.interval import change_found, dives_needed
+from insdvl_replay.evaluation.interval import (
+    BAND,
+    chance_found,
+    change_found,
+    dives_needed,
+    smallest_sign_p,
+)
 from insdvl_replay.evaluation.sentences import SCATTER_OF_ACTS
 from insdvl_replay.show.answers import answers_of
 
 SOUGHT_PCT: Final = (20.0, 10.0, 7.0)  # Changes for which a number of dives is given.
+# What a plan is asked for both of, or for none of: the error and its hint.
+EITHER: Final = ("plan takes either RESULTS or --tracks", "insdvl-replay plan --tracks 5")
+# Scatters for which a plan without results is made: from dives that hardly differ to those of public data sets.
+USUAL_SCATTERS: Final = (0.05, 0.1, 0.2, 0.5)
 
 
 class PlanRow(Struct, frozen=True):
@@ -51,6 +61,71 @@ class PlanRow(Struct, frozen=True):
     ]
     dives_10pct: Annotated[int | None, Col(head="10 %")]
     dives_7pct: Annotated[int | None, Col(head="7 %")]
+
+
+class TracksRow(Struct, frozen=True):
+    """What some number of dives can find, if the ratio scatters so much from dive to dive."""
+
+    title: ClassVar = "What so many dives can find"
+    footnote: ClassVar = (
+        "scatter: standard deviation of the logarithm of the ratio over dives. finds: the change that so many dives "
+        "find in four of five cases; empty: fewer than three dives have no verdict. chance: how often they find the "
+        "ratio. needed: the number of dives that find it in four of five cases; empty: more than a thousand."
+    )
+
+    dives: Annotated[int, Col("Dives, or tracks.", head="dives")]
+    scatter: Annotated[
+        float, Col("Standard deviation of the logarithm of the ratio.", head="scatter", form="2")
+    ]
+    finds_pct: Annotated[
+        Number,
+        Col("Change that so many dives find in four of five cases.", head="finds\n[%]", form="0"),
+    ]
+    ratio: Annotated[float, Col("The ratio that is looked for.", head="ratio", form="2")]
+    chance_pct: Annotated[
+        float, Col("How often so many dives find it.", head="chance\n[%]", form="0")
+    ]
+    needed: Annotated[int | None, Col("Dives that find it in four of five cases.", head="needed")]
+
+
+def tracks_rows(dives: int, ratio: float) -> Iterator[TracksRow]:
+    """Yield what so many dives can find, for each usual scatter.
+
+    Raises
+    ------
+    ConfigError
+        No number of dives can find the ratio, which is in the band.
+    """
+    most = 1.0 / BAND
+    if not 0.0 < ratio < most:
+        raise ConfigError(
+            f"a ratio of {ratio:g} cannot be found", f"choose one above 0 and below {most:.3f}"
+        )
+    for scatter in USUAL_SCATTERS:
+        found = change_found(scatter, dives)
+        yield TracksRow(
+            dives,
+            scatter,
+            _or_missing(100.0 * (1.0 - found)),
+            ratio,
+            100.0 * chance_found(scatter, dives, ratio),
+            dives_needed(scatter, ratio),
+        )
+
+
+def plan_of_tracks(dives: int, ratio: float) -> Result:
+    """Return what so many dives can find, before any is replayed."""
+    rows = list(tracks_rows(dives, ratio))
+    count = counted(dives, "dive")
+    title = f"What {count} can find"
+    sign = f"The smallest two-sided p of a sign test of {count} is {smallest_sign_p(dives):.3g}."
+    return Result(
+        kind="plan",
+        title=title,
+        tables={"plan": Block.of(TracksRow, rows)},
+        block="",
+        document=[Title(title), sign, shown(TracksRow, rows)],
+    )
 
 
 def plan_rows(answers: Sequence[CandidateAnswer]) -> Iterator[PlanRow]:

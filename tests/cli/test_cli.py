@@ -37,7 +37,8 @@ DOCUMENTED = {
         "--rerun", "-v, --verbose", "-q, --quiet", "-h, --help",
     ],
     "plan": [
-        "RESULTS", "--format <table|json|csv|md|latex>", "-v, --verbose", "--color <auto|always|never>", "-h, --help",
+        "RESULTS", "--tracks N", "--ratio R", "--format <table|json|csv|md|latex>", "-v, --verbose",
+        "--color <auto|always|never>", "-h, --help",
     ],
     "inspect": [
         "LOG...", "--deep", "--propose FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",

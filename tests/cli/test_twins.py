@@ -541,6 +541,9 @@ def test_one_name_is_a_list_of_one(logs: Path, tmp_path: Path) -> None:
         ("compare old new", lambda: insdvl_replay.compare("old", "new")),
         ("check gates.toml", lambda: insdvl_replay.check("gates.toml")),
         ("plan nowhere", lambda: insdvl_replay.plan("nowhere")),
+        ("plan", lambda: insdvl_replay.plan()),
+        ("plan nowhere --tracks 5", lambda: insdvl_replay.plan("nowhere", tracks=5)),
+        ("plan --tracks 5 --ratio 0.97", lambda: insdvl_replay.plan(tracks=5, ratio=0.97)),
         ("simulate circle -o x.mcap", lambda: insdvl_replay.simulate("circle", "x.mcap")),
         (
             "simulate straight -o dive.mcap",

@@ -1,5 +1,7 @@
 """The plan says what the dives of a result find, and how many find less, by the power of Student's test."""
 
+import math
+
 import msgspec
 import numpy as np
 import pytest
@@ -7,12 +9,29 @@ from made_reports import report, tables
 from made_verdicts import evidence_row
 from scipy import stats
 
+from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.quantities import FEWEST_DIVES
 from insdvl_replay.core.words import Role
 from insdvl_replay.evaluation.answers import CandidateAnswer, pooled_candidate
-from insdvl_replay.evaluation.interval import BAND, LEVEL, MOST_DIVES, POWER
+from insdvl_replay.evaluation.interval import (
+    BAND,
+    LEVEL,
+    MOST_DIVES,
+    POWER,
+    chance_found,
+    change_found,
+    smallest_sign_p,
+)
 from insdvl_replay.evaluation.sentences import SCATTER_OF_ACTS, plan_line
-from insdvl_replay.show.plan import SOUGHT_PCT, PlanRow, plan_result, plan_rows
+from insdvl_replay.show.plan import (
+    SOUGHT_PCT,
+    USUAL_SCATTERS,
+    PlanRow,
+    plan_of_tracks,
+    plan_result,
+    plan_rows,
+    tracks_rows,
+)
 
 
 def answer(
@@ -136,3 +155,33 @@ def test_plan_without_evidence_says_so() -> None:
     result = plan_result([report("one", bare)])
     assert "There is no evidence to plan with." in result.document
     assert result.title == "What 1 dive finds"
+
+
+# --- Without results.
+
+
+def test_tracks_find_what_the_docs_say() -> None:
+    """The table of docs/verdict.md, which is from simulation: a tenth of 0.1 is found by five dives in 16 %."""
+    rows = {row.scatter: row for row in tracks_rows(5, 0.9)}
+    assert rows[0.1].chance_pct == pytest.approx(16.0, abs=1.0)
+    assert rows[0.2].chance_pct == pytest.approx(7.0, abs=1.0)
+    eight = {row.scatter: row for row in tracks_rows(8, 0.8)}
+    assert eight[0.2].chance_pct == pytest.approx(56.0, abs=1.0)
+
+
+def test_a_change_that_is_found_in_four_of_five_cases_has_that_chance() -> None:
+    for scatter in USUAL_SCATTERS:
+        assert chance_found(scatter, 5, change_found(scatter, 5)) == pytest.approx(0.8, abs=1e-6)
+
+
+def test_two_tracks_have_no_verdict_and_a_sign_test_says_no_more() -> None:
+    (row, *_) = tracks_rows(2, 0.5)
+    assert (row.finds_pct, row.chance_pct) == (None, 0.0)
+    assert [smallest_sign_p(dives) for dives in (1, 2, 5)] == [1.0, 0.5, 0.0625]
+    assert "sign test of 2 dives is 0.5" in str(plan_of_tracks(2, 0.9).document)
+
+
+@pytest.mark.parametrize("ratio", [0.0, -1.0, 0.953, 1.2, math.nan])
+def test_a_ratio_that_no_dives_can_find_is_an_error(ratio: float) -> None:
+    with pytest.raises(ConfigError, match="cannot be found"):
+        list(tracks_rows(5, ratio))
