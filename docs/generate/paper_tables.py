@@ -204,7 +204,7 @@ def tally(straight: Compared, eight: Compared) -> str:
         pairs = [(course.rows.loc[state], found.improvement.loc[state]) for state in states]
         baselines = sum(_is_near(ours["baseline_sd"], row["baseline_sd"]) for row, ours in pairs)
         aided = sum(_is_near(ours["sd"], row["aided_sd"]) for row, ours in pairs)
-        improved = sum(_improvement_agrees(row, ours) for row, ours in pairs)
+        improved = sum(improvement_agrees(row, ours) for row, ours in pairs)
         n = len(states)
         rows.append(
             (
@@ -226,7 +226,8 @@ def _is_near(here: float, there: float) -> bool:
     return bool(abs(here / there - 1.0) <= SD_WITHIN)
 
 
-def _improvement_agrees(published: pd.Series, ours: pd.Series) -> bool:
+def improvement_agrees(published: pd.Series, ours: pd.Series) -> bool:
+    """Return whether an improvement is the paper's, which prints none where there is none."""
     there = published["improvement_pct"]
     return bool(
         abs(ours["improvement_pct"] - (0.0 if np.isnan(there) else there))

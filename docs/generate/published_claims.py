@@ -14,6 +14,7 @@ import math
 import os
 import shlex
 import shutil
+import statistics
 import subprocess
 import sys
 import tomllib
@@ -45,6 +46,8 @@ DATA = PROJECT.parent / "shared" / "data"
 # Scatters of the logarithm of the ratio over dives for which the page says what tracks find.
 SCATTERS = (0.1, 0.2)
 NOT_STATED = "not stated"
+# The states whose sigma a class or a program reports, too.
+SIX = ("dv_n", "dv_e", "dv_d", "phi_n", "phi_e", "phi_d")
 
 
 class Test(Struct, frozen=True, kw_only=True):
@@ -91,7 +94,7 @@ class Kept(Struct, frozen=True, kw_only=True):
     low: float | None
     high: float | None
     acts: float | None
-    predicted_pct: float | None
+    sigma_pct: float | None  # how much smaller those of velocity and attitude are
     convergence: str
     reason: str
 
@@ -183,13 +186,14 @@ def run_command(command: str, filter_: str, data: Path = DATA) -> Kept | None:
         check=False,
     )
     found, _ = read_reports(output, Report)
-    for answer in answers_of([report for _, report in found]):
+    reports = [report for _, report in found]
+    for answer in answers_of(reports):
         if answer.filter == filter_:
-            return kept_of(command, answer)
+            return kept_of(command, answer, reports)
     raise ValueError(f"{command}: no answer for {filter_}")
 
 
-def kept_of(command: str, answer: CandidateAnswer) -> Kept:
+def kept_of(command: str, answer: CandidateAnswer, reports: Sequence[Report]) -> Kept:
     """Return what is kept of an answer."""
     row = answer.decisive
     return Kept(
@@ -201,10 +205,26 @@ def kept_of(command: str, answer: CandidateAnswer) -> Kept:
         low=number_of(row, "low"),
         high=number_of(row, "high"),
         acts=number_of(row, "acts"),
-        predicted_pct=known(finite(answer.predicted_pct)),
+        sigma_pct=known(sigma_change_pct(reports, answer.filter)),
         convergence=str(answer.settling),
         reason=answer.reason,
     )
+
+
+def sigma_change_pct(reports: Sequence[Report], filter_: str) -> float:
+    """Return how much smaller the last sigmas of velocity and attitude are: mean of the six, median of the dives."""
+    means = []
+    for report in reports:
+        changes = []
+        for row in report.tables.improvement:
+            if row.filter == filter_ and row.state in SIX:
+                changes.append(finite(row.improvement_pct))
+        if changes:
+            means.append(statistics.fmean(changes))
+    finite_means = [mean for mean in means if math.isfinite(mean)]
+    if not finite_means:
+        return math.nan
+    return statistics.median(finite_means)
 
 
 def number_of(row: PooledRow | None, name: str) -> float | None:
@@ -284,7 +304,7 @@ def written(page: str, papers: Sequence[Paper], results: dict[str, Kept]) -> str
         "ratio",
         "interval",
         "acts",
-        "predicted sigma",
+        "sigma",
         "convergence",
         "command",
     )
@@ -399,7 +419,7 @@ def run_rows(papers: Sequence[Paper], results: dict[str, Kept]) -> Iterator[tupl
                         ratio_text(answer.ratio),
                         interval_of(answer),
                         share_text(answer.acts),
-                        sigma_text(answer.predicted_pct),
+                        sigma_text(answer.sigma_pct),
                         answer.convergence or "-",
                         f"`{command}`",
                     )
@@ -412,12 +432,14 @@ def bracketed(text: str) -> str:
     return f"({text})"
 
 
-def sigma_text(predicted_pct: float | None) -> str:
+def sigma_text(change_pct: float | None) -> str:
     """Return by how much sigma changes."""
-    if predicted_pct is None:
+    if change_pct is None:
         return "-"
-    word = "smaller" if predicted_pct >= 0.0 else "larger"
-    return f"{abs(predicted_pct):.1f} % {word}"
+    if abs(change_pct) < 0.05:
+        return "same"
+    word = "smaller" if change_pct >= 0.0 else "larger"
+    return f"{abs(change_pct):.1f} % {word}"
 
 
 def main() -> None:

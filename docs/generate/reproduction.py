@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 
 import claims
+import courses
 import pandas as pd
 import paper_tables
 import pictures
@@ -86,6 +87,7 @@ class Findings:
     fog: dict[tuple[str, str], Result]
     grades: dict[str, Result]  # by grade of the IMU
     observability: Result
+    eights: list[courses.Eight]  # other courses than that of the sample log
     sea: AtSea | None  # None without the dives
 
 
@@ -102,6 +104,7 @@ def find(folder: Path) -> Findings:
         fog={(where, preset): fog_study(where, preset) for where, preset in FOG_STUDIES},
         grades={grade: grade_study(grade) for grade, _ in GRADES},
         observability=study_observability("straight", config, earth_rate=False),
+        eights=courses.replayed(),
         sea=find_at_sea(folder),
     )
 
@@ -151,6 +154,7 @@ def written(found: Findings) -> str:
         "times": partial(paper_tables.times, straight),
         "eight_sigmas": partial(paper_tables.sigmas, eight),
         "eight_times": partial(paper_tables.times, eight),
+        "courses": partial(courses.ranges, found.eights),
         "contradictions": partial(paper_tables.contradictions, straight, eight),
         "claims": partial(claims_in_words, found, straight, eight),
         "grades": partial(grades, found),
@@ -381,6 +385,8 @@ def drawn(found: Findings) -> dict[str, Callable[[], bytes]]:
     """Name the pictures that belong to the page and to no sample; that of the window needs the eight dives."""
     aided = claims.named(found.ensembles, "aided")
     named = pictures.ensemble_pictures(aided, f"aided: {found.montecarlo.title}")
+    sample = paper_tables.compared("figure_eight", found.eight)
+    named["docs/courses.svg"] = partial(courses.picture, found.eights, sample)
     return named if found.sea is None else named | pictures.window_picture(found.sea.window)
 
 

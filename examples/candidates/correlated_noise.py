@@ -6,8 +6,9 @@ N. Cohen and I. Klein, "Enhancing Underwater Navigation through Cross-Correlatio
     M = rho sqrt(diag Q) sqrt(diag R)'                      covariance of the noises, (12, 3)
     K = (P H' + M) S^-1,   S = H P H' + H M + M' H' + R,   P - K (H P + M') after the update
 
-Q is the process noise since the last ping and R the noise of the DVL. They find rho = 0.42 by trial. No noise can have
-such an M: it correlates each of 12 independent components with each of 3, which takes rho of 1 / sqrt(36) at most.
+Q is the process noise and R that of the DVL. They find rho = 0.42 by trial. No noise can have such an M: it correlates
+each of 12 independent components with each of 3, which takes rho of 1 / sqrt(36) at most. Here Q is that of the whole
+time since the last ping. The paper does not say over which step it is; over one of 10 ms, M is ten times smaller.
 """
 
 import numpy as np
