@@ -14,6 +14,8 @@ import teledyne_logs
 from autopilot_logs import ardupilot, px4
 from instrument_logs import Told
 
+from insdvl_replay.geometry.rotation import rpy_from_mat
+
 Report = dict[str, Any]
 
 
@@ -172,6 +174,38 @@ def cerulean(dive: Told) -> bytes:
         confidence = 95 if is_valid else 0
         lines += nmea(
             f"DVPDL,{time_us},{DELTA_US},0.000000,0.000000,0.000000,{x:.3f},{y:.3f},{z:.3f},{confidence}"
+        )
+    return lines
+
+
+EXTENDED_HZ = 5
+"""Sentences of a DVL-75 in a second, which are the pings of `told`."""
+
+
+def cerulean_extended(dive: Told) -> bytes:
+    """Write a $DVEXT for each ping: velocities of the earth and the attitude, by axes forward, port, up."""
+    reference = dive.dive.reference
+    assert reference is not None
+    rows = np.searchsorted(reference.time_ns, dive.time_ns, "right") - 1
+    lines = b""
+    for row, velocity, is_valid in zip(rows, dive.velocity_d, dive.is_valid, strict=True):
+        roll, pitch, heading = np.degrees(rpy_from_mat(reference.mat_nb[row]))
+        # Its bow is down where the pitch is positive.
+        told_deg = np.round([roll, -pitch, heading % 360.0], 1)
+        angles = np.radians([told_deg[0], told_deg[1], 90.0 - told_deg[2]])
+        c_roll, c_pitch, c_yaw = np.cos(angles)
+        s_roll, s_pitch, s_yaw = np.sin(angles)
+        about_x = np.array([[1.0, 0.0, 0.0], [0.0, c_roll, -s_roll], [0.0, s_roll, c_roll]])
+        about_y = np.array([[c_pitch, 0.0, s_pitch], [0.0, 1.0, 0.0], [-s_pitch, 0.0, c_pitch]])
+        about_z = np.array([[c_yaw, -s_yaw, 0.0], [s_yaw, c_yaw, 0.0], [0.0, 0.0, 1.0]])
+        ahead_port_up = np.nan_to_num(velocity) * [1.0, -1.0, -1.0]
+        east, north, up = about_z @ about_y @ about_x @ ahead_port_up
+        lock = "T" if is_valid else "F"
+        roll, pitch, heading = told_deg
+        lines += nmea(
+            f"DVEXT,{lock},X,0310,{roll:.1f},{pitch:.1f},{heading:.1f},0,{up:.3f},12.30,{north:.3f},{east:.3f},"
+            f"0.000000000,0.000000000,{1 / EXTENDED_HZ:.3f},1.0,0.0,0.0,0.0,19,19,48,25,T,T,T,T,"
+            "0.0000,0.0000,0.0000,0.0000,14.2,14.2,14.2,14.2,"
         )
     return lines
 

@@ -14,7 +14,7 @@ PAGE = PROJECT / "docs" / "inputs.md"
 
 TIMES_IN_FILES = {
     "ardupilot": "time of the record, or of its frame",
-    "cerulean": "time in the sentence",
+    "cerulean": "time in the sentence, of `$DVEXT` the sum of its steps",
     "nortek": "time in the sentence",
     "nucleus": "`timeStamp` and `microSeconds`",
     "px4": "`timestamp_sample`, else `timestamp`",

@@ -49,6 +49,7 @@ LINES = (
     b",,,,",
     b"wrz,",
     b"$PNORBT7,",
+    b"$DVEXT,T,",
     b":BI,",
     b'{"type":"velocity"',
     b"0" * 5000,

@@ -1,5 +1,6 @@
 """Files of instruments in their published layouts replay as the MCAP of the same dive, to the steps of the format."""
 
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 
@@ -12,6 +13,7 @@ from instrument_writers import (
     TITLES,
     Written,
     as_table,
+    cerulean_extended,
     nmea,
     nucleus,
     packets,
@@ -21,9 +23,9 @@ from instrument_writers import (
 )
 
 from insdvl_replay.batch.dive_paths import INSTRUMENT_SUFFIXES
-from insdvl_replay.core.config import Config, Filter, Solution
+from insdvl_replay.core.config import Config, Filter, Heading, Initial, Solution
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.geometry.rotation import rpy_from_mat
+from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats import known_formats
 from insdvl_replay.logs.formats.recording import open_recording
@@ -186,6 +188,83 @@ def test_displacements_are_valid_in_the_middle_of_their_interval(tmp_path: Path)
     _, dive, paths = written(tmp_path, "cerulean")
     found = read_dive(paths, Config())
     np.testing.assert_array_equal(found.dvl.time_ns, dive.time_ns)
+
+
+def test_velocities_of_the_earth_of_a_dvl_75_are_turned_back(tmp_path: Path) -> None:
+    dive = told()
+    (tmp_path / "dvl.log").write_bytes(cerulean_extended(dive))
+    log = open_recording(tmp_path / "dvl.log")
+    codes = [note.code for note in log.notes]
+    assert codes == ["times_summed", "dvl_turned_back", "dvl_vertical_unsure"]
+    found = read_dive([tmp_path / "dvl.log", _imu_since_0(tmp_path, dive)], Config())
+    pings = np.flatnonzero(dive.is_valid)
+    assert found.dvl.velocity_d is not None
+    known = np.isfinite(found.dvl.velocity_d).all(axis=1)
+    np.testing.assert_array_equal(found.dvl.time_ns[known], (1 + pings) * 200_000_000)
+    np.testing.assert_allclose(
+        found.dvl.velocity_d[known], dive.velocity_d[pings], rtol=0, atol=0.0009
+    )
+
+
+def _imu_since_0(folder: Path, dive: Told) -> Path:
+    """Write the IMU of a dive by a clock that begins with it."""
+    imu = dive.dive.imu
+    since_0 = replace(imu, time_ns=imu.time_ns - imu.time_ns[0])
+    alone = replace(dive.dive, imu=since_0, reference=None, truth=None)
+    return instrument_logs.write_rest(folder, alone)
+
+
+def test_attitudes_of_a_dvl_75_have_the_bow_up_where_the_pitch_is_positive(tmp_path: Path) -> None:
+    dive = told()
+    (tmp_path / "dvl.log").write_bytes(cerulean_extended(dive))
+    aided = Filter(aiding=("velocity", "heading"))
+    settings = Config(
+        filters={"aided": aided},
+        heading=Heading(topic="dvl/attitude"),
+        initial=Initial(source="sensor"),
+    )
+    paths = [tmp_path / "dvl.log", _imu_since_0(tmp_path, dive)]
+    found = read_dive(paths, settings).sensors["heading"].mat_nb
+    assert found is not None
+    assert dive.dive.reference is not None
+    rows = np.searchsorted(dive.dive.reference.time_ns, dive.time_ns, "right") - 1
+    off = np.swapaxes(dive.dive.reference.mat_nb[rows], -1, -2) @ found
+    assert np.degrees(np.abs(vector_from_mat(off))).max() < 0.08
+
+
+@pytest.mark.parametrize("lock", ["", "x", "TT"])
+def test_a_lock_that_is_neither_t_nor_f_is_damage(lock: str, tmp_path: Path) -> None:
+    lines = cerulean_extended(told()).split(b"\r\n")
+    cells = lines[7].decode().partition("*")[0].removeprefix("$").split(",")
+    cells[1] = lock
+    lines[7] = nmea(",".join(cells)).rstrip()
+    (tmp_path / "dvl.log").write_bytes(b"\r\n".join(lines))
+    said = open_recording(tmp_path / "dvl.log").notes
+    (damaged,) = [note for note in said if note.code == "log_damaged"]
+    assert "cells of DVEXT are not as they should" in damaged.text
+
+
+def test_displacements_go_before_velocities_of_the_same_file(tmp_path: Path) -> None:
+    dive = told().of_velocities()
+    extended = cerulean_extended(dive).split(b"\r\n")
+    displacements = FORMATS["cerulean"].write(dive).split(b"\r\n")
+    lines = []
+    for first, second in zip(extended, displacements, strict=True):
+        lines += [first, second]
+    (tmp_path / "dvl.log").write_bytes(b"\r\n".join(lines))
+    log = open_recording(tmp_path / "dvl.log")
+    assert [channel.topic for channel in log.channels] == ["dvl/position_delta"]
+    assert [note.code for note in log.notes] == ["other_records"]
+
+
+@pytest.mark.parametrize("kind", ["PNORBT0", "PNORBT1", "PNORBT3", "PNORBT4"])
+def test_sentences_of_nortek_that_are_not_read_are_named(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "dvl.log").write_bytes(5 * nmea(f"{kind},1.234,-1.234,1.234,23.4,12.3,12.3"))
+    with pytest.raises(
+        LogError, match=f"has no sentences that can be used; it has {kind}"
+    ) as raised:
+        read_dive(tmp_path / "dvl.log", Config())
+    assert "$PNORBT7" in raised.value.hint
 
 
 def test_rows_of_a_nucleus_that_are_damaged_and_texts_between_them(tmp_path: Path) -> None:

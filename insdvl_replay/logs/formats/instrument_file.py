@@ -74,6 +74,10 @@ class InstrumentFile(RowsFile):
     """A file as an instrument wrote it; a reader is a class with `tables`."""
 
     records = "records"  # what the format calls them, for notes
+    # What helps where a file has nothing that can be used.
+    nothing_hint = (
+        "check that the instrument was recorded while it measured, and copy the file again"
+    )
 
     def __init__(self, file: FileBytes) -> None:
         super().__init__(file)
@@ -238,8 +242,7 @@ class InstrumentFile(RowsFile):
             what += f"; {lost}, the first at byte {place}: {found}"
         if self._others:
             what += f"; it has {listed(self._others)}"
-        hint = "check that the instrument was recorded while it measured, and copy the file again"
-        return UnusableFileError(what, hint, self.path)
+        return UnusableFileError(what, self.nothing_hint, self.path)
 
 
 def _split(text: bytes, boundary: re.Pattern[bytes], offset: int) -> list[Record]:

@@ -3,6 +3,10 @@
 Sources: the layouts of Nortek's ASCII formats DF356 to DF359 as pynmea2 has them,
 https://github.com/Knio/pynmea2/blob/master/pynmea2/types/proprietary/nor.py, and the status word of format DF21, whose
 low bits are the validity of the beams, and bits 12 to 14 that of x, y and z.
+
+The other sentences that pynmea2 has are not read. $PNORBT0 and 1 have the velocity along one beam each, and nothing
+tells where the beams point and which sign is towards the bottom. $PNORBT3 and 4 have a speed and its direction, and
+neither a time nor a vertical velocity.
 """
 
 from collections.abc import Iterator
@@ -31,6 +35,8 @@ _NS_PER_TICK: Final = 100_000
 
 class NortekSentences(SentenceFile):
     """A file of sentences of a DVL."""
+
+    nothing_hint = "let the DVL send $PNORBT7 or $PNORBT9, which have a time and three velocities"
 
     def decode(self, sentence: Sentence) -> Decoded | None:
         """Return the numbers of a sentence with a velocity along three axes."""

@@ -1,4 +1,4 @@
-"""What Teledyne's formats share: coordinates, turning velocities into the vehicle's axes, clocks, attitude and depth.
+"""What Teledyne's formats share: coordinates, clocks, attitude and depth.
 
 Sources: Teledyne RD Instruments, "Pathfinder DVL Guide", 95B-6116-00, April 2018, and "ADCP Coordinate Transformation:
 Formulas and Calculations", 951-6079-00, January 2010.
@@ -15,12 +15,9 @@ from typing import Any, Final
 import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Array, Floats, Integers, Mask, TimeNs
-from insdvl_replay.core.errors import Note
-from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.units import TIME_UNITS_NS
-from insdvl_replay.geometry.rotation import mat_from_rpy, turned
-from insdvl_replay.logs.formats.instrument_file import InstrumentFile, InstrumentTable
+from insdvl_replay.logs.formats.instrument_file import InstrumentTable
 
 Fields = Mapping[str, tuple[str, int]]
 """Fields of a structure by name: their format, and their first byte, which counts from 1 as in the manuals."""
@@ -78,33 +75,6 @@ def attitude_deg(
     """
     tangent = np.tan(pitch_deg * DEG) * np.cos(roll_deg * DEG)
     return np.column_stack([roll_deg, np.arctan(tangent) / DEG, heading_deg])
-
-
-def turned_back(
-    velocity_n: Floats,
-    rpy_deg: Floats,
-) -> Floats:
-    """Return velocities in north, east, down, (k, 3), in forward, starboard, down by the attitude, (k, 3)."""
-    mat_nb = mat_from_rpy(rpy_deg * DEG)
-    return turned(np.swapaxes(mat_nb, -1, -2), velocity_n)
-
-
-def turned_back_note(
-    file: InstrumentFile,
-    count: int,
-    *,
-    in_earth: bool,
-) -> Note:
-    """Report velocities that the instrument has turned."""
-    what = "levelled by the instrument"
-    if in_earth:
-        what = "in axes of the earth"
-    return note(
-        "dvl_turned_back",
-        count,
-        file=file.path.name,
-        what=what,
-    )
 
 
 def clock_ns(fields: Integers) -> tuple[TimeNs, Mask]:

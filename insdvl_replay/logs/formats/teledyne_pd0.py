@@ -1,16 +1,13 @@
 """PD0, ensembles of Teledyne's DVLs and ADCPs with bottom track: Workhorse, Explorer, Pathfinder, Pinnacle, Tasman.
 
-Sources: Teledyne RD Instruments, "Pathfinder DVL Guide", 95B-6116-00, April 2018: ensemble and header, tables 33 (fixed
-leader), 34 (variable leader) and 40 (bottom track), the signs under "Special Output Data Formats"; "WorkHorse Commands
-and Output Data Format" for the angle of the beams in byte 59, and for the command EA: the angle by which beam 3 is
-turned clockwise from the bow.
+Sources: Teledyne RD Instruments, "Pathfinder DVL Guide", 95B-6116-00, April 2018: the signs under "Special Output Data
+Formats"; "WorkHorse Commands and Output Data Format" for the angle of the beams in byte 59, and for the command EA: the
+angle by which beam 3 is turned clockwise from the bow. `teledyne_ensembles` has the layout.
 
 Velocities of PD0 are those of the bottom, as the instrument sees it: the vehicle's have the opposite sign. Along a beam
 it is positive where the bottom comes nearer, which is the vehicle's own velocity in the direction of the beam.
 """
 
-import struct
-from bisect import bisect_right
 from collections.abc import Iterator
 from typing import Final
 
@@ -20,67 +17,31 @@ from insdvl_replay.core.dive_columns import Array, Floats, Mask
 from insdvl_replay.core.notes import note
 from insdvl_replay.geometry.frames import TILT_DEG, beam_vectors
 from insdvl_replay.logs.formats.checked_records import checked_records
+from insdvl_replay.logs.formats.earth_axes import turned_back, turned_back_note
 from insdvl_replay.logs.formats.instrument_file import InstrumentFile, InstrumentTable, Record
 from insdvl_replay.logs.formats.teledyne import (
     BOTTOM_TRACK,
     VELOCITY,
     Coordinates,
-    Fields,
     attitude_deg,
     clock_ns,
     metres_per_second,
     sensor_tables,
-    structure,
-    turned_back,
-    turned_back_note,
     with_z_down,
 )
+from insdvl_replay.logs.formats.teledyne_ensembles import (
+    BOTTOM,
+    ENSEMBLE,
+    FEWEST,
+    data_of,
+    ensemble_bytes,
+)
 
-_FEWEST: Final = 6 + 4 + 33 + 28  # bytes of a header and both leaders, as short as they can be
-# What is read of each type of data: its number, its bytes at least, and its fields.
-_FIXED: Final = 0x0000
-_VARIABLE: Final = 0x0080
-_BOTTOM: Final = 0x0600
-_SHORTEST: Final = {_FIXED: 33, _VARIABLE: 28, _BOTTOM: 44}
-_FIELDS: Final[dict[int, Fields]] = {
-    _FIXED: {
-        "system": ("<u2", 5),  # configuration
-        "transform": ("u1", 26),  # command EX
-        "alignment": ("<i2", 27),  # command EA, 0.01 deg
-        "beam_angle": ("u1", 59),  # deg, 0 of firmware that does not tell it
-    },
-    _VARIABLE: {
-        "clock": ("7u1", 5),  # year without century, month, day, hour, minute, second, hundredth
-        "depth": ("<u2", 17),  # dm
-        "heading": ("<u2", 19),  # 0.01 deg
-        "pitch": ("<i2", 21),
-        "roll": ("<i2", 23),
-        "pressure": ("<i4", 49),  # 10 Pa; above the water it may be less than that of the air
-        "y2k_clock": ("8u1", 58),  # century first
-    },
-    _BOTTOM: {
-        "range": ("4<u2", 17),  # cm
-        "velocity": ("4<i2", 25),  # mm/s
-        "correlation": ("4u1", 33),
-        "amplitude": ("4u1", 37),
-        "percent_good": ("4u1", 41),
-        "range_msb": ("4u1", 78),
-    },
-}
-_SIZES: Final = {_FIXED: 59, _VARIABLE: 65, _BOTTOM: 81}
 _UP: Final = 0x80  # bits of the system's configuration
 _CONVEX: Final = 0x08
 _BEAM_ANGLES_DEG: Final = (15.0, 20.0, 30.0)  # by bits 8 and 9 of it; other ones are in byte 59
 _TILTS_USED: Final = 0x04  # a bit of the transform
 _AZIMUTHS_DEG: Final = (270.0, 90.0, 0.0, 180.0)  # from beam 3, of an instrument that looks down
-_ENSEMBLE: Final = np.dtype(
-    [
-        ("offset", "<i8"),
-        ("fixed", structure(_FIELDS[_FIXED], _SIZES[_FIXED])),
-        ("variable", structure(_FIELDS[_VARIABLE], _SIZES[_VARIABLE])),
-        ("bottom", structure(_FIELDS[_BOTTOM], _SIZES[_BOTTOM])),
-    ]
-)
 
 
 class Pd0File(InstrumentFile):
@@ -90,8 +51,8 @@ class Pd0File(InstrumentFile):
 
     def tables(self) -> Iterator[InstrumentTable]:
         """Decode the ensembles."""
-        parts = [np.empty(0, _ENSEMBLE)]
-        for records in checked_records(self, [b"\x7f\x7f"], _FEWEST):
+        parts = [np.empty(0, ENSEMBLE)]
+        for records in checked_records(self, [b"\x7f\x7f"], FEWEST):
             parts.append(self._ensembles(records))
         ensembles = np.concatenate(parts)
         time_ns, known = clock_ns(_clock_fields(ensembles["variable"]))
@@ -116,17 +77,14 @@ class Pd0File(InstrumentFile):
         """Gather what is read of some ensembles."""
         gathered = bytearray()
         for record in records:
-            found = _data_of(record.content)
+            found = data_of(record.content)
             if found is None:
                 self.lose(record.offset, "its types of data are not where its header says")
-            elif _BOTTOM not in found:
+            elif BOTTOM not in found:
                 self.pass_over("ensembles without bottom track")
             else:
-                gathered += struct.pack("<q", record.offset)
-                for kind in (_FIXED, _VARIABLE, _BOTTOM):
-                    size = _SIZES[kind]
-                    gathered += found[kind][:size].ljust(size, b"\0")
-        return np.frombuffer(bytes(gathered), _ENSEMBLE)
+                gathered += ensemble_bytes(record.offset, found)
+        return np.frombuffer(bytes(gathered), ENSEMBLE)
 
     def _velocity_columns(self, ensembles: Array, rpy_deg: Floats) -> dict[str, Array]:
         """Return the columns of the bottom track: of the vehicle's velocity, and of its beams, where there are any."""
@@ -222,28 +180,6 @@ class Pd0File(InstrumentFile):
                 directions[:, 2] *= -1.0
             vectors[rows.ravel() == number] = directions
         return vectors.reshape(len(fixed), 12)
-
-
-def _data_of(content: bytes) -> dict[int, bytes] | None:
-    """Return the bytes of each type of data in an ensemble; None where the header or a leader cannot be."""
-    end = len(content) - 2
-    count = content[5]
-    if 6 + 2 * count > end:
-        return None
-    offsets = struct.unpack_from(f"<{count}H", content, 6)
-    bounds = sorted({*offsets, end})
-    found: dict[int, bytes] = {}
-    for offset in offsets:
-        if offset + 2 > end:
-            return None
-        behind = bounds[bisect_right(bounds, offset)]
-        kind = int.from_bytes(content[offset : offset + 2], "little")
-        found[kind] = content[offset:behind]
-    for kind, shortest in _SHORTEST.items():
-        is_short = len(found.get(kind, b"")) < shortest
-        if is_short and (kind in found or kind != _BOTTOM):
-            return None
-    return found
 
 
 def _clock_fields(variable: Array) -> Array:

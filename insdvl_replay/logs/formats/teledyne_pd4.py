@@ -16,6 +16,7 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.units import TIME_UNITS_NS
 from insdvl_replay.logs.formats.checked_records import checked_records
+from insdvl_replay.logs.formats.earth_axes import turned_back, turned_back_note
 from insdvl_replay.logs.formats.instrument_file import InstrumentFile, InstrumentTable
 from insdvl_replay.logs.formats.teledyne import (
     BOTTOM_TRACK,
@@ -28,8 +29,6 @@ from insdvl_replay.logs.formats.teledyne import (
     sensor_tables,
     structure,
     time_of_day_ns,
-    turned_back,
-    turned_back_note,
     with_z_down,
 )
 

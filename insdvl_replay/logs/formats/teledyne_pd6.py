@@ -16,6 +16,7 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Array, Floats, Mask
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import DEG
+from insdvl_replay.logs.formats.earth_axes import turned_back, turned_back_note
 from insdvl_replay.logs.formats.instrument_file import InstrumentFile, InstrumentTable, Record
 from insdvl_replay.logs.formats.teledyne import (
     BOTTOM_TRACK,
@@ -25,8 +26,6 @@ from insdvl_replay.logs.formats.teledyne import (
     clock_ns,
     metres_per_second,
     sensor_tables,
-    turned_back,
-    turned_back_note,
     with_z_down,
 )
 

@@ -16,11 +16,11 @@ from insdvl_replay.core.dive_columns import Array
 from insdvl_replay.core.errors import counted_clause
 from insdvl_replay.core.notes import note
 from insdvl_replay.logs.formats.instrument_file import LATEST_S, InstrumentFile
+from insdvl_replay.logs.formats.ulog_layouts import LONGEST, Layouts
 
 Messages = dict[tuple[str, int], Array]
 """Rows, (k,), structured, by topic and instance."""
 _HEADER: Final = 16  # bytes
-_LONGEST: Final = (1 << 16) + 3  # bytes of a message
 _PIECE: Final = 1 << 22
 _DATA: Final = ord("D")
 _SUBSCRIPTION: Final = ord("A")
@@ -30,13 +30,6 @@ _SIZES: Final = {"B": 40, "F": None, "I": None, "M": None, "P": None, "Q": None,
 _FLAGS: Final = struct.Struct(
     "<8x8s3Q"
 )  # behind the head of the message B: flags, and where data were appended
-_SCALARS: Final = {
-    "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
-    "int64_t": "<i8", "uint64_t": "<u8", "float": "<f4", "double": "<f8", "bool": "u1",
-}  # fmt: skip
-_UNREAD: Final = {"char": 1}  # bytes
-_FIELD: Final = re.compile(r"(\w+)(?:\[(\d{1,5})\])? (\w+)")
-_DEEPEST: Final = 8  # layouts within each other
 _LATEST_US: Final = int(LATEST_S / 4) * 10**6  # since the start of the vehicle
 
 
@@ -62,8 +55,7 @@ class UlogFile(InstrumentFile):
     def read_messages(self, wanted: AbstractSet[str]) -> Messages:
         """Return the messages of some topics that have a possible time; the others are passed over."""
         self._wanted = wanted
-        self._layouts: dict[str, str] = {}
-        self._dtypes: dict[str, np.dtype[Any] | None] = {}
+        self._layouts = Layouts()
         self._topics: dict[int, _Topic] = {}
         self._dropouts_ms: list[int] = []
         starts = [_HEADER, *self._appended()]
@@ -94,7 +86,7 @@ class UlogFile(InstrumentFile):
     def _read(self, start: int, end: int) -> None:
         """Read the messages of a part of the file."""
         while start < end:
-            data = bytes(self.file.read(start, min(start + _PIECE + 2 * _LONGEST, end)))
+            data = bytes(self.file.read(start, min(start + _PIECE + 2 * LONGEST, end)))
             is_last = start + len(data) == end
             start += self._read_piece(start, data, len(data) if is_last else _PIECE)
 
@@ -184,68 +176,16 @@ class UlogFile(InstrumentFile):
     ) -> None:
         """Read a message that is none of data: a layout, a subscription, a dropout."""
         if kind == "F":
-            name, _, fields = content.decode("ascii", "replace").partition(":")
-            self._layouts.setdefault(name, fields)
+            self._layouts.add(content)
         elif kind == "A" and len(content) > 3:
             name = content[3:].decode("ascii", "replace")
             number = content[1] | content[2] << 8
-            topic = _Topic(name, content[0], self._subscribed(name), [])
+            topic = _Topic(name, content[0], self._layouts.subscribed(name), [])
             known = self._topics.setdefault(number, topic)
             if known[:3] != topic[:3]:
                 self.lose(offset, f"{name} has the number of {known.name}")
         elif kind == "O":
             self._dropouts_ms.append(content[0] | content[1] << 8)
-
-    def _dtype(self, name: str, level: int = 0) -> np.dtype[Any] | None:
-        """Return the type of the messages of a layout; None where it is not known, or cannot be."""
-        if name not in self._dtypes:
-            self._dtypes[name] = None
-            if level <= _DEEPEST:
-                self._dtypes[name] = self._dtype_of_fields(self._layouts.get(name, ""), level)
-        return self._dtypes[name]
-
-    def _dtype_of_fields(self, texts: str, level: int) -> np.dtype[Any] | None:
-        """Return the type of a message with some fields, such as `float[3] velocity`."""
-        fields: dict[str, Any] = {}
-        for text in texts.rstrip(";").split(";"):
-            field = _FIELD.fullmatch(text.strip())
-            if field is None or field[3] in fields:
-                return None
-            field_type = self._field_type(field[1], int(field[2] or 1), level)
-            if field_type is None:
-                return None
-            fields[field[3]] = field_type
-        dtype = np.dtype(list(fields.items()))
-        return dtype if dtype.itemsize < _LONGEST else None
-
-    def _field_type(
-        self,
-        type_name: str,
-        count: int,
-        level: int,
-    ) -> Any:
-        """Return the type of a field; what is read of no message is its bytes."""
-        if type_name in _SCALARS:
-            return (_SCALARS[type_name], (count,)) if count > 1 else _SCALARS[type_name]
-        size = _UNREAD.get(type_name)
-        if size is None:
-            inner = self._dtype(type_name, level + 1)
-            if inner is None:
-                return None
-            size = inner.itemsize
-        return f"V{size * count}" if size * count < _LONGEST else None
-
-    def _subscribed(self, name: str) -> np.dtype[Any] | None:
-        """Return the type of the messages of a topic: what fills up their end is not written."""
-        dtype = self._dtype(name)
-        if dtype is None:
-            return None
-        labels = list(dtype.names or ())
-        while labels and labels[-1].startswith("_padding"):
-            del labels[-1]
-        if not labels:
-            return None
-        return np.dtype([(label, dtype[label]) for label in labels])
 
     def _messages(self) -> Messages:
         """Return the messages of all topics and instances that have a possible time."""
