@@ -11,7 +11,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 COMPILE := PYTHONPATH=tests/replay $(BIN)/python tests/compiled_filters.py
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint style bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark benchmark-settings pull_request claims docs clean
+.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint style bench clocks judge attack lock samples schemas pictures readme inputs reference reproduce benchmark benchmark-settings pull_request claims docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --preset levy-klein --output replay --force --rerun
@@ -90,6 +90,10 @@ bench: .venv/bench.stamp
 # What `calibrate` must be able to do, line by line; takes some ten minutes.
 calibration: .venv/test.stamp
 	PYTHONPATH=tests/calibration $(BIN)/python benchmarks/calibration.py
+
+# How far files by unrelated clocks are off once they are brought together, where the truth is known; takes some 20 minutes.
+clocks: .venv/test.stamp
+	PYTHONPATH=tests $(BIN)/python benchmarks/clock_worlds.py
 
 # How often the words on filters are right, in worlds whose truth is known; takes a quarter of an hour on two cores.
 JUDGES := rule_worlds misfit_worlds scatter_judge judge onboard foreign noise

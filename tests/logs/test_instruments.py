@@ -114,6 +114,46 @@ def test_a_dvl_alone_says_how_to_add_the_imu(kind: str, tmp_path: Path) -> None:
     assert f"insdvl-replay run --one-dive {paths[0]} imu.csv" in raised.value.hint
 
 
+def test_a_dvl_next_to_the_only_log_of_a_folder_is_named(tmp_path: Path) -> None:
+    """A folder with logs stands for each of them, so that the file of the DVL would go unread."""
+    log, dvl = _log_and_dvl(tmp_path)
+    with pytest.raises(LogError, match="has no DVL") as raised:
+        read_dive(log, Config())
+    command = f"`insdvl-replay run --one-dive '{log}' '{dvl}'`"
+    assert f"dvl.txt beside it is of a DVL: {command}; for other types" in raised.value.hint
+    with pytest.raises(LogError, match="has no IMU") as raised:
+        read_dive(dvl, Config())
+    assert raised.value.hint == f"if vehicle.mcap beside it has one: {command}"
+    (said,) = [note for note in open_recording(log).notes if note.code == "dvl_unread"]
+    assert said.hint.endswith(command.strip("`"))
+    assert len(read_dive([log, dvl], Config()).dvl.time_ns) == sum(told().is_valid)
+    assert "dvl_unread" not in {note.code for note in open_recording([log, dvl]).notes}
+
+
+@pytest.mark.parametrize("other", ["second.mcap", "dvl2.txt"])
+def test_files_that_may_belong_to_others_are_not_named(other: str, tmp_path: Path) -> None:
+    log, dvl = _log_and_dvl(tmp_path)
+    source = log if other == "second.mcap" else dvl
+    (log.parent / other).write_bytes(source.read_bytes())
+    with pytest.raises(LogError, match="has no DVL") as raised:
+        read_dive(log, Config())
+    assert "--one-dive" not in raised.value.hint
+    assert "dvl_unread" not in {note.code for note in open_recording(log).notes}
+
+
+def _log_and_dvl(tmp_path: Path) -> tuple[Path, Path]:
+    """Write a log without a DVL and the file of one into a folder whose name has a blank."""
+    _, _, (dvl, rest) = written(tmp_path, "water_linked_serial")
+    folder = tmp_path / "dive 7"
+    folder.mkdir()
+    return rest.rename(folder / "vehicle.mcap"), dvl.rename(folder / "dvl.txt")
+
+
+def test_formats_of_a_dvl_alone_lack_an_imu() -> None:
+    for known in known_formats.FORMATS:
+        assert known.is_dvl == ("IMU" in known.lacks), known.name
+
+
 def test_folders_are_searched_for_the_endings_of_all_formats() -> None:
     endings: set[str] = set()
     for known in known_formats.FORMATS:

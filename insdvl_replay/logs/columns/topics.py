@@ -27,6 +27,7 @@ from insdvl_replay.logs.formats.fields import (
     find_path,
     split_paths,
 )
+from insdvl_replay.logs.formats.known_formats import dvl_next_to, log_next_to
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
 from insdvl_replay.logs.formats.readers import channel_paths, column_of
 
@@ -606,15 +607,29 @@ class Topics:
         empty = [topic for topic in self._empty if full_name(self._empty[topic]) in wanted]
         if empty:
             what += f"; {listed(sorted(empty))} has a known type, but no messages"
-        return LogError(what, role.how_to_name())
+        return LogError(what, self._dvl_next_to(role) + role.how_to_name())
+
+    def _dvl_next_to(self, role: TopicRole) -> str:
+        """Say how a log without a DVL is read with the only file of one beside it; empty where there is none."""
+        if role.name != "dvl":
+            return ""
+        log = Path(self.place)
+        dvl = dvl_next_to(log)
+        if dvl is None:
+            return ""
+        return f"{dvl.name} beside it is of a DVL: {_command_for(log, dvl)}; "
 
     def _error_for_instruments(self, role: TopicRole, lack: str) -> LogError:
         """Return the error for a role that no file of an instrument plays, such as the IMU beside a DVL alone."""
         what = f"{lack}: it has {listed(sorted(self._channels))} of an instrument"
-        name = shlex.quote(self.place)
-        other = "imu.csv" if role.name == "imu" else f"{role.name}.csv"
+        file = Path(self.place)
+        log = log_next_to(file)
+        if role.name == "imu" and log is not None:
+            hint = f"if {log.name} beside it has one: {_command_for(log, file)}"
+            return LogError(what, hint)
+        other = Path("imu.csv" if role.name == "imu" else f"{role.name}.csv")
         hint = (
-            f"add the file that has it: `insdvl-replay run --one-dive {name} {other}`, or put both into one folder "
+            f"add the file that has it: {_command_for(file, other)}, or put both into one folder "
             "and give the folder"
         )
         return LogError(what, hint)
@@ -625,6 +640,11 @@ class Topics:
         for topic, channels in self._channels.items():
             names.update(channel.type_name or topic for channel in channels)
         return sorted(names)
+
+
+def _command_for(file: Path, other: Path) -> str:
+    """Write the command that reads two files as one dive."""
+    return f"`insdvl-replay run --one-dive {shlex.quote(str(file))} {shlex.quote(str(other))}`"
 
 
 def _is_table(channels: Sequence[LogChannel]) -> bool:

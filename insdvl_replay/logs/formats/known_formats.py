@@ -6,14 +6,16 @@
 import re
 from functools import cached_property
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from insdvl_replay.core.dive_record import TABLE_SUFFIXES
+from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
 
 START: Final = 4096  # bytes by which a file is known
+_MOST_FILES: Final = 1000  # of a folder that are looked at for a hint
 TEXT_SUFFIXES: Final = (".txt", ".dat", ".asc")  # of texts that may be tables
 
 
@@ -27,6 +29,7 @@ class Format(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True)
     example: str = ""
     holds: str = ""
     lacks: str = ""
+    is_dvl: bool = False
     is_dive: bool = False
 
     @cached_property
@@ -89,6 +92,41 @@ def instrument_format(path: Path) -> Format | None:
     if known is None or not known.name:
         return None
     return known
+
+
+def dvl_next_to(log: Path) -> Path | None:
+    """Return the only file of a DVL alone that lies beside the only log of a folder; None where it is not so."""
+    logs = _logs_in(log.parent)
+    if len(logs) != 1 or logs[0].name != log.name:
+        return None
+    found: list[Path] = []
+    for path in _files_in(log.parent):
+        known = instrument_format(path)
+        if known is not None and known.is_dvl:
+            found.append(path)
+    if len(found) != 1:
+        return None
+    return found[0]
+
+
+def log_next_to(file: Path) -> Path | None:
+    """Return the only log of a recorder that lies beside a file; None where there is none, or more than one."""
+    logs = _logs_in(file.parent)
+    if len(logs) != 1 or logs[0].name == file.name:
+        return None
+    return logs[0]
+
+
+def _logs_in(folder: Path) -> list[Path]:
+    return [path for path in _files_in(folder) if path.suffix in LOG_SUFFIXES]
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """Return the first thousand files of a folder; none of one that cannot be listed, or is not there."""
+    try:
+        return list(islice(folder.iterdir(), _MOST_FILES))
+    except OSError:
+        return []
 
 
 def other_format(path: Path, start: bytes) -> OtherFormat | None:

@@ -4,6 +4,7 @@ import hashlib
 import math
 import os
 import re
+import shlex
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -27,6 +28,7 @@ from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.known_formats import (
     START,
     TEXT_SUFFIXES,
+    dvl_next_to,
     instrument_format,
     known_format,
     may_be_table,
@@ -377,13 +379,27 @@ def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) 
                 "rename it",
             )
     if len(given) == 1 and not given[0].is_dir():
-        return Recording(given[0], given, allow_damaged=allow_damaged)
+        log = Recording(given[0], given, allow_damaged=allow_damaged)
+        dvl = dvl_next_to(given[0])
+        if dvl is not None:
+            log.notes_on_files.append(_unread_note(given[0], dvl))
+        return log
     files: list[Path] = []
     for part in given:
         files += bag_parts(part) if part.is_dir() else (part,)
     # A file that is named twice is read once.
     unique = {os.path.realpath(file): file for file in files}
     return Recording(name_giver(given), unique.values(), allow_damaged=allow_damaged)
+
+
+def _unread_note(log: Path, dvl: Path) -> Note:
+    """Report a file that looks like a part of the dive, and is not read."""
+    return note(
+        "dvl_unread",
+        name=dvl.name,
+        log=shlex.quote(str(log)),
+        dvl=shlex.quote(str(dvl)),
+    )
 
 
 def name_giver(paths: Sequence[Path]) -> Path:
