@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.config import Config, Filter, InertialNoise
 from insdvl_replay.core.config_file import load_config
@@ -25,6 +26,7 @@ COUNT = 2000
 VELOCITY_SD = 0.004
 LEVEL_SD = 0.02 * DEG
 TIME_NS = nanoseconds(1.0) * np.arange(COUNT)
+DOWN = np.array([0.0, 0.0, 1.0])
 SPEED_MPS = 1.0 + 0.3 * np.sin(0.01 * np.arange(COUNT))
 
 
@@ -46,11 +48,26 @@ def drawn(times: float, more_mps: Floats | float = 0.0, noise_deg: float = 0.0) 
     return StateErrors("baseline", TIME_NS, error, cov, np.zeros(COUNT), np.ones(6, np.bool_))
 
 
-def rows_of(errors: StateErrors, noise_deg: float = 1e-4) -> dict[str, CredibilityRow]:
+def turned(errors: StateErrors, heading: Floats) -> StateErrors:
+    """Turn errors and P about down, by another heading at each time."""
+    turn = Rotation.from_rotvec(np.outer(heading, DOWN)).as_matrix()
+    both = np.zeros((COUNT, 6, 6))
+    both[:, :3, :3] = turn
+    both[:, 3:, 3:] = turn
+    error = np.einsum("kij,kj->ki", both, errors.error)
+    cov = both @ errors.cov @ np.swapaxes(both, 1, 2)
+    return replace(errors, error=error, cov=cov, heading=heading)
+
+
+def rows_of(
+    errors: StateErrors,
+    noise_deg: float = 1e-4,
+    track: ReferenceColumns | None = None,
+) -> dict[str, CredibilityRow]:
     rows = settled_table(
         "dive",
         errors,
-        reference(),
+        track or reference(),
         0,
         {"level": 100.0},
         velocity_sd_mps=1e-5 * (noise_deg > 0.0),
@@ -112,6 +129,24 @@ def test_what_grows_with_the_speed_is_no_noise() -> None:
     mounted = SPEED_MPS[:, None] * np.array([0.02, 0.05, 0.03])
     assert said_of(drawn(1.0, mounted)) == ""
     assert "velocity" in said_of(drawn(1.0, 0.05 * np.sin(np.arange(COUNT))[:, None]))
+
+
+def test_on_a_circle_errors_of_the_vehicles_axes_are_those_on_a_straight_line() -> None:
+    errors = drawn(1.0, SPEED_MPS[:, None] * np.array([0.02, 0.05, 0.03]))
+    # Across the track errors and P are larger than along it.
+    wide = np.array([1.0, 3.0, 1.0, 1.0, 3.0, 1.0])
+    errors = replace(errors, error=wide * errors.error, cov=np.outer(wide, wide) * errors.cov)
+    heading = 0.01 * np.arange(COUNT)
+    course = np.column_stack([np.cos(heading), np.sin(heading), np.zeros(COUNT)])
+    mat_nb = Rotation.from_rotvec(np.outer(heading, DOWN)).as_matrix()
+    circle = replace(reference(), velocity_n=SPEED_MPS[:, None] * course, mat_nb=mat_nb)
+    straight = rows_of(errors)
+    turning = rows_of(turned(errors, heading), track=circle)
+    assert list(turning) == list(SETTLED)
+    for quantity, row in turning.items():
+        assert row.mean_nees == pytest.approx(straight[quantity].mean_nees, rel=1e-9)
+        assert row.effective_samples == pytest.approx(straight[quantity].effective_samples)
+        assert row.mean_nees == pytest.approx(row.dof, rel=0.1)
 
 
 def test_noise_of_the_reference_is_not_that_of_the_filter() -> None:
