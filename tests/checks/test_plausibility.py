@@ -13,7 +13,14 @@ from insdvl_replay.checks.imu import gyro_by_attitude, gyro_by_gravity
 from insdvl_replay.checks.reference import plausibility_notes, track_by_positions, without_frozen
 from insdvl_replay.core.config import Config, Dvl, Imu, Initial
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, seconds
+from insdvl_replay.core.dive_columns import (
+    Dive,
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    seconds,
+)
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
@@ -298,22 +305,44 @@ def test_single_gyro_that_turns_the_other_way_is_reported(turning: Dive) -> None
     assert "angular rate starboard" in note.text
 
 
+def codes_of_swings(rpy: Floats, at_s: Floats, gyros: Floats) -> set[str]:
+    """Return the codes of notes on a vehicle of such attitudes, whose gyros give their rates times a matrix."""
+    mat_nb = mat_from_rpy(rpy)
+    skewed = np.swapaxes(mat_nb, 1, 2) @ np.gradient(mat_nb, at_s, axis=0)
+    rate_b = np.stack([skewed[:, 2, 1], skewed[:, 0, 2], skewed[:, 1, 0]], axis=1)
+    time_ns = np.rint(at_s * 1e9).astype(np.int64)
+    imu = ImuColumns(time_ns, mat_nb[:, 2] * -9.8, rate_b @ gyros.T)
+    rows = slice(None, None, 10)
+    unknown = np.full((len(time_ns[rows]), 3), np.nan)
+    reference = ReferenceColumns(time_ns[rows], unknown, unknown, mat_nb[rows])
+    ping_ns = time_ns[::50]
+    ahead = np.tile([1.0, 0.0, 0.0], (len(ping_ns), 1))
+    dvl = DvlColumns(ping_ns, None, None, ahead, None)
+    return {note.code for note in plausibility_notes("a.mcap", imu, dvl, reference, Config())}
+
+
 @pytest.mark.parametrize(("swing_deg", "reported"), [(2.8, False), (3.2, True)])
 def test_gyro_is_held_against_attitudes_that_swing_by_three_degrees_about_its_axis(
     swing_deg: float, reported: bool
 ) -> None:
     """A vehicle that turns to both sides, and pitches a little, with a starboard gyro of the wrong sign."""
     at_s = np.arange(0.0, 60.0, 0.02)
-    pitch, yaw = 0.5 * swing_deg * DEG * np.sin(0.7 * at_s), 0.8 * np.sin(0.3 * at_s)
-    mat_nb = mat_from_rpy(np.stack([np.zeros_like(at_s), pitch, yaw], axis=1))
-    skewed = np.swapaxes(mat_nb, 1, 2) @ np.gradient(mat_nb, at_s, axis=0)
-    rate_b = np.stack([skewed[:, 2, 1], skewed[:, 0, 2], skewed[:, 1, 0]], axis=1)
-    time_ns, unknown = np.rint(at_s * 1e9).astype(np.int64), np.full((300, 3), np.nan)
-    imu = ImuColumns(time_ns, mat_nb[:, 2] * -9.8, rate_b * [1.0, -1.0, 1.0])
-    reference = ReferenceColumns(time_ns[::10], unknown, unknown, mat_nb[::10])
-    dvl = DvlColumns(time_ns[::50], None, None, np.tile([1.0, 0.0, 0.0], (60, 1)), None)
-    found = {note.code for note in plausibility_notes("a.mcap", imu, dvl, reference, Config())}
+    pitch = 0.5 * swing_deg * DEG * np.sin(0.7 * at_s)
+    yaw = 0.8 * np.sin(0.3 * at_s)
+    rpy = np.stack([np.zeros_like(at_s), pitch, yaw], axis=1)
+    found = codes_of_swings(rpy, at_s, np.diag([1.0, -1.0, 1.0]))
     assert ("imu_gyro_axis" in found) is reported
+
+
+@pytest.mark.parametrize(("swing_deg", "reported"), [(2.8, False), (3.2, True)])
+def test_gyros_are_held_against_attitudes_that_swing_by_three_degrees_about_any_axis(
+    swing_deg: float, reported: bool
+) -> None:
+    """A vehicle that rocks a little about each axis, whose gyros of roll and yaw are swapped."""
+    at_s = np.arange(0.0, 60.0, 0.02)
+    rpy = 0.5 * swing_deg * DEG * np.sin(np.outer(at_s, [1.1, 0.7, 0.3]))
+    found = codes_of_swings(rpy, at_s, np.eye(3)[[2, 1, 0]])
+    assert ("imu_gyro_contradiction" in found) is reported
 
 
 def test_positions_that_contradict_the_velocity_next_to_them_are_reported(turning: Dive) -> None:
