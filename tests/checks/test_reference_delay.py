@@ -90,6 +90,29 @@ def test_delay_of_a_noisy_reference_is_within_its_standard_error(
     assert false_alarms == 0
 
 
+def test_few_blocks_make_the_standard_error_no_smaller_than_the_errors() -> None:
+    """Of a minute and a half with errors that stay for some seconds, as the drift of another filter does."""
+    dive = simulate_dive(
+        "figure-eight", seed=3, duration_s=90.0, imu_rate_hz=20.0, reference_rate_hz=2.0
+    )
+    reference = reference_of(dive)
+    rows = len(reference.time_ns)
+    unknown = np.full_like(reference.velocity_n, np.nan)
+    delays_s = []
+    sds_s = []
+    for seed in range(20):
+        draw = np.random.default_rng(seed)
+        change = 5e-4 * draw.standard_normal((rows, 3))[np.arange(rows) // 10]
+        mat_nb = reference.mat_nb @ mat_from_vector(np.cumsum(change, axis=0))
+        drifting = replace(reference, mat_nb=mat_nb, velocity_n=unknown)
+        turns = reference_delay(dive.imu, drifting).by_turns
+        assert turns is not None
+        delays_s.append(turns.delay_s)
+        sds_s.append(turns.sd_s)
+    size_s = np.sqrt(np.mean(np.square(delays_s)))
+    assert 1.0 < np.mean(sds_s) / size_s < 2.0
+
+
 def test_accelerations_tell_the_delay_of_a_velocity_that_is_later_than_the_attitude() -> None:
     dive = simulate_dive(
         "calibration", seed=3, duration_s=300.0, grade="fog", reference_rate_hz=20.0
