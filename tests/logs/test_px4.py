@@ -122,6 +122,28 @@ def test_older_fixes_are_whole_numbers(tmp_path: Path, monkeypatch: pytest.Monke
     np.testing.assert_allclose(found.position[:, 2], log.truth.position[:, 2], rtol=0, atol=6e-4)
 
 
+def test_older_solutions_have_single_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fields = (
+        "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float[4] q;"
+        "float vx;float vy;float vz;uint8_t local_frame;uint8_t velocity_frame;uint8_t[6] _padding0;"
+    )
+    monkeypatch.setitem(autopilot_logs.LAYOUTS, "vehicle_odometry", (fields, "<QQ3f4f3fBB"))
+    log = without_solution(dive())
+    truth = log.truth
+    for time_ns, moved, velocity, rpy in zip(
+        truth.time_ns.tolist(), truth.moved_n, truth.velocity_n, truth.rpy_deg, strict=True
+    ):
+        quaternion = autopilot_logs.quaternion_of(np.radians(rpy))
+        values = [*moved, *quaternion, *velocity]
+        log.add(time_ns, "vehicle_odometry", log.us(time_ns), *values, 1, 1)
+    found = read_dive(write(tmp_path, log)[0], Config()).reference
+    assert found is not None
+    np.testing.assert_array_equal(found.time_ns, truth.time_ns)
+    np.testing.assert_allclose(found.velocity_n, truth.velocity_n, rtol=0, atol=VELOCITY_MPS)
+
+
 def test_what_the_recorder_dropped_is_noted(tmp_path: Path) -> None:
     log = without_solution(dive())
     for ping in (3, 40):
