@@ -324,6 +324,21 @@ def test_rows_of_a_nucleus_that_are_damaged_and_texts_between_them(tmp_path: Pat
     assert sum(channel.messages for channel in log.channels) == whole - 2
 
 
+def test_rows_of_a_nucleus_with_other_microseconds_than_a_second_has_are_damaged(
+    tmp_path: Path,
+) -> None:
+    dive = told().single()
+    rows = packets(dive)
+    rows[40]["microSeconds"] = -1
+    rows[60]["microSeconds"] = 1_000_000
+    path = tmp_path / "nucleus_log.csv"
+    path.write_bytes(as_table(rows))
+    log = open_recording(path)
+    assert {note.code: note.count for note in log.notes}["log_damaged"] == 2
+    whole = len(dive.dive.imu.time_ns) + len(dive.time_ns)
+    assert sum(channel.messages for channel in log.channels) == whole - 2
+
+
 def test_water_track_and_broken_samples_of_a_nucleus_are_left_out(tmp_path: Path) -> None:
     dive = told().single()
     rows = packets(dive)

@@ -6,7 +6,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -15,7 +15,7 @@ from baseline_as_candidate import FITTING, Baseline
 
 from insdvl_replay.core.config import Config, Evaluation, Filter
 from insdvl_replay.core.config_file import load_config, render_toml
-from insdvl_replay.core.dive_columns import Dive, DvlColumns
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, SensorColumns
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.tables import EvidenceRow, each_table
@@ -582,6 +582,34 @@ def test_the_files_of_a_program_hold_what_a_class_is_given(dive: Dive, tmp_path:
     np.testing.assert_allclose(read.velocity_n, direct.velocity_n, atol=1e-9)
     np.testing.assert_allclose(read.position, direct.position, atol=1e-12)
     np.testing.assert_allclose(read.mat_nb, direct.mat_nb, atol=1e-12)
+
+
+class Sensing(Candidate):
+    """Keep what is given, and answer with a time that is before the last one."""
+
+    sensors: ClassVar[dict[str, SensorColumns]] = {}
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        Sensing.sensors = dict(dive.sensors)
+        return Solution(np.array([start.time_ns, start.time_ns - 1]), velocity_n=np.zeros((2, 3)))
+
+
+def test_a_program_reads_the_sensors_of_its_file_and_writes_no_solution_that_cannot_be(
+    tmp_path: Path,
+) -> None:
+    kinds = ("depth", "heading", "position")
+    errors = {kind: SensorErrors(0.05, 4.0) for kind in kinds}
+    dive = simulate_dive("lawnmower", seed=3, duration_s=10.0, imu_rate_hz=50.0, sensors=errors)
+    paths = [tmp_path / name for name in ("dive.mcap", "start.json", "solution")]
+    write_dive(paths[0], replace(dive, reference=None, truth=None))
+    paths[1].write_bytes(start_of(dive).to_json())
+    with pytest.raises(CandidateError, match="times that are not increasing"):
+        run_over_files(Sensing, *paths)
+    assert not paths[2].exists()
+    assert set(Sensing.sensors) == set(kinds)
+    for kind in kinds:
+        ours = Sensing.sensors[kind]
+        np.testing.assert_array_equal(ours.time_ns, dive.sensors[kind].time_ns)
 
 
 def test_standard_deviations_of_a_file_become_a_covariance(tmp_path: Path) -> None:
