@@ -38,6 +38,7 @@ from insdvl_replay.calibration.fit import (
     fit,
     likeliest_mounting,
     possible_axes,
+    scatter_of,
 )
 from insdvl_replay.calibration.innovations import (
     ALL_GROUPS,
@@ -435,6 +436,17 @@ def test_a_dive_that_hardly_rolls_does_not_lay_the_dvl_on_its_back() -> None:
     for seed in range(6000, 6005):
         turned = built_in_otherwise("figure-eight", seed, DvlErrors(), yaw_deg=90.0)
         assert likeliest_mounting([turned]) == pytest.approx((0.0, 0.0, 90.0)), seed
+
+
+def test_scatter_of_an_axis_is_the_standard_deviation_of_normal_residuals_and_not_of_wild_ones() -> (
+    None
+):
+    sd = np.array([0.5, 1.0, 20.0])
+    # In equal steps of their probability.
+    residuals = np.outer(norm.ppf((np.arange(2000) + 0.5) / 2000), sd)
+    assert scatter_of(residuals) == pytest.approx(sd, rel=1e-3)
+    residuals[::100] = 1e6
+    assert scatter_of(residuals) == pytest.approx(sd, rel=0.02)
 
 
 def test_axes_are_the_24_right_handed_ones() -> None:

@@ -140,10 +140,11 @@ def test_misalignment_about_the_track_is_roll_with_its_variance(heading_deg: flo
     )
 
 
-def test_heading_of_the_errors_is_that_of_the_reference() -> None:
+def at_one_time() -> tuple[History, ReferenceColumns]:
+    """A filter and a reference of one row, which agree."""
     mat_nb = mat_from_rpy(np.array([[0.1, -0.2, -2.0]]))
-    time_ns, nothing = np.zeros(1, np.int64), np.zeros((1, 3))
-    reference = ReferenceColumns(time_ns, nothing, nothing, mat_nb)
+    time_ns = np.zeros(1, np.int64)
+    nothing = np.zeros((1, 3))
     history = History(
         "aided",
         time_ns,
@@ -158,7 +159,24 @@ def test_heading_of_the_errors_is_that_of_the_reference() -> None:
         np.eye(12)[None],
         (),
     )
-    assert state_errors(history, reference, None).heading.tolist() == pytest.approx([-2.0])
+    return history, ReferenceColumns(time_ns, nothing, nothing, mat_nb)
+
+
+def test_heading_of_the_errors_is_that_of_the_reference() -> None:
+    errors = state_errors(*at_one_time(), None)
+    assert errors.heading.tolist() == pytest.approx([-2.0])
+
+
+@pytest.mark.parametrize("has_own_start", [False, True])
+def test_errors_are_small_by_the_start_alone_where_it_is_on_the_reference(
+    has_own_start: bool,
+) -> None:
+    history, reference = at_one_time()
+    history = replace(history, has_own_start=has_own_start)
+    is_exact = state_errors(history, reference, None).exact_start
+    assert is_exact is not has_own_start
+    row = judged(replace(drawn(0.8), exact_start=is_exact)).loc["all"]
+    assert (row["verdict"] == "conservative") is has_own_start
 
 
 def test_interval_is_that_of_the_independent_samples() -> None:
