@@ -20,6 +20,7 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.inspection.automatic import find_settings, with_flown
 from insdvl_replay.inspection.proposal import propose_settings
 from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.formats.dataflash import Records, layout_of
 from insdvl_replay.logs.formats.recording import open_recording
 
 # Of 32 bits: of a pressure, and of a specific force near gravity.
@@ -279,6 +280,43 @@ def test_a_log_without_formats_has_nothing_that_can_be_used(tmp_path: Path) -> N
     path.write_bytes(content + bytes(500))
     with pytest.raises(LogError, match="has no records that can be used"):
         read_dive(path, Config())
+
+
+@pytest.mark.parametrize(
+    ("letter", "packed", "raw", "value"),
+    [
+        ("b", "b", -3, -3.0),
+        ("B", "B", 253, 253.0),
+        ("h", "h", -300, -300.0),
+        ("H", "H", 40_000, 40_000.0),
+        ("i", "i", -70_000, -70_000.0),
+        ("I", "I", 3_000_000_000, 3e9),
+        ("q", "q", -5_000_000_000, -5e9),
+        ("Q", "Q", 5_000_000_000, 5e9),
+        ("g", "e", 0.5, 0.5),
+        ("f", "f", -0.75, -0.75),
+        ("d", "d", 1e-9, 1e-9),
+        ("c", "h", -1234, -12.34),
+        ("C", "H", 35_999, 359.99),
+        ("e", "i", -123_456, -1234.56),
+        ("E", "I", 3_000_000_000, 3e7),
+        ("L", "i", 471_234_567, 47.1234567),
+        ("M", "B", 19, 19.0),
+    ],
+)
+def test_letters_of_a_format_are_the_published_types_and_units(
+    letter: str, packed: str, raw: float, value: float
+) -> None:
+    """By the table of the letters in README.md of ArduPilot's AP_Logger."""
+    content = bytes([0xA3, 0x95, 200]) + struct.pack(f"<{packed}", raw)
+    kind = [200, len(content), b"KIND", letter.encode(), b"Value"]
+    found = layout_of(record("FMT", *kind))
+    assert found is not None
+    number, layout = found
+    assert number == 200
+    rows = np.frombuffer(content, layout.dtype)
+    records = Records(np.zeros(1, np.int64), rows, layout.factors)
+    assert records.values("Value")[0] == pytest.approx(value, rel=1e-12)
 
 
 @pytest.mark.parametrize(

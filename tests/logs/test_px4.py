@@ -263,3 +263,32 @@ def test_layouts_of_other_shapes(
     else:
         with pytest.raises(LogError, match="it has sensor_combined without a time"):
             open_recording(tmp_path / "log_7.ulg")
+
+
+@pytest.mark.parametrize(
+    ("kind", "packed", "value"),
+    [
+        ("int8_t", "b", -3),
+        ("uint8_t", "B", 253),
+        ("int16_t", "h", -300),
+        ("uint16_t", "H", 40_000),
+        ("int32_t", "i", -70_000),
+        ("uint32_t", "I", 3_000_000_000),
+        ("int64_t", "q", -5_000_000_000),
+        ("uint64_t", "Q", 5_000_000_000),
+        ("float", "f", -0.75),
+        ("double", "d", 1e-9),
+    ],
+)
+def test_numbers_have_the_published_types(
+    kind: str, packed: str, value: float, tmp_path: Path
+) -> None:
+    content = autopilot_logs.ULOG_MAGIC + bytes(8)
+    content += message("F", f"vehicle_odometry:uint64_t timestamp;{kind} x;".encode())
+    content += message("A", bytes(3) + b"vehicle_odometry")
+    content += message("D", struct.pack(f"<HQ{packed}", 0, 1000, value))
+    (tmp_path / "log_7.ulg").write_bytes(content)
+    log = open_recording(tmp_path / "log_7.ulg")
+    (channel,) = log.channels
+    (block,) = log.blocks({channel.id})
+    assert np.frombuffer(block.buffer, np.float64).tolist()[-1] == value

@@ -156,6 +156,11 @@ def test_depth_in_decimetres_is_read_where_there_is_no_pressure(tmp_path: Path) 
     kinds = {channel.topic: channel.schema_data for channel in log.channels}
     assert kinds.keys() == {"dvl/velocity", "dvl/attitude", "dvl/depth"}
     assert kinds["dvl/depth"] == b'[["depth",1]]'
+    (channel,) = [one for one in log.channels if one.topic == "dvl/depth"]
+    (block,) = log.blocks({channel.id})
+    depth_m = np.frombuffer(block.buffer, np.float64).reshape(channel.messages, -1)[:, 1]
+    poses = teledyne_logs.poses(dive)
+    np.testing.assert_allclose(depth_m, [pose.depth_m for pose in poses], rtol=0, atol=0.0501)
 
 
 def test_what_a_person_has_set_is_no_sensor(tmp_path: Path) -> None:
