@@ -103,7 +103,8 @@ def _with_new_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:
     fitted = list[ReplayJob]()
     for job in jobs:
         own = replace(job.options, config=found.config, found=notes, vehicle=found.text)
-        fitted.append(replace(job, options=own))
+        digest = found.digests.get(job.logs, job.found_sha256)
+        fitted.append(replace(job, options=own, found_sha256=digest))
     return fitted
 
 

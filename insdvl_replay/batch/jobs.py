@@ -82,6 +82,7 @@ class ReplayJob:
     may_replace: bool = False
     # of the logs, where a worker may see other files; empty if they cannot be read here
     sha256: str | None = None
+    found_sha256: str = ""  # of the logs as they were when settings or noise were found by them
     error: UserError | None = None  # why the dive cannot be had
     vehicle: str = ""  # that its manifest names
 

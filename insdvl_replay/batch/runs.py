@@ -157,6 +157,11 @@ def replay_into(job: ReplayJob) -> bytes:
             f"was asked for it is {job.sha256 or 'not to be had'}",
             "--scheduler needs workers that see the same files under the same paths",
         )
+    if job.found_sha256 and replay.dive.sha256 != job.found_sha256:
+        raise LogError(
+            f"{job.name}: the log has changed since its settings were found",
+            "run it again once nobody writes to the log",
+        )
     with result_folder(job.target, force=job.replaces) as folder:
         save_replay(replay, folder, histories=options.histories)
         vehicle = options.vehicle.encode()

@@ -238,7 +238,10 @@ def _outcomes_of_search(
     except UserError as error:
         yield from _outcomes_without_search(dives, first, error, how)
         return
-    settled = [_with_settings(dive, found.config, found.notes, found.text) for dive in fitted]
+    settled = []
+    for dive in fitted:
+        known = _with_settings(dive, found.config, found.notes, found.text)
+        settled.append(replace(known, found_sha256=found.digests.get(dive.logs, "")))
     yield from _outcomes_by_groups(settled, given, found.config, how)
 
 
@@ -302,7 +305,8 @@ def _outcomes_by_groups(
     own = []
     for dive in others:
         of_dive = settings_of_one(found, dive.target.name, common)
-        own.append(_with_settings(dive, of_dive.config, of_dive.notes, of_dive.text))
+        known = _with_settings(dive, of_dive.config, of_dive.notes, of_dive.text)
+        own.append(replace(known, found_sha256=found.digests.get(dive.logs, "")))
     # What the common settings gave is replaced.
     yield from _outcomes_by_groups(own, given, common, replace(how, force=True))
 

@@ -5,7 +5,7 @@ Geometry and axes of the sensors are known here. `noise.fit` says what is free; 
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -52,6 +52,7 @@ def fit_noise_of_logs(
     report_stage("fitting the noise")
     alone = _with_baseline_alone(config)
     dives = list[Dive]()
+    digests = dict[tuple[Path, ...], str]()
     for paths in logs[:MOST_DIVES]:
         with suppress(UserError):
             dive = read_checked_dive(paths, alone, allow_damaged=allow_damaged)
@@ -59,8 +60,9 @@ def fit_noise_of_logs(
                 require_described(dive)
             baseline_fit(dive, alone)
             dives.append(dive)
+            digests[tuple(paths)] = dive.sha256
     if dives:
-        return fit_noise_of_dives(dives, config)
+        return replace(fit_noise_of_dives(dives, config), digests=digests)
     return FoundSettings(config, ())
 
 

@@ -1,9 +1,10 @@
 """Settings that a person has given, and those that were found beside them."""
 
 import textwrap
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -71,6 +72,8 @@ class FoundSettings:
     config: Config
     notes: tuple[Note, ...]  # warnings first
     given: tuple[str, ...] = ()  # keys that a person has given, beside which the others were found
+    # SHA-256 of the logs that were read, by the paths of their dive
+    digests: Mapping[tuple[Path, ...], str] = field(default_factory=dict)
 
     @property
     def text(self) -> str:

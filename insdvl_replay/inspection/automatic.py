@@ -109,8 +109,13 @@ def find_settings(
     dive, config = _read_with_reference(
         first, config, given, cost, notes, allow_damaged=allow_damaged
     )
+    digests = {tuple(first): dive.sha256}
     others = [paths for paths in dives if paths != first]
-    read = [dive, *_read_alike(others, dive, config, allow_damaged=allow_damaged)]
+    alike = []
+    for paths, other in _read_alike(others, dive, config, allow_damaged=allow_damaged):
+        digests[tuple(paths)] = other.sha256
+        alike.append(other)
+    read = [dive, *alike]
     read = _without_short(read, notes)
     read, config = _with_reference_latency(read, config, given, proposed_s, notes)
     config = _with_start(read[0], config)
@@ -141,6 +146,7 @@ def find_settings(
         config,
         tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING)),
         tuple(whole.keys),
+        digests,
     )
 
 
@@ -175,8 +181,8 @@ def _read_alike(
     config: Config,
     *,
     allow_damaged: bool,
-) -> Iterator[Dive]:
-    """Read other dives that the settings of the first do not misread.
+) -> Iterator[tuple[Paths, Dive]]:
+    """Read other dives that the settings of the first do not misread, with their paths.
 
     What they misread needs settings of its own, and would spoil these.
     """
@@ -184,7 +190,7 @@ def _read_alike(
         with suppress(UserError):  # its own replay reports it
             other = read_checked_dive(paths, config, allow_damaged=allow_damaged)
             if _misread(other) <= _misread(first):
-                yield other
+                yield paths, other
 
 
 def _first_with_roles(

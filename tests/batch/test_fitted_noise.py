@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 
 from insdvl_replay import check, compare_settings, load_config, replay_log
+from insdvl_replay.calibration import fitted_noise
+from insdvl_replay.calibration.found import FoundSettings
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Noise
 from insdvl_replay.logs import write_dive
@@ -193,3 +195,23 @@ def test_compare_settings_and_check_of_python_fit_it_too(
         for side in ("checked", "command")
     )
     assert without_tool(ours) == without_tool(theirs)
+
+
+def test_a_log_that_changes_behind_the_fit_has_no_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "dive.mcap"
+    write_dive(log, simulate_dive("straight", seed=1, duration_s=60.0, imu_rate_hz=50.0))
+    other = simulate_dive("straight", seed=2, duration_s=60.0, imu_rate_hz=50.0)
+    fit = fitted_noise.fit_noise_of_logs
+
+    def fit_and_replace(*arguments: Any, **options: Any) -> FoundSettings:
+        found = fit(*arguments, **options)
+        write_dive(log, other)
+        return found
+
+    monkeypatch.setattr(fitted_noise, "fit_noise_of_logs", fit_and_replace)
+    arguments = ["run", str(log), "-o", str(tmp_path / "out"), "--starts", "1", "--no-auto"]
+    assert run_command_line(arguments) == 3
+    assert "the log has changed since its settings were found" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "dive").exists()
