@@ -150,7 +150,12 @@ def _align(
         if abs(apart_s) < LARGEST_LATENCY_S:
             hint += ", or set dvl.latency_s to the s by which its stamps are ahead of the IMU's"
         raise LogError(text, hint, str(log.path))
-    if clock is None or (can_be_one and not _is_other(clock)):
+    if clock is None:
+        if is_long:
+            names = listed([file.path.name for file in files])
+            log.notes_on_files.append(note("file_clock_unconfirmed", len(dvl_ns), name=names))
+        return
+    if can_be_one and not _is_other(clock):
         return
     for file in files:
         file.change_times(clock.by_imu)

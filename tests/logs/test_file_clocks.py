@@ -277,6 +277,16 @@ def test_a_straight_dive_by_two_clocks_is_refused_with_what_to_set(tmp_path: Pat
     assert np.abs(seconds(found.dvl.time_ns - dive.dvl.time_ns, 0)).max() < 0.02
 
 
+@pytest.mark.parametrize(("scenario", "is_said"), [("straight", True), ("at sea", False)])
+def test_clocks_that_no_motion_confirms_are_said(
+    scenario: str, is_said: bool, tmp_path: Path
+) -> None:
+    course = "straight" if scenario == "straight" else at_sea(9)
+    found = read_dive(written(tmp_path, simulated(course, 9), 0.3), SETTINGS)
+    codes = [note.code for note in found.notes]
+    assert ("file_clock_unconfirmed" in codes) == is_said
+
+
 def test_pings_of_outages_are_held_back_by_the_clock_of_the_imu(tmp_path: Path) -> None:
     dive = simulated(at_sea(10), 10)
     paths = written(tmp_path, dive, OFFSET_S)
