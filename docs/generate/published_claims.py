@@ -23,9 +23,11 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from benchmark_page import FALSE_SHARE
 from msgspec import Struct
 from written import PROJECT, markdown_table, renewed
 
+from insdvl_replay.core.errors import counted
 from insdvl_replay.core.quantities import FEWEST_DIVES, label
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import PooledRow, finite, share_text
@@ -315,6 +317,7 @@ def written(page: str, papers: Sequence[Paper], results: dict[str, Kept]) -> str
                 claims_header, [claim_row(paper, results) for paper in papers]
             ),
             "runs": lambda: markdown_table(runs_header, run_rows(papers, results)),
+            "expected": lambda: false_words_line(results),
             "sources": lambda: markdown_table(
                 ("paper", "source", "what was read"),
                 [(paper.name, f"[{paper.source}]({paper.link})", paper.read) for paper in papers],
@@ -423,6 +426,17 @@ def run_rows(papers: Sequence[Paper], results: dict[str, Kept]) -> Iterator[tupl
                         answer.convergence or "-",
                         f"`{command}`",
                     )
+
+
+def false_words_line(results: dict[str, Kept]) -> str:
+    """Say how many wrong words the rows are expected to have at most."""
+    judged = sum(answer.low is not None for answer in results.values())
+    share = f"{100.0 * FALSE_SHARE:.0f} %"
+    return (
+        f"An interval gives the word of {counted(judged, 'row')}. If no filter differed from its baseline, at most "
+        f"{share} of them would be called better or worse ([measured](verdict.md#how-often-the-rule-is-right)). "
+        f"So at most {FALSE_SHARE * judged:.1f} wrong words are expected here."
+    )
 
 
 def bracketed(text: str) -> str:
