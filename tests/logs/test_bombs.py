@@ -1,5 +1,6 @@
 """Small files that would open to much, or take long: refused, or read in memory and steps that fit their size."""
 
+import gc
 import json
 import random
 import time
@@ -123,6 +124,22 @@ def test_a_chunk_without_a_record_is_opened_once(tmp_path: Path) -> None:
     seen = open_recording(path, allow_damaged=True)
     assert peak_mb(lambda: [*seen.blocks({1}), *seen.parts[0].saved_times()]) < 1
     assert not [*seen.blocks({1}), *seen.parts[0].saved_times()]
+
+
+def test_bytes_of_a_damaged_chunk_are_let_go_without_a_collection(tmp_path: Path) -> None:
+    packed = zstd_zeros(16 * MB)
+    path = write(tmp_path / "short.mcap", log(chunk(packed, 17 * MB, "zstd")))
+    list(open_recording(path, allow_damaged=True).blocks({1}))  # what is loaded stays
+    gc.disable()
+    tracemalloc.start()
+    try:
+        seen = open_recording(path, allow_damaged=True)
+        assert not list(seen.blocks({1}))
+        assert seen.damage_error() is not None
+        assert tracemalloc.get_traced_memory()[0] < MB
+    finally:
+        tracemalloc.stop()
+        gc.enable()
 
 
 def test_a_chunk_with_many_channels_stays_open(tmp_path: Path) -> None:

@@ -644,6 +644,7 @@ class ChunkedFile(LogFile):
                     continue
                 chunk, opening = ahead.popleft()
                 content = self._content(chunk, opening)
+                del opening  # as `_content` does
                 if content is None:
                     continue
                 if chunk.start in kept_open:
@@ -663,6 +664,9 @@ class ChunkedFile(LogFile):
             self.add_damage(error.damage)
             self._lose(chunk)
             return None
+        finally:
+            # Its error leads back to this frame. As a circle, both would keep the bytes of the chunk for long.
+            del opening
 
     def _keep(self, chunk: Chunk, content: Content) -> None:
         """Keep a chunk open, and let go of the oldest ones where they are too many."""
