@@ -128,6 +128,21 @@ def replayed(job: ReplayJob, name: str | None) -> "Replay":
     return replay
 
 
+def _require_same_log(job: ReplayJob, sha256: str) -> None:
+    """Refuse a log that is not the one which was meant, or by which the settings were found."""
+    if job.sha256 is not None and sha256 != job.sha256:
+        raise LogError(
+            f"{job.name}: the worker has another file there: its SHA-256 is {sha256}, where the replay "
+            f"was asked for it is {job.sha256 or 'not to be had'}",
+            "--scheduler needs workers that see the same files under the same paths",
+        )
+    if job.found_sha256 and sha256 != job.found_sha256:
+        raise LogError(
+            f"{job.name}: the log has changed since its settings were found",
+            "run it again once nobody writes to the log",
+        )
+
+
 def replay_into(job: ReplayJob) -> bytes:
     """Replay one dive into its folder, and return its report.
 
@@ -151,17 +166,7 @@ def replay_into(job: ReplayJob) -> bytes:
     started_at = datetime.now(UTC).isoformat(timespec="seconds")
     start_s = time.perf_counter()
     replay = replayed(job, job.target.name)
-    if job.sha256 is not None and replay.dive.sha256 != job.sha256:
-        raise LogError(
-            f"{job.name}: the worker has another file there: its SHA-256 is {replay.dive.sha256}, where the replay "
-            f"was asked for it is {job.sha256 or 'not to be had'}",
-            "--scheduler needs workers that see the same files under the same paths",
-        )
-    if job.found_sha256 and replay.dive.sha256 != job.found_sha256:
-        raise LogError(
-            f"{job.name}: the log has changed since its settings were found",
-            "run it again once nobody writes to the log",
-        )
+    _require_same_log(job, replay.dive.sha256)
     with result_folder(job.target, force=job.replaces) as folder:
         save_replay(replay, folder, histories=options.histories)
         vehicle = options.vehicle.encode()
