@@ -588,6 +588,7 @@ class ChunkedFile(LogFile):
         self._is_open_ended = False  # whether the end of the recording is not in the file
         self._opened: set[int] = set()
         self._kept: dict[int, Content] = {}
+        self._kept_bytes = 0
 
     @abstractmethod
     def _find_messages(
@@ -670,9 +671,14 @@ class ChunkedFile(LogFile):
 
     def _keep(self, chunk: Chunk, content: Content) -> None:
         """Keep a chunk open, and let go of the oldest ones where they are too many."""
+        replaced = self._kept.pop(chunk.start, None)
+        if replaced is not None:
+            self._kept_bytes -= len(replaced.buffer)
         self._kept[chunk.start] = content
-        while sum(len(kept.buffer) for kept in self._kept.values()) > _MOST_KEPT:
-            del self._kept[next(iter(self._kept))]
+        self._kept_bytes += len(content.buffer)
+        while self._kept_bytes > _MOST_KEPT:
+            oldest = self._kept.pop(next(iter(self._kept)))
+            self._kept_bytes -= len(oldest.buffer)
 
     def _open(self, chunk: Chunk) -> tuple[memoryview, memoryview]:
         """Return the bytes of an open chunk, and those of the indexes behind it."""
