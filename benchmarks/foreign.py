@@ -63,11 +63,12 @@ class Twice(Candidate):
         found = run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared, time_ns))
         with np.load(os.environ[TRUTH]) as truth:
             true_ns = truth["time_ns"]
+            # A run in which all stamps are a microsecond later ends behind the exact motion.
+            at_ns = np.minimum(found.time_ns, true_ns[-1])
             position, velocity_n = (
-                interpolated(true_ns, truth[name], found.time_ns)
-                for name in ("position", "velocity_n")
+                interpolated(true_ns, truth[name], at_ns) for name in ("position", "velocity_n")
             )
-            mat_nb = interpolated_attitude(true_ns, truth["mat_nb"], found.time_ns)
+            mat_nb = interpolated_attitude(true_ns, truth["mat_nb"], at_ns)
         turn = vector_from_mat(found.mat_nb @ np.swapaxes(mat_nb, 1, 2))
         return Solution(
             found.time_ns,

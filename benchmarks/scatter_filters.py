@@ -130,9 +130,11 @@ def with_larger_errors(found: History, exact: ReferenceColumns, factor: float) -
     """Multiply the errors of a trajectory by a factor."""
     if factor == 1.0:
         return found
-    position = interpolated(exact.time_ns, exact.position, found.time_ns)
-    velocity_n = interpolated(exact.time_ns, exact.velocity_n, found.time_ns)
-    mat_nb = interpolated_attitude(exact.time_ns, exact.mat_nb, found.time_ns)
+    # A run in which all stamps are a microsecond later ends behind the exact motion.
+    at_ns = np.minimum(found.time_ns, exact.time_ns[-1])
+    position = interpolated(exact.time_ns, exact.position, at_ns)
+    velocity_n = interpolated(exact.time_ns, exact.velocity_n, at_ns)
+    mat_nb = interpolated_attitude(exact.time_ns, exact.mat_nb, at_ns)
     turn = factor * vector_from_mat(found.mat_nb @ np.swapaxes(mat_nb, 1, 2))
     return replace(
         found,
