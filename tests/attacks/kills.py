@@ -17,7 +17,6 @@ SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 INTERRUPTED = 130
 BARE = "ended by the bare signal"
 """Before or after the program: as Python starts it prints a traceback of its own modules."""
-GATES = (ROOT / "examples" / "archive" / "gates.toml").read_text("utf-8")
 
 
 def commands(folder: Path) -> dict[str, list[str]]:
@@ -46,7 +45,8 @@ def fresh(folder: Path) -> None:
     for name in ("lost_beam", "transit"):
         shutil.copy(archive / "dives" / f"{name}.mcap", folder / "dives")
     shutil.copytree(archive / "expected", folder / "expected")
-    (folder / "gates.toml").write_text(GATES, "utf-8")
+    for settings in archive.glob("*.toml"):
+        shutil.copy(settings, folder)
 
 
 def durations(folder: Path) -> dict[str, float]:
@@ -55,8 +55,11 @@ def durations(folder: Path) -> dict[str, float]:
     taken_s = {}
     for name, command in commands(folder).items():
         start_s = time.monotonic()
-        started(command, folder / "said").wait(PATIENCE_S)
+        code = started(command, folder / "said").wait(PATIENCE_S)
         taken_s[name] = time.monotonic() - start_s
+        if code:
+            said = (folder / "said").read_text("utf-8", "replace")
+            raise RuntimeError(f"{name} fails without any signal: {said}")
     return taken_s
 
 
