@@ -128,8 +128,11 @@ def replayed(job: ReplayJob, name: str | None) -> "Replay":
     return replay
 
 
-def _require_same_log(job: ReplayJob, sha256: str) -> None:
+def _require_same_log(job: ReplayJob, replay: "Replay") -> None:
     """Refuse a log that is not the one which was meant, or by which the settings were found."""
+    if job.sha256 is None and not job.found_sha256:
+        return
+    sha256 = replay.dive.sha256
     if job.sha256 is not None and sha256 != job.sha256:
         raise LogError(
             f"{job.name}: the worker has another file there: its SHA-256 is {sha256}, where the replay "
@@ -166,7 +169,7 @@ def replay_into(job: ReplayJob) -> bytes:
     started_at = datetime.now(UTC).isoformat(timespec="seconds")
     start_s = time.perf_counter()
     replay = replayed(job, job.target.name)
-    _require_same_log(job, replay.dive.sha256)
+    _require_same_log(job, replay)
     with result_folder(job.target, force=job.replaces) as folder:
         save_replay(replay, folder, histories=options.histories)
         vehicle = options.vehicle.encode()
