@@ -138,6 +138,19 @@ def consistency_table(
     return rows
 
 
+def _may_last(
+    innovations: Innovations,
+    components: slice,
+    sensor_sd: Mapping[str, Floats],
+) -> bool:
+    """Return whether the errors of a held-out sensor may last, which makes them one sample.
+
+    If one is small by chance, or zero after an exact start, the data do not show that it lasts.
+    """
+    sd = sensor_sd[innovations.held_out_sensor]
+    return not _is_below_noise((innovations.innovation / sd)[:, components])
+
+
 def _rows_of_measurement(
     log: str,
     history: History,
@@ -165,12 +178,9 @@ def _rows_of_measurement(
             mean = _nis_verdict(nis * innovations.weight[met], dof, lasting)
         if mean.verdict == Consistency.CONSERVATIVE:
             if innovations.is_held_out:
-                sd = sensor_sd[innovations.held_out_sensor]
-                may_last = not _is_below_noise((innovations.innovation / sd)[:, components])
+                may_last = _may_last(innovations, components, sensor_sd)
             else:
                 may_last = measurement in SENSORS and repeats(correlation, limit)
-            # A lasting error is one sample. If it is small by chance, or zero after an exact start,
-            # the data do not show that it lasts.
             if may_last:
                 mean = mean._replace(verdict=Consistency.INSUFFICIENT, why=Reason.ONE_SAMPLE)
         yield ConsistencyRow(

@@ -297,6 +297,25 @@ class _Velocity:
         return self.velocity_n
 
 
+def _start_with(
+    cov: Floats,
+    given: _Given,
+    settings: _Settings,
+    pose: _Pose,
+    velocity: _Velocity,
+) -> Start:
+    """Return the state of the IMU at the start, with its covariance, (12, 12)."""
+    return Start(
+        position=_position_of_imu(given, settings, pose),
+        velocity_n=velocity.velocity_n,
+        mat_nb=pose.mat_nb,
+        cov=cov,
+        accel_bias_b=given.accel_bias_b,
+        gyro_bias_b=given.gyro_bias_b,
+        is_heading_sensed=pose.heading == HeadingSource.SENSOR,
+    )
+
+
 def _aligned(
     given: _Given,
     settings: _Settings,
@@ -330,18 +349,9 @@ def _aligned(
         is_sensed = pose.attitude == AttitudeSource.AHRS
         notes += _level_notes(pose.level, pose.mat_nb, cov, is_sensed=is_sensed)
     notes += _heading_notes(given, pose)
-    start = Start(
-        position=_position_of_imu(given, settings, pose),
-        velocity_n=velocity.velocity_n,
-        mat_nb=pose.mat_nb,
-        cov=cov,
-        accel_bias_b=given.accel_bias_b,
-        gyro_bias_b=given.gyro_bias_b,
-        is_heading_sensed=pose.heading == HeadingSource.SENSOR,
-    )
     return Alignment(
         start_ns=pose.start_ns,
-        start=start,
+        start=_start_with(cov, given, settings, pose, velocity),
         notes=tuple(notes),
         initial=initial,
         spread_cov=spread_cov,

@@ -6,7 +6,7 @@ becomes a sentence; compiled code neither raises nor checks that a column of H e
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -24,7 +24,7 @@ from insdvl_replay.core.dive_columns import (
     in_spans,
 )
 from insdvl_replay.core.errors import ConfigError, Note, UserError, error_context, listed
-from insdvl_replay.core.held_out import NOTHING, Span, Why
+from insdvl_replay.core.held_out import NOTHING, HeldOut, Span, Why
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.quantities import COMPONENTS
 from insdvl_replay.core.runtime import is_compiled, plain
@@ -74,6 +74,16 @@ _TOLERANCE: Final = 0.1
 _T = TypeVar("_T")
 
 
+def _plugins_of(filters: Sequence[ResolvedFilter]) -> list[str]:
+    """Return the measurements that filters name as ``module:Class``, each once."""
+    plugins: list[str] = []
+    for filter_ in filters:
+        for aid in filter_.aiding:
+            if ":" in aid and aid not in plugins:
+                plugins.append(aid)
+    return plugins
+
+
 def prepare_user_measurements(
     dive: Dive,
     config: Config,
@@ -87,11 +97,7 @@ def prepare_user_measurements(
 
     Their rows of the time line follow those of the ``sensors``, a number. Each prediction is tried at the start.
     """
-    plugins: list[str] = []
-    for filter_ in filters:
-        for aid in filter_.aiding:
-            if ":" in aid and aid not in plugins:
-                plugins.append(aid)
+    plugins = _plugins_of(filters)
     found = dict[str, Measurement]()
     notes = list[Note]()
     users = dict[str, UserMeasurement]()
@@ -318,6 +324,18 @@ class _Tried(NamedTuple):
     notes: list[Note]
 
 
+def _ins_off_by(error: Floats, start: Start) -> Floats:
+    """Return what user code sees of an INS at rest that is off by an error, shape (15,), in the order of H."""
+    mat_nb = start.mat_nb + skew(error[3:6]) @ start.mat_nb
+    ins = np.empty(INS_SIZE)
+    ins[0:3] = moved_position(start.position, error[12:15])
+    ins[3:6] = start.velocity_n + error[0:3]
+    ins[6:15] = mat_nb.ravel()
+    ins[15:18] = start.mat_nb.T @ np.array([0.0, 0.0, -9.8]) + error[6:9]
+    ins[18:21] = error[9:12]
+    return ins
+
+
 def _tried_prediction(
     plugin: str,
     user: UserMeasurement,
@@ -340,17 +358,9 @@ def _tried_prediction(
     predict = _uncompiled_prediction(plugin, user, hint)
 
     def predicted(error: Floats) -> tuple[Floats, Floats]:
-        """Return z and H of an INS that is off by an error, shape (15,), in the order of H, from a vehicle at rest."""
-        mat_nb = start.mat_nb + skew(error[3:6]) @ start.mat_nb
-        ins = np.empty(INS_SIZE)
-        ins[0:3] = moved_position(start.position, error[12:15])
-        ins[3:6] = start.velocity_n + error[0:3]
-        ins[6:15] = mat_nb.ravel()
-        ins[15:18] = start.mat_nb.T @ np.array([0.0, 0.0, -9.8]) + error[6:9]
-        ins[18:21] = error[9:12]
         z = np.zeros(size)
         H = np.zeros((size, count))
-        predict(ins, z, H)
+        predict(_ins_off_by(error, start), z, H)
         return z, H
 
     z, H = predicted(np.zeros(15))
@@ -421,6 +431,36 @@ def _jacobian_notes(
 # --- What is held back.
 
 
+@dataclass(frozen=True)
+class _Given:
+    """What user code is given of a dive."""
+
+    held_out: HeldOut
+    end_ns: int
+
+    def is_given(self, role: str) -> bool:
+        """Return whether user code sees a role at all, outside of outages."""
+        return self.held_out.why(role) in (None, Why.OUTAGE)
+
+    def rows(self, role: str, time_ns: TimeNs) -> Mask:
+        """Find the rows of a role that user code sees, by their times."""
+        known = np.asarray(time_ns <= self.end_ns)
+        if self.held_out.why(role) == Why.OUTAGE:
+            known &= ~in_spans(time_ns, self.held_out.outages)
+        return known
+
+    def columns(
+        self, by_name: Mapping[str, SensorColumns], roles: Mapping[str, str]
+    ) -> dict[str, SensorColumns]:
+        """Return the columns whose roles are given; a name without a role carries none."""
+        found = dict[str, SensorColumns]()
+        for name, columns in by_name.items():
+            role = roles.get(name, "")
+            if self.is_given(role):
+                found[name] = columns.rows(self.rows(role, columns.time_ns))
+        return found
+
+
 def given_dive(
     dive: Dive,
     config: Config,
@@ -435,42 +475,23 @@ def given_dive(
     held_out = config.held_out.in_outages(outages)
     if held_out == NOTHING:
         return dive
-
-    def is_given(role: str) -> bool:
-        return held_out.why(role) in (None, Why.OUTAGE)
-
-    def rows(role: str, time_ns: TimeNs) -> Mask:
-        known = np.asarray(time_ns <= end_ns)
-        if held_out.why(role) == Why.OUTAGE:
-            known &= ~in_spans(time_ns, held_out.outages)
-        return known
-
+    given = _Given(held_out, end_ns)
     reference = None
-    if dive.reference is not None and is_given("reference"):
-        reference = dive.reference.rows(rows("reference", dive.reference.time_ns))
+    if dive.reference is not None and given.is_given("reference"):
+        reference = dive.reference.rows(given.rows("reference", dive.reference.time_ns))
     solutions = dict[str, SolutionColumns]()
     for name, solution in dive.solutions.items():
         role = solution_role(name)
-        if is_given(role):
-            solutions[name] = solution.where(partial(rows, role))
-    sensors = dict[str, SensorColumns]()
-    for name, columns in dive.sensors.items():
-        if is_given(name):
-            sensors[name] = columns.rows(rows(name, columns.time_ns))
-    topics = dict[str, SensorColumns]()
-    carried = _carried_roles(dive, config)
-    for name, columns in dive.topics.items():
-        role = carried.get(name, "")
-        if is_given(role):
-            topics[name] = columns.rows(rows(role, columns.time_ns))
+        if given.is_given(role):
+            solutions[name] = solution.where(partial(given.rows, role))
     return replace(
         dive,
         imu=dive.imu.within(int(dive.imu.time_ns[0]), end_ns),
-        dvl=dive.dvl.rows(rows("dvl", dive.dvl.time_ns)),
+        dvl=dive.dvl.rows(given.rows("dvl", dive.dvl.time_ns)),
         reference=reference,
-        sensors=sensors,
+        sensors=given.columns(dive.sensors, {name: name for name in dive.sensors}),
         solutions=solutions,
-        topics=topics,
+        topics=given.columns(dive.topics, _carried_roles(dive, config)),
     )
 
 

@@ -530,21 +530,8 @@ class _Fit:
         row_s = row_s[kept]
         middle_s = 0.5 * float(row_s[0] + row_s[-1])
         scores = _Scores(motion, values, row_s, of_block, rows.are_turns, middle_s)
-        scores.mount(lag_s)
-        shift_s = lag_s
-        drift = 0.0
-        is_settled = False
-        for _ in range(_ROUNDS):
-            step = scores.at(shift_s, drift)
-            change_s = float(np.clip(step.change[0], -STEP_S, STEP_S))
-            if not abs(shift_s + change_s - lag_s) < _MARGIN_S:
-                break
-            shift_s += change_s
-            drift += float(step.change[1])
-            sd_s = float(np.linalg.inv(step.information)[0, 0]) ** 0.5
-            is_settled = abs(change_s) < 0.1 * sd_s
-            if is_settled:
-                break
+        found = _iterated(scores, lag_s)
+        step = found.step
         if not step.variance > 0.0:
             return None  # what is the same at all times fits anywhere
         half_s = 0.5 * float(row_s[-1] - row_s[0])
@@ -555,11 +542,11 @@ class _Fit:
             lag_s=lag_s,
             at_s=middle_s,
             half_s=half_s,
-            imu_s=middle_s + shift_s,
-            drift=drift,
+            imu_s=middle_s + found.shift_s,
+            drift=found.drift,
             information=np.linalg.inv(covariance),
             are_turns=rows.are_turns,
-            is_settled=is_settled,
+            is_settled=found.is_settled,
             variance=step.variance,
             independent=step.independent,
         )
@@ -589,6 +576,36 @@ class _Step:
     information: Floats  # (2, 2)
     variance: float  # of what is left
     independent: float  # numbers
+
+
+@dataclass(frozen=True)
+class _Iterated:
+    """Lag and drift after some fits, each from where the one before ended."""
+
+    shift_s: float
+    drift: float
+    step: _Step  # the last fit
+    is_settled: bool
+
+
+def _iterated(scores: "_Scores", lag_s: float) -> _Iterated:
+    """Fit lag and drift near a first lag until they hardly change."""
+    scores.mount(lag_s)
+    shift_s = lag_s
+    drift = 0.0
+    is_settled = False
+    for _ in range(_ROUNDS):
+        step = scores.at(shift_s, drift)
+        change_s = float(np.clip(step.change[0], -STEP_S, STEP_S))
+        if not abs(shift_s + change_s - lag_s) < _MARGIN_S:
+            break
+        shift_s += change_s
+        drift += float(step.change[1])
+        sd_s = float(np.linalg.inv(step.information)[0, 0]) ** 0.5
+        is_settled = abs(change_s) < 0.1 * sd_s
+        if is_settled:
+            break
+    return _Iterated(shift_s, drift, step, is_settled)
 
 
 class _Scores:
