@@ -1,6 +1,7 @@
 """What the public benchmark finds of the paper's method, in sentences whose numbers are those of the results."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import msgspec
@@ -47,14 +48,24 @@ def dives_of(name: str, count: int) -> str:
     return f"{number} {WORDS['dives'].get(name, f'{{}} of {name}').format(noun)}"
 
 
-def acts_on_dives(cell: Cell, quantity: str) -> list[float]:
-    """Return how far a candidate moves an error, as a share of it, on each dive."""
-    shares = []
+@dataclass(frozen=True)
+class Moved:
+    """How far a candidate moves an error on the dives that measure it."""
+
+    moves: list[float]  # root mean square, in the unit of the quantity
+    shares: list[float]  # of the baseline's error
+
+
+def moved_on_dives(cell: Cell, quantity: str) -> Moved:
+    """Return how far a candidate moves an error on each dive that has this row."""
+    moved = Moved([], [])
     for report in cell.reports.values():
         for row in report.tables.evidence:
-            if (row.filter, row.quantity) == (cell.candidate, quantity):
-                shares.append(finite(row.acts))
-    return [share for share in shares if np.isfinite(share)]
+            is_asked = (row.filter, row.quantity) == (cell.candidate, quantity)
+            if is_asked and np.isfinite(finite(row.acts)):
+                moved.moves.append(finite(row.moves))
+                moved.shares.append(finite(row.acts))
+    return moved
 
 
 def quote(sets: Mapping[str, Sequence[Cell]]) -> str:
@@ -90,12 +101,15 @@ def _how_far(cell: Cell) -> list[str]:
     row = cell.decisive
     if row.evidence != "outage":
         return []
-    on_track = acts_on_dives(cell, "position")
+    on_track = moved_on_dives(cell, "position")
     said = []
-    if on_track:
+    if on_track.shares:
+        usual_m = float(np.median(on_track.moves))
+        usual_share = float(np.median(on_track.shares))
         said.append(
-            f"It moves the track by {share_text(float(np.median(on_track)))} of its error in the "
-            f"median, and by {share_text(max(on_track))} at most."
+            f"It moves the track by {1e3 * usual_m:.1f} mm in the median, which is "
+            f"{share_text(usual_share)} of its error, and by {1e3 * max(on_track.moves):.1f} mm or "
+            f"{share_text(max(on_track.shares))} at most."
         )
     if cell.answer is None or cell.answer.verdict not in EQUAL:
         return said
