@@ -23,6 +23,7 @@ from built_in import (
 )
 from scipy.stats import norm
 
+from insdvl_replay.calibration import noise
 from insdvl_replay.calibration.calibration import Calibration, calibrate, held_out_row
 from insdvl_replay.calibration.certainty import (
     BEAM_ERRORS,
@@ -48,6 +49,7 @@ from insdvl_replay.calibration.innovations import (
     NAMES,
     PARAMETERS,
     PRIOR_SD,
+    DiveInnovations,
     read_dive,
 )
 from insdvl_replay.calibration.noise import (
@@ -56,6 +58,8 @@ from insdvl_replay.calibration.noise import (
     UNSURE,
     FittedNoise,
     determined_noise,
+    fit_noise,
+    levelled,
     nis_per_dof,
     noise_of,
     relative_sds,
@@ -134,13 +138,13 @@ def test_noise_of_healthy_sensors_is_found(grade: str) -> None:
         found = calibrated(
             built_in_otherwise("calibration", seed, DvlErrors(), config=config, grade=grade)
         )
-        noise = found.noise.after
+        after = found.noise.after
         assert {row.status for row in found.noise_rows} == {Estimated.ESTIMATED}
-        assert noise["beam_sd_mps"] == pytest.approx(DvlErrors().beam_sd_mps, rel=0.1)
-        assert abs(np.log(noise["accel_white_mps_rts"] / sensors.accel_white_mps_rts)) < np.log(
+        assert after["beam_sd_mps"] == pytest.approx(DvlErrors().beam_sd_mps, rel=0.1)
+        assert abs(np.log(after["accel_white_mps_rts"] / sensors.accel_white_mps_rts)) < np.log(
             2.0
         )
-        assert abs(np.log(noise["gyro_white_rad_rts"] / sensors.gyro_white_rad_rts)) < np.log(4.0)
+        assert abs(np.log(after["gyro_white_rad_rts"] / sensors.gyro_white_rad_rts)) < np.log(4.0)
 
 
 @pytest.mark.nightly
@@ -220,14 +224,69 @@ def test_slow_errors_that_explain_innovations_leave_noise_undetermined() -> None
         add_errors(exact_dive("static", duration_s=60.0), GRADES["fog"], WHITE, 1), QUIET
     ).innovations()
     before = noise_of(dive.filter)
-    noise, none = FittedNoise(before, before), np.zeros(len(NAMES))
-    sure, unsure = (relative_sds(noise, [dive], [none], nis) for nis in (0.0, 30.0))
+    as_before, none = FittedNoise(before, before), np.zeros(len(NAMES))
+    sure, unsure = (relative_sds(as_before, [dive], [none], nis) for nis in (0.0, 30.0))
     assert (unsure > sure).all()
-    kept, rows = determined_noise(noise, [dive], [none], 30.0, QUIET.filters["baseline"])
+    kept, rows = determined_noise(as_before, [dive], [none], 30.0, QUIET.filters["baseline"])
     status = {row.parameter: row.status for row in rows}
     assert status["accel_white_mps_rts"] == Estimated.NOT_DETERMINED
     assert kept.after["accel_white_mps_rts"] == before["accel_white_mps_rts"]
     assert status["beam_sd_mps"] == Estimated.ESTIMATED
+
+
+def still_dive() -> DiveInnovations:
+    read = add_errors(exact_dive("static", duration_s=60.0), GRADES["fog"], WHITE, 1)
+    return as_read(read, QUIET).innovations()
+
+
+@pytest.mark.parametrize("factor", [0.25, 4.0])
+def test_levelled_noise_has_a_mean_nis_of_its_degrees_of_freedom(factor: float) -> None:
+    dive = still_dive()
+    none = np.zeros(len(NAMES))
+    before = noise_of(dive.filter)
+    configured = {key: factor * value for key, value in before.items()}
+    found = levelled(FittedNoise(configured, configured), [dive], [none])
+    assert nis_per_dof(found.applied(dive), none) == pytest.approx(1.0, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"), [(0.09, Estimated.ESTIMATED), (0.11, Estimated.NOT_DETERMINED)]
+)
+def test_noise_of_the_imu_is_undetermined_where_slow_errors_explain_a_tenth_of_the_nis(
+    share: float, expected: Estimated, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the likelihood alone would be sure of it."""
+    monkeypatch.setattr(noise, "relative_sds", lambda *_: np.full(3, 0.1))
+    dive = still_dive()
+    before = noise_of(dive.filter)
+    _, rows = determined_noise(
+        FittedNoise(before, before),
+        [dive],
+        [np.zeros(len(NAMES))],
+        share * 3.0 * dive.count,
+        QUIET.filters["baseline"],
+    )
+    status = {row.parameter: row.status for row in rows}
+    assert status["accel_white_mps_rts"] == expected
+    assert status["beam_sd_mps"] == Estimated.ESTIMATED
+
+
+def test_dives_contradict_a_noise_that_is_less_likely_by_three_standard_deviations() -> None:
+    dive = still_dive()
+    changes = [np.zeros(len(NAMES))]
+    before = noise_of(dive.filter)
+    fitted = fit_noise([dive], changes)
+    search = noise._Search.of(before, [dive], changes)
+    least = search.likelihood(fitted.after)
+    contradicted = {}
+    for factor in np.geomspace(1.0, 2.0, 25):
+        after = fitted.after | {"beam_sd_mps": factor * fitted.after["beam_sd_mps"]}
+        less_likely_by = search.likelihood(after) - least
+        proposed = FittedNoise(before, after)
+        contradicted[less_likely_by] = noise._contradicts(proposed, fitted, [dive], changes)
+    assert contradicted == {by: by > 9.0 for by in contradicted}
+    assert any(1.0 < by <= 9.0 for by in contradicted)
+    assert any(by > 9.0 for by in contradicted)
 
 
 def test_next_to_a_noise_that_no_gyro_has_the_others_are_of_the_class_of_the_imu_and_a_limit() -> (

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from insdvl_replay.calibration import fit
 from insdvl_replay.calibration.fit import AXES, likeliest_mounting
 from insdvl_replay.calibration.free_mounting import (
     CLEARLY,
@@ -65,6 +66,22 @@ def test_dvl_looks_down_where_motion_does_not_tell_it_from_one_upside_down() -> 
         angle_between(level.likeliest, mat_from_rpy(np.array([0.0, 0.0, 60.0]) * DEG)) < 4.0 * DEG
     )
     assert {round(level.tilt(mat)) for mat in level.minima} == {-1, 1}
+
+
+def test_of_mountings_that_are_about_as_likely_the_first_that_looks_down_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One that is on its side, 75 deg, does not look down, and one that is clearly less likely is not asked."""
+    tried = [
+        fit.TriedMounting((180.0, 0.0, 60.0), 100.0),
+        fit.TriedMounting((75.0, 0.0, 0.0), 100.1),
+        fit.TriedMounting((0.0, 0.0, 60.0), 100.2),
+        fit.TriedMounting((0.0, 0.0, 0.0), 1000.0),
+    ]
+    monkeypatch.setattr(fit, "tried_mountings", lambda _: tried)
+    assert likeliest_mounting([]) == (0.0, 0.0, 60.0)
+    monkeypatch.setattr(fit, "tried_mountings", lambda _: [tried[0], tried[3]])
+    assert likeliest_mounting([]) == (180.0, 0.0, 60.0)
 
 
 @pytest.mark.nightly
