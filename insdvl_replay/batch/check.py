@@ -12,11 +12,12 @@ from insdvl_replay.batch.replaying import Replaying, unheard
 from insdvl_replay.batch.search import outcomes
 from insdvl_replay.changes.expected import require_expected, write_expected
 from insdvl_replay.changes.findings import Checked, CheckResult, Finding
+from insdvl_replay.changes.formats import badge_json
 from insdvl_replay.changes.gate_file import Gates, require_known_filters
 from insdvl_replay.changes.gates import checked_results, compare_with_expected, evaluate_gates
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.results.folder import COMPLETE
+from insdvl_replay.results.folder import COMPLETE, result_file
 
 Load = Callable[[Path | None], Config]
 """Loads settings, with a dive's own file of them if it has one."""
@@ -127,6 +128,12 @@ def checked_dives(
         for file in write_expected(check.gates, dives):
             listener.stored(file)
     return evaluate_gates(check.gates, dives)
+
+
+def write_badge(found: CheckResult, file: Path) -> None:
+    """Write the counts of the outcomes as a badge, in place of an older one."""
+    with result_file(file, force=True) as made:
+        made.write_bytes(badge_json(found))
 
 
 def _results_of(

@@ -17,7 +17,7 @@ from insdvl_replay.changes.findings import (
     UnexpectedFilter,
 )
 from insdvl_replay.core.errors import counted, visible, visible_lines
-from insdvl_replay.core.report import Tool, this_tool
+from insdvl_replay.core.report import Tool, as_json, this_tool
 from insdvl_replay.core.words import GateStatus
 from insdvl_replay.document.parts import (
     Block,
@@ -138,13 +138,18 @@ def check_sentence(found: CheckResult) -> str:
     """Return the counts of the gates' outcomes, in one sentence."""
     dives = {item.dive for item in found.outcomes} - {EVERY_DIVE}
     gates = {item.gate for item in found.outcomes}
+    where = counted(len(dives), "dive") if dives else "all dives together"
+    return f"{counted(len(gates), 'gate')} on {where}: {', '.join(_counts_in_words(found))}"
+
+
+def _counts_in_words(found: CheckResult) -> list[str]:
+    """Return the number of outcomes of each status that there is, such as ``2 failed``."""
     counts = list[str]()
     for status, (_, word, _) in WORDS.items():
         count = found.count(status)
         if count:
             counts.append(f"{count} {word}")
-    where = counted(len(dives), "dive") if dives else "all dives together"
-    return f"{counted(len(gates), 'gate')} on {where}: {', '.join(counts)}"
+    return counts
 
 
 def _trajectory_counts(found: CheckResult) -> list[str]:
@@ -305,6 +310,33 @@ def _property(text: str) -> str:
 
 def _escaped(text: str) -> str:
     return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+class Badge(Struct, frozen=True, rename={"schema_version": "schemaVersion"}):
+    """The outcome as the endpoint badge of shields.io reads it.
+
+    Source: https://shields.io/badges/endpoint-badge.
+    """
+
+    schema_version: int
+    label: str
+    message: str
+    color: str
+
+
+def badge_json(found: CheckResult) -> bytes:
+    """Write the counts of the gates' outcomes for a badge."""
+    return as_json(Badge(1, "gates", ", ".join(_counts_in_words(found)), _badge_color(found)))
+
+
+def _badge_color(found: CheckResult) -> str:
+    if _has_errors(found):
+        return "red"
+    if found.count(GateStatus.WARNING):
+        return "yellow"
+    if found.count(GateStatus.PASSED):
+        return "brightgreen"
+    return "lightgrey"  # all gates are off
 
 
 # --- New expected values.

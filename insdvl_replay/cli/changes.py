@@ -229,6 +229,12 @@ def check(
             "--summary-file", metavar="FILE", help="Append the output to this file as Markdown."
         ),
     ] = None,
+    badge: Annotated[
+        Path | None,
+        typer.Option(
+            "--badge", metavar="FILE", help="Write the counts as JSON for a badge of shields.io."
+        ),
+    ] = None,
     only: Annotated[
         list[str],
         typer.Option(
@@ -269,8 +275,9 @@ def check(
       insdvl-replay check gates.toml --jobs 4 --format junit --output gates.xml
       insdvl-replay check gates.toml replay/dive
       insdvl-replay check gates.toml --only "position*" --shard 1/4
+      insdvl-replay check gates.toml --badge badge.json
     """
-    from insdvl_replay.batch.check import Listener, checked_dives, plan_check
+    from insdvl_replay.batch.check import Listener, checked_dives, plan_check, write_badge
     from insdvl_replay.changes.formats import check_sentence, update_text
     from insdvl_replay.changes.gate_file import chosen_gates, load_gates, settings_of
     from insdvl_replay.cli.screen import fetch_with_progress, replaying
@@ -289,7 +296,8 @@ def check(
         allow_damaged=allow_damaged,
         histories=histories,
     )
-    for option, file in (("--output", output), ("--summary-file", summary)):
+    files = {"--output": output, "--summary-file": summary, "--badge": badge}
+    for option, file in files.items():
         if file is not None:
             with error_context(option):
                 _require_no_input(file, planned.inputs)
@@ -315,6 +323,8 @@ def check(
         update=update,
     )
     _print_check(found, format_, output, summary, quiet=quiet)
+    if badge is not None:
+        write_badge(found, badge)
     if found.count(GateStatus.FAILED):
         codes.append(GATE_FAILED)
     # None is missed where no gate is about the dive that cannot be used, which was reported above.

@@ -23,6 +23,7 @@ from insdvl_replay.changes.findings import CheckResult, GateOutcome
 from insdvl_replay.changes.formats import (
     MOST_ANNOTATIONS,
     CheckReport,
+    badge_json,
     github_annotations,
     junit_xml,
 )
@@ -561,7 +562,7 @@ def test_quiet_is_a_line(team: Path) -> None:
 # --- Output.
 
 
-@pytest.mark.parametrize("option", ["--output", "--summary-file"])
+@pytest.mark.parametrize("option", ["--output", "--summary-file", "--badge"])
 @pytest.mark.parametrize("name", ["gates.toml", "dives/transit.mcap", "dives"])
 def test_what_is_checked_is_not_written_over(option: str, name: str, team: Path) -> None:
     before = (team / "dives" / "transit.mcap").read_bytes()
@@ -615,6 +616,28 @@ def test_junit_is_valid_and_counts_each_kind() -> None:
         ["error"], ["failure"], ["failure"], ["skipped"], ["skipped"], [],
     ]  # fmt: skip
     assert suite[1][0].text == "a < b & \\x1b[0m\nc\ngates.toml:7"
+
+
+@pytest.mark.parametrize(
+    ("statuses", "message", "color"),
+    [
+        (("passed", "passed", "off"), "1 off, 2 passed", "brightgreen"),
+        (("warning", "passed"), "1 with a warning, 1 passed", "yellow"),
+        (("failed", "warning", "passed"), "1 failed, 1 with a warning, 1 passed", "red"),
+        (("unusable", "passed"), "1 without a result, 1 passed", "red"),
+        (("off",), "1 off", "lightgrey"),
+    ],
+)
+def test_a_badge_is_what_shields_reads(statuses: Sequence[str], message: str, color: str) -> None:
+    badge = json.loads(badge_json(judged(*statuses)))
+    assert badge == {"schemaVersion": 1, "label": "gates", "message": message, "color": color}
+
+
+def test_a_badge_is_written_in_place_of_an_older_one(team: Path) -> None:
+    for gates, color, code in ((PASSING, "brightgreen", 0), (FAILING, "red", 1)):
+        done = check(team, gates, "checked", "--badge", "badge.json")
+        assert done.returncode == code
+        assert json.loads((team / "badge.json").read_bytes())["color"] == color
 
 
 def test_junit_has_a_case_for_each_dive_and_gate(team: Path) -> None:
