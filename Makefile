@@ -85,6 +85,7 @@ bench: .venv/bench.stamp
 	$(BIN)/python benchmarks/outages.py
 	$(BIN)/python benchmarks/nees_intervals.py
 	$(BIN)/python benchmarks/batch.py
+	$(BIN)/python benchmarks/lake.py
 	$(BIN)/python benchmarks/whole_run.py
 
 # What `calibrate` must be able to do, line by line; takes some ten minutes.
@@ -123,6 +124,7 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema comparison > schemas/comparison.schema.json
 	$(BIN)/insdvl-replay schema calibration > schemas/calibration.schema.json
 	$(BIN)/insdvl-replay schema check > schemas/check.schema.json
+	$(BIN)/insdvl-replay schema history > schemas/history.schema.json
 	$(BIN)/insdvl-replay schema start > schemas/start.schema.json
 	$(BIN)/python docs/generate/row_messages.py
 

@@ -608,6 +608,7 @@ def check(
     *,
     results: Text = "checked",
     update: bool = False,
+    badge: Text | None = None,
 ) -> "CommandResult":
     """Check dives against gates: table gates has the status of each gate on each dive.
 
@@ -623,6 +624,8 @@ def check(
         Folder for the results of logs, which are replayed if something has changed.
     update : bool
         Store the values of the dives as expected before the gates are evaluated, as ``--update`` does.
+    badge : str or Path, optional
+        A file that gets the counts as JSON for a badge of shields.io, as ``--badge`` writes it.
 
     Raises
     ------
@@ -632,7 +635,7 @@ def check(
     ResultError
         A result that was given cannot be read.
     """
-    from insdvl_replay.batch.check import checked_dives, plan_check
+    from insdvl_replay.batch.check import checked_dives, plan_check, write_badge
     from insdvl_replay.batch.manifest import fetch_dives
     from insdvl_replay.batch.replaying import Replaying
     from insdvl_replay.changes.formats import check_result
@@ -648,7 +651,50 @@ def check(
     outcome = checked_dives(
         planned, _path("results", results), Replaying(force=True), fetch_dives, update=update
     )
+    if badge is not None:
+        write_badge(outcome, _path("badge", badge))
     return CommandResult(check_result(outcome))
+
+
+def history(lake: Text, quantity: str = "") -> "CommandResult":
+    """Return how each filter did over the versions in a lake, and where that changed: tables step and version.
+
+    Parameters
+    ----------
+    lake : str or Path
+        The folder that ``run --lake`` wrote.
+    quantity : str
+        The quantity whose ratio it is. Default: the one that decides, for each filter.
+
+    Raises
+    ------
+    ConfigError
+        It is no lake, the quantity is not known, or pyarrow is not installed.
+    ResultError
+        The lake has no ratio of the quantity.
+    """
+    from insdvl_replay.show.history import history_result
+
+    return CommandResult(history_result(_path("lake", lake), quantity))
+
+
+def compact_lake(lake: Text) -> "CommandResult":
+    """Join the files of a lake into one, and return how many there were: table lake.
+
+    Parameters
+    ----------
+    lake : str or Path
+        The folder that ``run --lake`` wrote.
+
+    Raises
+    ------
+    ConfigError
+        It is no lake, cannot be written, or pyarrow is not installed.
+    """
+    from insdvl_replay.results.lake import compact_lake as _compact_lake
+    from insdvl_replay.show.lake import compacted_result
+
+    return CommandResult(compacted_result(_compact_lake(_path("lake", lake))))
 
 
 # --- Results.

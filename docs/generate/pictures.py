@@ -6,7 +6,10 @@ Those of the Monte Carlo and window studies come with `make reproduce`, which ha
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from example_lake import write_example_lake
 from flow_picture import flow_picture
 from verdict_picture import verdict_picture
 from written import PROJECT
@@ -16,6 +19,7 @@ from insdvl_replay.document.parts import Figure, Result
 from insdvl_replay.document.plot import sheet_svg
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
+from insdvl_replay.show.history import history_result
 from insdvl_replay.show.plots.all_plots import replay_figures
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.studies.montecarlo import PICTURES as ENSEMBLE_PICTURES
@@ -53,7 +57,16 @@ def track(replay: Replay) -> bytes:
     return sheet_svg(replace(motion, panels=(motion.panels[0], motion.panels[2])))
 
 
+def history() -> bytes:
+    """Draw the ratios over the versions in the lake of the page on it."""
+    with TemporaryDirectory() as name:
+        lake = Path(name) / "lake"
+        write_example_lake(lake)
+        return sheet_svg(history_result(lake).figures["history"])
+
+
 PICTURES: dict[str, Callable[[], bytes]] = {
+    "docs/history.svg": history,
     "docs/straight_sigma.svg": lambda: sigmas(sample("straight")),
     "docs/figure_eight_sigma.svg": lambda: sigmas(sample("figure_eight")),
     "docs/figure_eight_track.svg": lambda: track(sample("figure_eight")),

@@ -12,11 +12,20 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from example_lake import write_example_lake
 from written import PROJECT
 
 PAGES = tuple(
     PROJECT / "docs" / f"{name}.md"
-    for name in ("first_run", "vehicle", "calibration", "verdict", "comparing", "own_filter")
+    for name in (
+        "first_run",
+        "vehicle",
+        "calibration",
+        "verdict",
+        "comparing",
+        "own_filter",
+        "lake",
+    )
 )
 SCREEN = re.compile(
     r"(?<=<!-- screen: written by make readme -->\n)```console\n(.*?)```\n(?=<!-- end of screen -->)",
@@ -53,6 +62,7 @@ def written() -> Iterator[tuple[Path, str]]:
         folder = Path(name)
         for below in ("sample_logs", "examples"):
             (folder / below).symlink_to(PROJECT / below)
+        write_example_lake(folder / "lake")
         for page in PAGES:
             yield page, SCREEN.sub(lambda block: screen(block[1], folder), page.read_text("utf-8"))
 

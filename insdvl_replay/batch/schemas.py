@@ -12,6 +12,7 @@ SCHEMAS = (
     "comparison",
     "calibration",
     "check",
+    "history",
     "start",
 )
 """Everything with a JSON schema: the settings, `report.json` of a replay and of a study, and the `--format json` output
@@ -67,7 +68,14 @@ def json_schema(name: str) -> bytes:
         from insdvl_replay.nav.user_candidate import StartFile
 
         kinds[name] = StartFile
-    schema = msgspec.json.schema(kinds[name]) if name in kinds else result_schema(CALIBRATION)
+    if name in kinds:
+        schema = msgspec.json.schema(kinds[name])
+    elif name == "history":
+        from insdvl_replay.show.history import TABLES as HISTORY
+
+        schema = result_schema(HISTORY)
+    else:
+        schema = result_schema(CALIBRATION)
     title = name
     if name == "config":
         title = "configuration"

@@ -7,7 +7,6 @@ found have one of their own.
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from insdvl_replay.batch.fitted_noise import with_fitted_noise
@@ -20,7 +19,7 @@ from insdvl_replay.core.errors import Note, TargetError, UserError
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.settings_layers import SettingsLayers
-from insdvl_replay.results.folder import add_to_lake, require_lake
+from insdvl_replay.results.lake import LakeWriter, require_lake
 
 if TYPE_CHECKING:
     # Heavy, and often there is nothing to search.
@@ -44,19 +43,26 @@ def with_search(
 def outcomes(
     dives: Sequence[ReplayJob],
     how: Replaying,
-    lake: Path | None = None,  # a folder that also gets the evidence of all dives
+    lake: LakeWriter | None = None,  # that also gets the evidence of all dives
 ) -> Generator[Outcome, None, None]:
     """Replay what has changed; settings are found for dives that need some, where that is allowed."""
-    if lake is not None:
-        require_lake(lake, {dive.target.parent for dive in dives})
+    if lake is None:
+        yield from _outcomes(dives, how)
+        return
+    require_lake(lake.lake, {dive.target.parent for dive in dives})
+    with closing(lake), closing(_outcomes(dives, how)) as replays:
+        for outcome in replays:
+            if isinstance(outcome.result, Report):
+                lake.add(outcome.result)
+            yield outcome
+
+
+def _outcomes(dives: Sequence[ReplayJob], how: Replaying) -> Generator[Outcome, None, None]:
     hints = _SearchHints(how.say)
     for replays in _parts(dives, how):
         with closing(replays):
             for outcome in replays:
-                hinted = hints.added(outcome)
-                if lake is not None and isinstance(hinted.result, Report):
-                    add_to_lake(lake, hinted.result)
-                yield hinted
+                yield hints.added(outcome)
 
 
 def _parts(dives: Sequence[ReplayJob], how: Replaying) -> list[Generator[Outcome, None, None]]:

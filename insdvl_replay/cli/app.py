@@ -7,6 +7,7 @@ import typer
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.analyses import calibrate, inspect, study
 from insdvl_replay.cli.changes import check, compare, plan
+from insdvl_replay.cli.lake import history, lake
 from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.run import run
 from insdvl_replay.cli.utilities import compile_, config, explain, figure, schema, simulate
@@ -23,6 +24,7 @@ for command in (
     run,
     compare,
     check,
+    history,
     plan,
     inspect,
     calibrate,
@@ -35,6 +37,7 @@ for command in (
     app.command(cls=opt.PlainCommand)(command)
 app.command("compile", cls=opt.PlainCommand)(compile_)
 app.add_typer(study, name="study")
+app.add_typer(lake, name="lake")
 
 
 def _print_version(wanted: bool) -> None:

@@ -14,6 +14,8 @@ from insdvl_replay.core.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from insdvl_replay.results.lake import LakeWriter
+
 _COMPARE_AFTERWARDS = "use `insdvl-replay compare` afterwards"
 
 
@@ -95,6 +97,15 @@ def run(
             help="Also write the evidence of each dive into this folder, a Parquet dataset of many runs.",
         ),
     ] = None,
+    revision: Annotated[
+        str,
+        typer.Option(
+            "--revision",
+            metavar="NAME",
+            show_default=False,
+            help="With --lake: name this version of filters, code and settings, such as by its commit, for `history`.",
+        ),
+    ] = "",
     against: Annotated[
         list[str],
         typer.Option(
@@ -146,7 +157,7 @@ def run(
       insdvl-replay run dive.mcap --tum --kml --geojson
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
       insdvl-replay run dives/*.mcap -c vehicle.toml --against dvl.beam_sd_mps=0.006
-      insdvl-replay run archive --lake lake
+      insdvl-replay run archive --lake lake --revision v1.3
     """
     from insdvl_replay.batch.against import plan_against
     from insdvl_replay.batch.dive_paths import find_dives
@@ -164,6 +175,7 @@ def run(
         require_parquet("--history parquet", "--history csv")
     require_tables(tables)
     _require_together(against, fail_on, tables, strict=strict)
+    added = _lake_writer(lake, revision, against)
     given = [*settings, *opt.span_settings(start, end, starts)]
     layers = SettingsLayers(preset, config, given, allow_code)
     options = ReplayOptions(
@@ -186,7 +198,7 @@ def run(
         sides = plan_against(
             found, output, options, layers, against, fetch, how, one_dive=one_dive
         )
-        replays = outcomes(sides.jobs, how, lake)
+        replays = outcomes(sides.jobs, how, added)
         return answer_against(sides, replays, limit, format_, verbose, quiet=quiet)
     configs = {file: layers.load(file) for file in {dive.settings for dive in found}}
     dives = plan_jobs(fetch(found), output, options, configs, one_dive=one_dive)
@@ -196,7 +208,7 @@ def run(
         _require_no_table_over_dives(tables, str(dives[0].name))
     screen = RunScreen(dives, output, Wanted(format_, tables, verbose, quiet, strict))
     # An interrupt may come here, and the workers must end before this process.
-    with closing(outcomes(dives, how, lake)) as replays:
+    with closing(outcomes(dives, how, added)) as replays:
         for outcome in replays:
             screen.add(outcome)
     return screen.finish()
@@ -224,6 +236,24 @@ def _require_together(
         raise ConfigError("--against: does not work with --table", _COMPARE_AFTERWARDS)
     if against and strict:
         raise ConfigError("--against: does not work with --strict", _COMPARE_AFTERWARDS)
+
+
+def _lake_writer(
+    lake: Path | None, revision: str, against: "Sequence[str]"
+) -> "LakeWriter | None":
+    """Return what adds replays to a lake. Raise a ConfigError for a name of a version that nothing would keep apart."""
+    from insdvl_replay.results.lake import LakeWriter, require_revision
+
+    if revision and lake is None:
+        raise ConfigError("--revision: works with --lake only", "--lake lake")
+    if revision and against:
+        raise ConfigError(
+            "--revision: does not work with --against, which has two versions", "leave it out"
+        )
+    if lake is None:
+        return None
+    require_revision(revision)
+    return LakeWriter(lake, revision)
 
 
 def _tracks(*, tum: bool, kml: bool, geojson: bool) -> tuple[str, ...]:

@@ -538,8 +538,19 @@ class LakeRow(EvidenceRow, frozen=True, kw_only=True):
     """A row of evidence in the dataset of ``run --lake``, with what identifies its replay."""
 
     filter_verdict: Annotated[str, Col("Verdict on the filter by this dive.")]
-    log_sha256: Annotated[str, Col("SHA-256 of the log, and of config.toml of the result.")]
+    vehicle: Annotated[str, Col("The vehicle that made the dive; empty: nobody said.")]
+    replay: Annotated[
+        str,
+        Col(
+            "Identifies the replay: digest of log, settings, code, version and revision. The next four say which these "
+            "are: SHA-256 of the log, of config.toml, and of your code (empty without), and the name that --revision "
+            "gave."
+        ),
+    ]
+    log_sha256: str
     settings_sha256: str
+    code_sha256: str
+    revision: str
     version: Annotated[str, Col("Version of the tool, and start of the replay (UTC, ISO 8601).")]
     started_at: str
 

@@ -115,6 +115,7 @@ FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
     "value": partial(significant, digits=3),
     "signed_percent": signed_percent,
     "share": share_text,
+    "day": lambda stamp: stamp[: len("2026-01-31")],
     **{str(digits): partial(decimal, digits=digits) for digits in range(5)},
 }
 

@@ -36,7 +36,7 @@ class Interval(NamedTuple):
     ratio: float  # geometric mean
     low: float
     high: float
-    low_always: float  # 95 % for all looks together
+    low_always: float  # for all looks together
     high_always: float
     dives: int  # with a finite ratio
     vehicles: int
@@ -49,6 +49,7 @@ def log_ratio_interval(
     *,
     level: float = LEVEL,
     vehicles: Sequence[str] | None = None,
+    level_always: float = LEVEL,
 ) -> Interval:
     """Return the interval of the mean logarithm of several dives.
 
@@ -61,6 +62,8 @@ def log_ratio_interval(
     vehicles : sequence of str, optional
         The vehicle of each dive. From three vehicles on, each mean over a vehicle's dives is one sample. Two vehicles
         have equal weight, and the scatter is that of the dives within them.
+    level_always : float
+        Confidence of the interval for every look.
     """
     logs = np.asarray(log_ratios, np.float64)
     if vehicles is None:
@@ -76,7 +79,7 @@ def log_ratio_interval(
     if n < FEWEST_DIVES or not freedom >= 1.0:
         return Interval(ratio, NAN, NAN, NAN, NAN, n, len(groups), scatter, NAN)
     half = float(stdtrit(freedom, 0.5 + 0.5 * level)) * error
-    half_always = error * quantile_always(round(freedom) + 1)
+    half_always = error * quantile_always(round(freedom) + 1, level_always)
     return Interval(
         ratio=ratio,
         low=_exp(mean - half),
@@ -150,11 +153,11 @@ def word_of_interval(low: float, high: float) -> EvidenceVerdict:
     return EvidenceVerdict.UNDECIDED
 
 
-def quantile_always(samples: int) -> float:
-    """Return the factor of the standard error for an interval of 95 % at every look; infinite for few samples."""
+def quantile_always(samples: int, level: float = LEVEL) -> float:
+    """Return the factor of the standard error for an interval that holds at every look; infinite for few samples."""
     n = float(samples)
     weight = 1.0 + PRIOR_WEIGHT * n
-    q = (math.sqrt(weight) / (1.0 - LEVEL)) ** (2.0 / n)
+    q = (math.sqrt(weight) / (1.0 - level)) ** (2.0 / n)
     if q >= weight:
         return math.inf
     return math.sqrt((n - 1.0) * (q - 1.0) / (1.0 - q / weight))

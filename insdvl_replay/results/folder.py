@@ -5,7 +5,6 @@ It is written in a hidden folder next to its place, and renamed when it is compl
 
 import hashlib
 import os
-import re
 import shutil
 import tempfile
 import time
@@ -15,12 +14,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
-from msgspec.structs import asdict
 
 from insdvl_replay.core.errors import ConfigError, TargetError, read_regular
 from insdvl_replay.core.extras import install_hint
-from insdvl_replay.core.report import Report
-from insdvl_replay.core.tables import LAKE, TABLES, LakeRow
+from insdvl_replay.core.tables import TABLES
 
 COMPLETE: Final = "report.json"  # The file that identifies a result folder. It is written last and lists the others.
 PAGE: Final = "report.html"
@@ -49,8 +46,6 @@ _TIME_OF_DAY: Final = ("started_at", "elapsed_s", "cpu_s")
 _MARK: Final = "insdvl-replay-"  # In names of hidden folders, after the dot.
 _OLD: Final = "old"  # Subfolder for the older result while the new one replaces it.
 _LEFT_FOR_S: Final = 86_400.0  # A hidden folder that is unchanged for a day is from a killed run.
-# log, settings and version
-_LAKE_FILE: Final = re.compile(r"[0-9a-f]{16}_[0-9a-f]{16}_.+\.parquet")
 _NAME_A_FILE: Final = "give the name of a file"
 _ANOTHER_PLACE: Final = "choose another place with -o"
 
@@ -301,7 +296,7 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
     return None
 
 
-# --- The lake: the evidence of many replays as one Parquet dataset, a file for each replay
+# --- Parquet
 
 
 def require_parquet(option: str, otherwise: str) -> None:
@@ -312,54 +307,3 @@ def require_parquet(option: str, otherwise: str) -> None:
         raise ConfigError(
             f"{option} needs pyarrow", f"{install_hint('tables')}, or {otherwise}"
         ) from error
-
-
-def require_lake(lake: Path, outputs: Collection[Path]) -> None:
-    """Create the folder of a lake. Raise a ConfigError if it cannot be written, or holds or will hold anything else."""
-    require_parquet("--lake", "leave --lake out")
-    hint = "name a folder of its own with --lake"
-    for output in outputs:
-        if output.resolve().is_relative_to(lake.resolve()):
-            raise ConfigError(f"{lake}: is the folder of the results, or above it", hint)
-    try:
-        if not lake.exists():
-            lake.mkdir(parents=True, exist_ok=True)
-        # Readers of a dataset ignore names with these beginnings.
-        names = sorted(
-            path.name for path in lake.iterdir() if not path.name.startswith((".", "_"))
-        )
-        with tempfile.TemporaryFile(dir=lake):
-            pass
-    except OSError as error:
-        raise ConfigError(f"{lake}: cannot be written: {error.strerror}", hint) from error
-    for name in names:
-        if not _LAKE_FILE.fullmatch(name):
-            raise ConfigError(f"{lake}: holds {name}, which is not a file of a lake", hint)
-
-
-def add_to_lake(lake: Path, report: Report) -> None:
-    """Write the evidence of a replay into a lake, in place of an older file of this log, settings and version."""
-    import pyarrow as pa
-    from pyarrow.parquet import write_table
-
-    settings_sha256 = report.files[SETTINGS_FILE]
-    version = report.tool.version
-    rows = []
-    for evidence in report.tables.evidence:
-        row = LakeRow(
-            **asdict(evidence),
-            filter_verdict=report.filters[evidence.filter].verdict,
-            log_sha256=report.log.sha256,
-            settings_sha256=settings_sha256,
-            version=version,
-            started_at=report.tool.started_at or "",
-        )
-        rows.append(asdict(row))
-    types = {"text": pa.string(), "count": pa.int64(), "number": pa.float64()}
-    schema = pa.schema([(column, types[kind]) for column, kind in LAKE.kinds.items()])
-    table = pa.Table.from_pylist(rows, schema=schema)
-    with result_file(
-        lake / f"{report.log.sha256[:16]}_{settings_sha256[:16]}_{version}.parquet", force=True
-    ) as file:
-        # Small files are read faster without dictionaries, compression and statistics.
-        write_table(table, file, use_dictionary=False, compression="none", write_statistics=False)

@@ -19,7 +19,8 @@ DOCUMENTED = {
         "--starts K", "--format <table|json|csv|md|latex|html>", "--table NAME",
         "--allow-damaged", "--offline", "--allow-code", "--one-dive", "--assay", "--control",
         "--tum", "--kml", "--geojson",
-        "--history <csv|parquet>", "--lake DIR", "--against KEY=VALUE", "--fail-on worse|undecided|P%", "--strict",
+        "--history <csv|parquet>", "--lake DIR", "--revision NAME", "--against KEY=VALUE",
+        "--fail-on worse|undecided|P%", "--strict",
         "--jobs N", "--scheduler ADDR",
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
     ],
@@ -32,9 +33,13 @@ DOCUMENTED = {
     "check": [
         "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--preset NAME",
         "--set KEY=VALUE", "--allow-damaged", "--offline", "--allow-code",
-        "--format <text|md|json|junit|github|html>", "--output FILE", "--summary-file FILE", "--only GATE",
-        "--skip GATE", "--shard I/N", "--keep-histories", "--jobs N", "--scheduler ADDR",
+        "--format <text|md|json|junit|github|html>", "--output FILE", "--summary-file FILE", "--badge FILE",
+        "--only GATE", "--skip GATE", "--shard I/N", "--keep-histories", "--jobs N", "--scheduler ADDR",
         "--rerun", "-v, --verbose", "-q, --quiet", "-h, --help",
+    ],
+    "history": [
+        "LAKE", "--quantity NAME", "--format <table|json|csv|md|latex|html>", "-v, --verbose",
+        "--color <auto|always|never>", "-h, --help",
     ],
     "plan": [
         "RESULTS", "--tracks N", "--ratio R", "--format <table|json|csv|md|latex>", "-v, --verbose",
@@ -71,6 +76,7 @@ DOCUMENTED = {
         "--format <table|json|csv|md|latex>", "--force", "-v, --verbose",
         "--color <auto|always|never>", "-h, --help",
     ],
+    "lake compact": ["LAKE", "--format <table|json|csv|md|latex>", "-v, --verbose", "-h, --help"],
 }  # fmt: skip
 WITH_STAND_IN = """
 import pathlib, sys, time

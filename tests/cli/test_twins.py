@@ -250,13 +250,14 @@ def test_expected_values_are_stored_and_met(team: Path) -> None:
     python = team.parent / "python"
     shutil.copytree(team, python)
     log = team / "dive.mcap"
-    done = done_here("check", gates, log, "--update", cwd=team)
+    done = done_here("check", gates, log, "--update", "--badge", "badge.json", cwd=team)
     assert done.returncode == 0
     with contextlib.chdir(python):
-        found = insdvl_replay.check("gates.toml", log, update=True)
+        found = insdvl_replay.check("gates.toml", log, update=True, badge="badge.json")
     assert found.tables["gates"]["status"].tolist() == ["passed"]
     stored = [folder / "expected" / "dive.json" for folder in (team, python)]
     assert stored[0].read_bytes() == stored[1].read_bytes()
+    assert (team / "badge.json").read_bytes() == (python / "badge.json").read_bytes()
     for file in stored:  # a gain that is lost
         file.write_text(file.read_text("utf-8").replace('"sd": ', '"sd": 0.000'), "utf-8")
     report = checked(team, gates, team / "checked", dives=team / "checked")
@@ -558,3 +559,47 @@ def test_a_mistake(words: str, call: Callable[[], Any], logs: Path) -> None:
     done = done_here(*words.split(), cwd=logs)
     assert (done.returncode, done.stderr.splitlines()[-1]) == refused(call, logs)
     assert not (logs / "replay").exists()
+
+
+# --- lake
+
+
+def test_a_lake_is_compacted(tmp_path: Path) -> None:
+    from made_lakes import named
+
+    from insdvl_replay.results.lake import add_to_lake
+
+    pytest.importorskip("pyarrow", reason="needs pyarrow")
+    for lake in ("here", "there"):
+        for dive in ("one", "two"):
+            add_to_lake(tmp_path / lake, named(dive))
+    done = done_here("lake", "compact", "here", "--format", "json", cwd=tmp_path)
+    result = insdvl_replay.compact_lake(tmp_path / "there")
+    assert json.loads(done.stdout) == json.loads(result_json(result.content))
+    assert result.tables["lake"].to_dict("records") == [
+        {"replays": 2, "rows": 10, "files_before": 2, "files": 1}
+    ]
+    done = done_here("lake", "compact", "absent", cwd=tmp_path)
+    said = refused(lambda: insdvl_replay.compact_lake("absent"), tmp_path)
+    assert (done.returncode, done.stderr.rstrip()) == said
+
+
+def test_a_history_is_shown(tmp_path: Path) -> None:
+    from made_lakes import named
+
+    from insdvl_replay.results.lake import LakeWriter, require_lake
+
+    pytest.importorskip("pyarrow", reason="needs pyarrow")
+    require_lake(tmp_path / "lake", ())
+    for revision in ("v1", "v2"):
+        writer = LakeWriter(tmp_path / "lake", revision)
+        for dive in ("one", "two", "three"):
+            writer.add(named(dive))
+    words = ["--quantity", "position"]
+    done = done_here("history", "lake", *words, "--format", "json", cwd=tmp_path)
+    result = insdvl_replay.history(tmp_path / "lake", "position")
+    assert json.loads(done.stdout) == json.loads(result_json(result.content))
+    assert result.tables["version"]["name"].tolist() == ["v1", "v2"]
+    done = done_here("history", "lake", "--quantity", "nothing", cwd=tmp_path)
+    said = refused(lambda: insdvl_replay.history("lake", "nothing"), tmp_path)
+    assert (done.returncode, done.stderr.rstrip()) == said

@@ -4,6 +4,8 @@ from pathlib import Path
 
 from as_text import Cases, spoken
 
+from insdvl_replay.results.lake import require_lake
+
 WRONG = (
     "",
     "rn",
@@ -73,6 +75,13 @@ WRONG = (
     "run DIVE --lake text.mcap",
     "run DIVE --lake thesis",
     "run DIVE --lake .",
+    "run DIVE --revision v1",
+    "run DIVE --lake lake --revision v1 --against dvl.scale=1.1",
+    "lake compact absent",
+    "lake compact thesis",
+    "history thesis",
+    "history empty_lake",
+    "history empty_lake --quantity positon",
 )
 CODE = '[filters.baseline]\naiding = ["velocity"]\n[filters.mine]\naiding = ["velocity", "told_code:Down"]\n'
 
@@ -87,6 +96,7 @@ def said_by_commands(folder: Path) -> Cases:
         (folder / name / "dive").mkdir(parents=True)
     (folder / "taken" / "dive" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
     (folder / "thesis" / "dive" / "chapter1.tex").write_text("years of work")
+    require_lake(folder / "empty_lake", ())
     (folder / "code.toml").write_text(CODE)
     (folder / "vehicle.toml").write_text("[dvl]\nscale = 1.0\n")
     (folder / "gates.toml").write_text('[[gate]]\nname = "a gate"\n')
