@@ -122,6 +122,7 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema inspection > schemas/inspection.schema.json
 	$(BIN)/insdvl-replay schema study > schemas/study.schema.json
 	$(BIN)/insdvl-replay schema comparison > schemas/comparison.schema.json
+	$(BIN)/insdvl-replay schema trajectories > schemas/trajectories.schema.json
 	$(BIN)/insdvl-replay schema calibration > schemas/calibration.schema.json
 	$(BIN)/insdvl-replay schema check > schemas/check.schema.json
 	$(BIN)/insdvl-replay schema history > schemas/history.schema.json

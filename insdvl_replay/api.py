@@ -539,6 +539,70 @@ def compare(
     return CommandResult(comparison_result(found, comparison_document(found)))
 
 
+def compare_trajectories(
+    old: Text,
+    new: Text | Sequence[Text],
+    reference: Text,
+    *,
+    align: str = "none",
+    axes: str | None = None,
+    reference_axes: str | None = None,
+    primary: str = "",
+    max_diff_s: float = 0.01,
+    rpe: str | Sequence[str] = (),
+    all_pairs: bool = False,
+    dives: str | Sequence[str] = (),
+) -> "CommandResult":
+    """Compare trajectories of any program with those of a reference.
+
+    Tables are answer, dive, evidence, trajectory_errors and credibility.
+
+    Parameters
+    ----------
+    old, new, reference : str or Path, or sequence of them for several ``new``
+        Folders with a file for each dive, or single files: TUM, tables, or logs, of which ``dive.mcap:/odom`` names a
+        topic. Files of the same name are one dive.
+    align : str
+        ``none``, or what is fitted first: ``yaw``, ``se3`` or ``sim3``.
+    axes, reference_axes : str, optional
+        ``enu_flu`` or ``ned_frd``. Default: by the format.
+    primary : str
+        The quantity that decides. Default: position.
+    max_diff_s : float
+        Most seconds between the stamps of poses, for APE and RPE.
+    rpe : str or sequence of str
+        Lengths of RPE, such as ``1f`` or ``100m``. Default: ``1f``.
+    all_pairs : bool
+        RPE of all pairs of poses, not only of consecutive ones.
+    dives : str or sequence of str
+        Only these.
+
+    Raises
+    ------
+    ConfigError
+        A side has no trajectory, no dive has files on all sides, or a name or a value is not known.
+    LogError
+        No dive can be compared; the reason is that of the first one.
+    """
+    from insdvl_replay.trajectories.comparison import compare_trajectories as compared
+    from insdvl_replay.trajectories.comparison import options_of
+    from insdvl_replay.trajectories.document import trajectories_result
+
+    options = options_of(
+        align=align,
+        axes=axes,
+        reference_axes=reference_axes,
+        primary=primary,
+        max_diff_s=max_diff_s,
+        rpe=_names(rpe),
+        all_pairs=all_pairs,
+        dives=_names(dives),
+    )
+    sides = [new] if isinstance(new, str | os.PathLike) else [*new]
+    found = compared(str(old), [str(side) for side in sides], str(reference), options)
+    return CommandResult(trajectories_result(found))
+
+
 def compare_settings(
     logs: Paths,
     before: Settings,

@@ -25,6 +25,7 @@ PAGES = tuple(
         "comparing",
         "own_filter",
         "lake",
+        "trajectories",
     )
 )
 SCREEN = re.compile(

@@ -10,6 +10,7 @@ SCHEMAS = (
     "inspection",
     "study",
     "comparison",
+    "trajectories",
     "calibration",
     "check",
     "history",
@@ -64,6 +65,10 @@ def json_schema(name: str) -> bytes:
         from insdvl_replay.changes.comparison import Comparison
 
         kinds[name] = Comparison
+    if name == "trajectories":
+        from insdvl_replay.trajectories.comparison import TrajectoryComparison
+
+        kinds[name] = TrajectoryComparison
     if name == "start":  # nor for numba
         from insdvl_replay.nav.user_candidate import StartFile
 

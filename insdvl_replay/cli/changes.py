@@ -1,9 +1,9 @@
 """``insdvl-replay compare`` and ``check``: changes between results. Slow imports wait until they are needed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
@@ -35,12 +35,68 @@ _MISSED: Final = (GateStatus.UNUSABLE, GateStatus.FAILED)
 
 def compare(
     old: Annotated[
-        Path,
-        typer.Argument(metavar="OLD", help="Result folder, report.json, or folder of results."),
+        str,
+        typer.Argument(
+            metavar="OLD",
+            help="Result folder, report.json, or folder of results. With --reference: trajectories, a folder with a "
+            "file for each dive, or one file.",
+        ),
     ],
     new: Annotated[
-        Path, typer.Argument(metavar="NEW", help="The same kind of result, after the change.")
+        list[str],
+        typer.Argument(
+            metavar="NEW...",
+            help="The same after the change; with --reference also several.",
+        ),
     ],
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            "--reference",
+            metavar="TRUTH",
+            help="Compare trajectories with those of this reference: TUM, tables, or topics of logs (dive.mcap:/odom).",
+        ),
+    ] = None,
+    align: Annotated[
+        Literal["none", "yaw", "se3", "sim3"] | None,
+        typer.Option(help="With --reference: fit each trajectory to the reference first."),
+    ] = None,
+    axes: Annotated[
+        Literal["enu_flu", "ned_frd"] | None,
+        typer.Option(help="With --reference: axes of OLD and NEW (default: by the format)."),
+    ] = None,
+    reference_axes: Annotated[
+        Literal["enu_flu", "ned_frd"] | None,
+        typer.Option("--reference-axes", help="With --reference: axes of the reference."),
+    ] = None,
+    primary: Annotated[
+        str | None,
+        typer.Option(
+            "--primary",
+            metavar="NAME",
+            help="With --reference: the quantity that decides, such as drift_100m (default: position).",
+        ),
+    ] = None,
+    max_diff: Annotated[
+        float | None,
+        typer.Option(
+            "--max-diff",
+            metavar="S",
+            min=0.0,
+            help="With --reference: most seconds between stamps of poses, for APE and RPE (default: 0.01).",
+        ),
+    ] = None,
+    rpe: Annotated[
+        list[str],
+        typer.Option(
+            "--rpe",
+            metavar="DELTA",
+            help="With --reference: length of RPE, in poses or metres, such as 1f or 100m. May be repeated.",
+        ),
+    ] = [],
+    all_pairs: Annotated[
+        bool, typer.Option("--all-pairs", help="With --reference: RPE of all pairs of poses.")
+    ] = False,
     dives: Annotated[
         list[str],
         typer.Option("--dive", metavar="NAME", help="Compare only this dive. May be repeated."),
@@ -81,15 +137,19 @@ def compare(
     ] = False,
     fail_on: opt.FailOn = None,
     format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
+    as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
     verbose: opt.Verbose = 0,
     quiet: opt.Quiet = False,
     color: opt.Colored = "auto",
 ) -> None:
-    """Compare stored results and show what changed.
+    """Compare stored results and show what changed; or trajectories with those of a reference.
 
     The first line names the settings that differ. Then each filter has a line: its verdict, new against old, with the
     tests of `run` over all dives. From three dives on a difference can be better or worse, and only if it is above 5 %.
     Dives are matched by the hash of their log, then by name. -q prints the verdicts alone.
+
+    With --reference each side holds trajectories of any program. Files of the same name are one dive, and folders with
+    files of the same name, such as run_1 and run_2, are repeated runs. Nothing is aligned unless --align asks for it.
 
     \b
     Example:
@@ -97,13 +157,63 @@ def compare(
       insdvl-replay compare before after --format html > comparison.html
       insdvl-replay compare before after -q --fail-on worse
       insdvl-replay compare before after --table reference_error --column rmse --fail-on 5%
+      insdvl-replay compare old new --reference truth
+      insdvl-replay compare dives:/odom_old dives:/odom_new --reference dives:/truth --align yaw
     """
+    if as_json:
+        format_ = "json"
+    given = {
+        "--align": align,
+        "--axes": axes,
+        "--reference-axes": reference_axes,
+        "--primary": primary,
+        "--max-diff": max_diff,
+        "--rpe": rpe,
+        "--all-pairs": all_pairs,
+    }
+    of_results = {
+        "--column": columns,
+        "--pair": pairs,
+        "--tolerance": tolerance,
+        "--only-changed": only_changed,
+        "--all": everything,
+    }
+    if reference is not None:
+        _require_none_of(of_results, "compares stored results", "leave out --reference")
+        from insdvl_replay.cli.trajectories import compare_with_reference
+
+        compare_with_reference(
+            old,
+            new,
+            reference,
+            {
+                "align": align,
+                "axes": axes,
+                "reference_axes": reference_axes,
+                "primary": primary,
+                "max_diff_s": max_diff,
+                "rpe": rpe,
+                "all_pairs": all_pairs,
+            },
+            dives=dives,
+            tables=tables,
+            fail_on=fail_on,
+            format_=format_,
+            verbose=verbose,
+            quiet=quiet,
+        )
+        return
+    hint = f"--reference TRUTH, the trajectories to compare {old} with"
+    _require_none_of(given, "compares trajectories", hint)
+    if len(new) > 1:
+        text = f"{new[1]}: is a third side, and results are compared two by two"
+        raise ConfigError(text, hint)
     from insdvl_replay.changes import comparison as changes
 
     limit = changes.parse_limit(fail_on)
     found = changes.compare_results(
-        old,
-        new,
+        Path(old),
+        Path(new[0]),
         tables=tables,
         columns=columns,
         dives=dives,
@@ -123,6 +233,13 @@ def compare(
     worse = changes.find_violation(found, limit)
     if worse is not None:
         raise LimitError(worse)
+
+
+def _require_none_of(given: Mapping[str, object], does: str, hint: str) -> None:
+    """Raise a ConfigError if an option is given that another kind of comparison has."""
+    for name, value in given.items():
+        if value:
+            raise ConfigError(f"{name}: {does}", hint)
 
 
 def plan(

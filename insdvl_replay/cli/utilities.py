@@ -211,7 +211,8 @@ def schema(
         str | None,
         typer.Argument(
             metavar="NAME",
-            help="config, report, inspection, study, comparison, check, calibration, or a message type (default: all).",
+            help="config, report, inspection, study, comparison, trajectories, check, calibration, or a message type "
+            "(default: all).",
         ),
     ] = None,
     verbose: opt.Verbose = 0,

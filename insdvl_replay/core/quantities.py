@@ -123,6 +123,14 @@ DRIFT_STRETCHES: Final = {
     "drift_60s": Stretch(60.0, "s"),
     "drift_100m": Stretch(100.0, "m"),
 }
+# Stretches over which trajectories are compared that no filter of this tool made.
+TRACK_STRETCHES: Final = {
+    "drift_10s": Stretch(10.0, "s"),
+    "drift_60s": Stretch(60.0, "s"),
+    "drift_100s": Stretch(100.0, "s"),
+    **{f"drift_{length}m": Stretch(float(length), "m") for length in range(100, 900, 100)},
+}
+STRETCHES: Final = {**DRIFT_STRETCHES, **TRACK_STRETCHES}
 # Errors against the reference.
 ACCURACY: Final = (
     *DRIFT_STRETCHES, "velocity_along", "velocity_across", "depth_60s", "level", "heading"
@@ -182,6 +190,7 @@ EVIDENCE_QUANTITIES: Final = (
         DRAWN_HEADING,
         *_OUTAGE,
         *ACCURACY,
+        *(name for name in TRACK_STRETCHES if name not in DRIFT_STRETCHES),
         *HELD_OUT_QUANTITIES,
         PREDICTION,
         "position_crps",
@@ -192,7 +201,7 @@ EVIDENCE_QUANTITIES: Final = (
 _LABELS: Final = {
     **{state.id: state.label for state in STATES},
     **{f"outage_{window}s": f"DVL outage {window} s" for window in OUTAGE_WINDOWS_S},
-    **{name: f"drift in {length:g} {unit}" for name, (length, unit) in DRIFT_STRETCHES.items()},
+    **{name: f"drift in {length:g} {unit}" for name, (length, unit) in STRETCHES.items()},
     "depth_60s": "depth in 60 s",
     "position_n": "position, north",
     "position_e": "position, east",

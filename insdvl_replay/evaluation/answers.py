@@ -8,6 +8,7 @@ same rule. One dive has no verdict, except where it is proved how little the can
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Annotated, Final, TypeVar
 
 import numpy as np
@@ -43,11 +44,14 @@ from insdvl_replay.core.words import (
 from insdvl_replay.evaluation.interval import (
     BAND,
     LEVEL,
+    NO_SPREAD,
     Interval,
+    RunSpread,
     holm_levels,
     is_by_vehicle,
     level_of_candidates,
     log_ratio_interval,
+    widened,
     word_of_interval,
 )
 
@@ -227,6 +231,7 @@ def pooled_evidence(
     primary: str | None = None,  # the quantity that decides; None: by `primary_of`
     level: float = LEVEL,
     vehicles: Sequence[str] | None = None,  # of each dive
+    spreads: Mapping[str, RunSpread] = MappingProxyType({}),  # of repeated runs, by quantity
 ) -> list[PooledRow]:
     """Pool the evidence of several dives on one candidate; the row that decides is in front."""
     if primary is None:
@@ -244,10 +249,16 @@ def pooled_evidence(
     secondary = [quantity for quantity in quantities if roles[quantity] == Role.SECONDARY]
     p_values = [_interval(by_quantity[quantity], level).p for quantity in secondary]
     levels = dict(zip(secondary, holm_levels(p_values, level), strict=True))
-    pooled = [
-        _pooled_row(candidate, by_quantity[quantity], roles[quantity], levels.get(quantity, level))
-        for quantity in quantities
-    ]
+    pooled = list[PooledRow]()
+    for quantity in quantities:
+        of_quantity = _pooled_row(
+            candidate,
+            by_quantity[quantity],
+            roles[quantity],
+            levels.get(quantity, level),
+            spreads.get(quantity, NO_SPREAD),
+        )
+        pooled.append(of_quantity)
     order = list(Role)
     return sorted(pooled, key=lambda row: order.index(Role(row.role)))
 
@@ -290,10 +301,11 @@ def _pooled_row(
     rows_of_dives: Sequence[tuple[EvidenceRow, str]],
     role: Role,
     level: float,
+    spread: RunSpread,  # of repeated runs
 ) -> PooledRow:
     rows = [row for row, _ in rows_of_dives]
     compared = _compared(rows)
-    interval = _interval(rows_of_dives, level)
+    interval = widened(_interval(rows_of_dives, level), spread, level)
     acts_most = _largest(row.acts for row in rows)
     noise_share = median_of(finite(row.reference_noise) for row in rows)
     word = _word_of(rows, interval.low, interval.high, acts_most, noise_share)
@@ -524,6 +536,7 @@ def pooled_candidate(
     level: float = LEVEL,
     vehicles: Sequence[str] | None = None,
     not_repeatable: int = 0,  # of the other dives, those on which it does not repeat
+    spreads: Mapping[str, RunSpread] = MappingProxyType({}),  # of repeated runs, by quantity
 ) -> CandidateAnswer:
     """Answer for one candidate by the rows of its dives, one dive or more.
 
@@ -532,7 +545,11 @@ def pooled_candidate(
     """
     if primary is None:
         primary = primary_of(evidence)
-    rows = tuple(pooled_evidence(name, evidence, primary=primary, level=level, vehicles=vehicles))
+    rows = tuple(
+        pooled_evidence(
+            name, evidence, primary=primary, level=level, vehicles=vehicles, spreads=spreads
+        )
+    )
     pct = median_of(map(finite, predicted_pct))
     reason = _most_common(reasons)
     verdict, undecided = verdict_of(rows, len(evidence))
@@ -588,6 +605,7 @@ def answer_over_dives(
     *,
     primary: str = "",
     level: float = LEVEL,
+    spreads: Mapping[str, RunSpread] = MappingProxyType({}),
 ) -> CandidateAnswer:
     """Answer for one candidate by the results of the dives that have it.
 
@@ -601,6 +619,8 @@ def answer_over_dives(
         The quantity that the settings name; empty for the one that the dives choose.
     level : float
         Confidence of the interval.
+    spreads : mapping of str to RunSpread
+        How far repeated runs differ, by quantity. No interval is narrower.
     """
     evaluated = [dive for dive in dives if dive.verdict not in WITHOUT_VERDICT]
     evidence = [dive.rows for dive in evaluated]
@@ -615,6 +635,7 @@ def answer_over_dives(
         level=level,
         vehicles=[dive.vehicle for dive in evaluated],
         not_repeatable=sum(dive.verdict == Verdict.NOT_REPEATABLE for dive in dives),
+        spreads=spreads,
     )
     if len(dives) == 1:
         answer = replace(answer, log=dives[0].log)

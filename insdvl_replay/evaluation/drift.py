@@ -28,6 +28,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import (
     DRIFT_QUANTITIES,
     DRIFT_STRETCHES,
+    STRETCHES,
     TRACK_FIT_QUANTITIES,
 )
 from insdvl_replay.core.states import DEG
@@ -78,8 +79,8 @@ class CourseErrors(NamedTuple):
 
 
 def drift_segments(name: str, time_ns: TimeNs, travelled_m: Floats) -> Segments:
-    """Choose the segments of a row of `DRIFT_STRETCHES`."""
-    stretch = DRIFT_STRETCHES[name]
+    """Choose the segments of a row of `STRETCHES`."""
+    stretch = STRETCHES[name]
     if stretch.unit == "s":
         return time_segments(time_ns, stretch.length)
     return distance_segments(time_ns, travelled_m, stretch.length)

@@ -14,7 +14,7 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.dive_record import ReferenceDelay
 from insdvl_replay.core.history import History
-from insdvl_replay.core.quantities import DRAWN_HEADING, TRACK
+from insdvl_replay.core.quantities import DRAWN_HEADING, DRIFT_STRETCHES, TRACK
 from insdvl_replay.core.states import DEG, POSITION
 from insdvl_replay.core.tables import (
     ConvergenceRow,
@@ -161,7 +161,7 @@ def tables_of_filters(
         outage=_outage_pairs(names, outages, user_outages),
         held_out=pairs_of(baseline, candidates, held_out),
         track=track_pairs,
-        ends=_ends(candidates, reference_error),
+        ends=ends_of(candidates, reference_error),
         convergence=convergence,
         prediction=predictions(histories, outages, user_outages, settled_s),
         crps=_crps_pairs(histories, errors),
@@ -246,6 +246,7 @@ def accuracy_series(
     settled_s: Mapping[str, float],  # by quantity
     *,
     bridged_gaps: bool,
+    stretches: Iterable[str] = DRIFT_STRETCHES,  # over which a drift is measured
 ) -> dict[str, Series]:
     """Return the errors of each filter from the start that the dive had, by filter; empty without a reference."""
     baseline = histories[0]
@@ -260,7 +261,13 @@ def accuracy_series(
             own = covered_errors(own, start_ns, end_ns)
         with np.errstate(over="ignore", invalid="ignore"):
             series = accuracy_errors(
-                own, reference, noise, settled_s, start_ns=start_ns, bridged_gaps=bridged_gaps
+                own,
+                reference,
+                noise,
+                settled_s,
+                start_ns=start_ns,
+                bridged_gaps=bridged_gaps,
+                stretches=stretches,
             )
         if history.is_turned:
             # A solution that was turned to the baseline's heading says nothing of it.
@@ -416,7 +423,7 @@ def _outage_series(drifts: Mapping[str, Floats]) -> Series:
     return {f"outage_{length}": ErrorSeries("m", drift_m) for length, drift_m in drifts.items()}
 
 
-def _ends(
+def ends_of(
     candidates: Iterable[History], rows: Sequence[ReferenceErrorRow]
 ) -> dict[str, dict[str, tuple[float, float]]]:
     """Return the errors of both tracks at the end and in percent of the distance, by candidate and quantity.

@@ -14,7 +14,7 @@ of the difference over that of the baseline's error.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final, NamedTuple
@@ -107,13 +107,14 @@ def accuracy_errors(
     *,
     start_ns: int,
     bridged_gaps: bool,  # there were long IMU gaps, in which the position is lost
+    stretches: Iterable[str] = DRIFT_STRETCHES,  # over which a drift is measured
 ) -> dict[str, ErrorSeries]:
     """Return the errors of one filter against the reference, by quantity of `quantities.ACCURACY`."""
     found = {}
     time_ns = errors.time_ns
     if not bridged_gaps and len(time_ns):
         travelled_m = reference_distance_m(reference, time_ns)
-        for name in DRIFT_STRETCHES:
+        for name in stretches:
             segments = drift_segments(name, time_ns, travelled_m)
             change_m = segment_change(errors, segments)[:, :2]
             # of both ends, two axes

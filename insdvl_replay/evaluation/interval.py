@@ -10,7 +10,7 @@ look).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -91,6 +91,60 @@ def log_ratio_interval(
         scatter=scatter,
         p=_p(mean, error, freedom),
     )
+
+
+class RunSpread(NamedTuple):
+    """How far repeated runs of the same dives differ in one quantity."""
+
+    variance: float  # of the logarithm of the ratio, from run to run
+    freedom: int
+
+    def half_width(self, level: float) -> float:
+        """Return the half width of the interval that holds a share of the log ratios of single runs."""
+        if self.freedom < 1 or not self.variance > 0.0:
+            return 0.0
+        quantile = float(stdtrit(self.freedom, 0.5 + 0.5 * level))
+        return quantile * math.sqrt(self.variance)
+
+
+def run_spread(old: Iterable[Sequence[float]], new: Iterable[Sequence[float]]) -> RunSpread:
+    """Return the spread of repeated runs, by the logarithms of the errors of each dive's runs on both sides.
+
+    A side without repeated runs adds nothing. The side with fewer degrees of freedom gives these.
+    """
+    variance = 0.0
+    freedoms = list[int]()
+    for side in (old, new):
+        squares = 0.0
+        freedom = 0
+        for runs in side:
+            logs = np.asarray(runs, np.float64)
+            logs = logs[np.isfinite(logs)]
+            if len(logs) > 1:
+                squares += float(((logs - logs.mean()) ** 2).sum())
+                freedom += len(logs) - 1
+        if squares > 0.0:
+            variance += squares / freedom
+            freedoms.append(freedom)
+    return RunSpread(variance, min(freedoms, default=0))
+
+
+def widened(interval: Interval, spread: RunSpread, level: float) -> Interval:
+    """Return an interval that is at least as wide as single runs differ from each other."""
+    half = spread.half_width(level)
+    if half == 0.0 or not math.isfinite(interval.low):
+        return interval
+    low = interval.ratio * math.exp(-half)
+    high = interval.ratio * math.exp(half)
+    return interval._replace(
+        low=min(interval.low, low),
+        high=max(interval.high, high),
+        low_always=min(interval.low_always, low),
+        high_always=max(interval.high_always, high),
+    )
+
+
+NO_SPREAD: Final = RunSpread(0.0, 0)
 
 
 def is_by_vehicle(interval: Interval) -> bool:

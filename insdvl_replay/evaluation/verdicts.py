@@ -31,6 +31,7 @@ from insdvl_replay.core.tables import (
     CandidateVerdict,
     ConsistencyRow,
     CredibilityRow,
+    ReferenceErrorRow,
     Tables,
     finite,
 )
@@ -180,7 +181,7 @@ def _suspect_filters(
     suspect = {}
     for history in histories:
         found = surprised(history.filter, tables.consistency)
-        found = found or far_off(history, histories[0], errors, tables)
+        found = found or far_off(history, histories[0], errors, tables.reference_error)
         if found:
             suspect[history.filter] = found
     return suspect
@@ -369,13 +370,13 @@ def far_off(
     history: History,
     baseline: History,
     errors: Mapping[str, ReferenceErrors],
-    tables: Tables,
+    rows: Sequence[ReferenceErrorRow],
 ) -> str:
     """Say that a filter is far off with the DVL available; empty if it is not.
 
     Errors from DVL outages do not count, unless the DVL is silent for more than half of the time.
     """
-    statuses = [row.status for row in tables.reference_error if row.quantity == "position_h_pct"]
+    statuses = [row.status for row in rows if row.quantity == "position_h_pct"]
     if history.filter not in errors or ReferenceStatus.COMPARED not in statuses:
         return ""
     found = errors[history.filter]

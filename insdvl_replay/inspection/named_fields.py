@@ -22,6 +22,12 @@ from insdvl_replay.inspection.probed_topics import (
 from insdvl_replay.inspection.settings import Alternative, Setting
 from insdvl_replay.inspection.unit_by_size import FORCE_UNITS, SPEED_UNITS, speed_units
 from insdvl_replay.logs.columns.flags import flag_columns
+from insdvl_replay.logs.columns.named_columns import (
+    ATTITUDE,
+    PLACE,
+    reference_columns,
+    velocity_columns,
+)
 from insdvl_replay.logs.columns.tables import (
     LARGEST_JITTER_S,
     Table,
@@ -295,20 +301,7 @@ def _beam_settings(beams: Sequence[FieldMatch], valid: Sequence[FieldMatch]) -> 
 
 # --- The reference: topic and fields by their names.
 
-# An altitude is no height here: most vehicles mean that above the bottom.
-_REFERENCE_WORDS: Final = {
-    "latitude": re.compile(r"(^|[._])lat(itude)?([._]|$)"),
-    "longitude": re.compile(r"(^|[._])(lon|lng|long|longitude)([._]|$)"),
-    "depth": re.compile(r"(^|[._])depth([._]|$)"),
-    "roll": re.compile(r"(^|[._])roll([._]|$)"),
-    "pitch": re.compile(r"(^|[._])pitch([._]|$)"),
-    "heading": re.compile(r"(^|[._])(heading|hdg|yaw)([._]|$)"),
-}
 _ALTITUDE: Final = re.compile(r"(^|[._])(alt(itude)?|height)([._]|$)")
-_PLACE: Final = ("latitude", "longitude")
-_ATTITUDE: Final = ("roll", "pitch", "heading")
-_NORTH: Final = re.compile(r"(?i)(.*(?:v|vel|velocity)_?)(n|north)")
-_EAST_AND_DOWN: Final = {"n": ("e", "d"), "north": ("east", "down")}
 _FULL_CIRCLE: Final = 6.3  # no angle in radians is larger
 _MEANT: Final = (
     "is this a solution to start from and to compare with? Roll must be positive starboard side down, pitch bow up, "
@@ -330,7 +323,7 @@ def reference_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterato
     yield Setting("reference.topic", best.topic, open=_MEANT)
     for quantity, path in fields.items():
         yield Setting(f"reference.{quantity}", path)
-    angles = [fields[quantity] for quantity in (*_PLACE, *_ATTITUDE) if quantity in fields]
+    angles = [fields[quantity] for quantity in (*PLACE, *ATTITUDE) if quantity in fields]
     yield _angle_unit(best, angles)
     yield from _stamp_setting(log, best, "reference")
 
@@ -349,31 +342,21 @@ def _angle_unit(topic: ProbedTopic, angles: Sequence[str]) -> Setting:
 
 def _reference_fields(topic: ProbedTopic) -> dict[str, str]:
     """Find the fields of a solution, by quantity; none where it has neither a place nor an attitude."""
-    found = _named_fields(topic)
-    for together in (_PLACE, _ATTITUDE):
+    found = reference_columns(topic.scalars)
+    for together in (PLACE, ATTITUDE):
         if not found.keys() >= set(together):
             found = {
                 quantity: path for quantity, path in found.items() if quantity not in together
             }
-    if not found.keys() & {*_PLACE, *_ATTITUDE}:
+    if not found.keys() & {*PLACE, *ATTITUDE}:
         return {}
     if "latitude" in found and "depth" not in found:
         height = _negative_altitude(topic)
         if height is not None:
             found["height"] = height
-    velocity = _velocity_fields(topic)
+    velocity = velocity_columns(topic.scalars)
     if velocity is not None:
         found["velocity_n"] = velocity
-    return found
-
-
-def _named_fields(topic: ProbedTopic) -> dict[str, str]:
-    """Return for each quantity the first field that has its name."""
-    found: dict[str, str] = {}
-    for quantity, words in _REFERENCE_WORDS.items():
-        for path in topic.scalars:
-            if words.search(path.lower()):
-                found.setdefault(quantity, path)
     return found
 
 
@@ -382,17 +365,4 @@ def _negative_altitude(topic: ProbedTopic) -> str | None:
     for path, median in topic.scalars.items():
         if _ALTITUDE.search(path.lower()) and median < 0.0:
             return path
-    return None
-
-
-def _velocity_fields(topic: ProbedTopic) -> str | None:
-    """Return three fields such as ``vn``, ``ve``, ``vd`` or ``vel_north``, ``vel_east``, ``vel_down``."""
-    for path in topic.scalars:
-        match = _NORTH.fullmatch(path)
-        if match is None:
-            continue
-        before, north = match.groups()
-        others = [f"{before}{other}" for other in _EAST_AND_DOWN.get(north, ())]
-        if others and topic.scalars.keys() >= set(others):
-            return ", ".join((path, *others))
     return None

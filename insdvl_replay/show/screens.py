@@ -25,7 +25,7 @@ from insdvl_replay.document.tables import (
     significant,
     table_of,
 )
-from insdvl_replay.evaluation.answers import EVERY_DIVE, CandidateAnswer
+from insdvl_replay.evaluation.answers import EVERY_DIVE, Answer, CandidateAnswer
 from insdvl_replay.evaluation.notes import is_noise_far_off
 from insdvl_replay.evaluation.sentences import (
     answer_lines,
@@ -92,6 +92,9 @@ MOST_ROWS: Final = {
     3: 4,
 }
 MOST_ROWS_OF_DIVE: Final = 3
+VALUES_ARE: Final = (
+    "values: medians over the dives, from the starts that they had; convergence: from drawn starts"
+)
 
 
 def _answer_parts(
@@ -180,14 +183,21 @@ def _answer_row(answer: CandidateAnswer) -> tuple[str, ...]:
     )
 
 
-def _evidence_table(answers: Sequence[CandidateAnswer], title: str) -> Iterator[DisplayTable]:
+def evidence_tables(
+    answers: Sequence[Answer],
+    title: str,
+    footnote: str = VALUES_ARE,
+    *,
+    most: int = 0,  # rows; 0: as many as a screen has room for
+) -> Iterator[DisplayTable]:
     """Yield the evidence: of one candidate with intervals, of several side by side."""
     evaluated = [answer for answer in answers if answer.verdict not in WITHOUT_VERDICT]
     if not evaluated or len(answers) > MOST_COLUMNS:
         return
-    most = MOST_ROWS[len(answers)]
-    if all(answer.dives == 1 for answer in answers):
-        most = MOST_ROWS_OF_DIVE
+    if not most:
+        most = MOST_ROWS[len(answers)]
+        if all(answer.dives == 1 for answer in answers):
+            most = MOST_ROWS_OF_DIVE
     known = list(chain.from_iterable(answer.known for answer in evaluated))
     rows = chosen_rows(known, most)
     if not rows:
@@ -196,13 +206,13 @@ def _evidence_table(answers: Sequence[CandidateAnswer], title: str) -> Iterator[
         quantities = list(dict.fromkeys(row.quantity for row in rows))
         yield _side_by_side(evaluated, quantities, title)
     elif answers[0].dives > 1:
-        yield _evidence_over_dives(answers[0], rows, title)
+        yield _evidence_over_dives(answers[0], rows, title, footnote)
     else:
         columns = [*_columns_of_values(answers[0], title), _ACTS]
         yield table_of("", rows, columns, spare=(5, (1, 2, 3)))
 
 
-def _columns_of_values(answer: CandidateAnswer, title: str) -> list[ShownColumn]:
+def _columns_of_values(answer: Answer, title: str) -> list[ShownColumn]:
     return [
         (title, "l", "quantity:label"),
         ("", "l", "unit"),
@@ -216,7 +226,7 @@ _ACTS: Final[ShownColumn] = ("acts", "r", "acts:share")
 
 
 def _evidence_over_dives(
-    answer: CandidateAnswer, rows: Sequence[PooledRow], title: str
+    answer: Answer, rows: Sequence[PooledRow], title: str, footnote: str
 ) -> DisplayTable:
     """Return the evidence on a candidate with intervals, verdicts and what they decide."""
     columns = [
@@ -227,12 +237,7 @@ def _evidence_over_dives(
         ("", "l", verdict_in_table),
         ("", "l", _role_text),
     ]
-    return table_of("", rows, columns, VALUES_ARE, spare=(9, 7, (1, 2, 3), 6))
-
-
-VALUES_ARE: Final = (
-    "values: medians over the dives, from the starts that they had; convergence: from drawn starts"
-)
+    return table_of("", rows, columns, footnote, spare=(9, 7, (1, 2, 3), 6))
 
 
 _ROLES: Final = {Role.PRIMARY: "decides", Role.SECONDARY: "can warn", Role.VETO: "can warn"}
@@ -243,7 +248,7 @@ def _role_text(row: PooledRow) -> str:
 
 
 def _side_by_side(
-    answers: Sequence[CandidateAnswer], quantities: Sequence[str], title: str
+    answers: Sequence[Answer], quantities: Sequence[str], title: str
 ) -> DisplayTable:
     """Return ratio and verdict of several candidates in the same quantities, with the values where there is room."""
     found: dict[tuple[str, str], PooledRow] = {}
@@ -284,7 +289,7 @@ def dive_screen(report: Report, page: str) -> list[Part]:
     parts += _answer_parts(answers, initial_text(report.config), start_text([report]), [report])
     if not report.filters:
         parts.append(line_alone(report))
-    parts += _evidence_table(answers, "this dive")
+    parts += evidence_tables(answers, "this dive")
     parts += _assay_parts([report], answers)
     parts += _trust_lines(report)
     parts += headline_table(report)
@@ -403,7 +408,7 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
     parts += [note.text for note in notes]
     parts += _answer_parts(answers, initial, start_text(reports), reports)
     pooled = [answer for answer in answers if answer.known and answer.log == EVERY_DIVE]
-    for table in _evidence_table(pooled, "all dives"):
+    for table in evidence_tables(pooled, "all dives"):
         parts += [Sentences(()), table]
     parts.append(Sentences(()))
     if answers:

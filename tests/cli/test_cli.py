@@ -25,10 +25,12 @@ DOCUMENTED = {
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
     ],
     "compare": [
-        "OLD", "NEW", "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
+        "OLD", "NEW...", "--reference TRUTH", "--align <none|yaw|se3|sim3>", "--axes <enu_flu|ned_frd>",
+        "--reference-axes <enu_flu|ned_frd>", "--primary NAME", "--max-diff S", "--rpe DELTA", "--all-pairs",
+        "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
         "--only-changed", "--all", "--fail-on worse|undecided|P%",
-        "--format <table|json|csv|md|latex|html>", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>",
-        "-h, --help",
+        "--format <table|json|csv|md|latex|html>", "--json", "-v, --verbose", "-q, --quiet",
+        "--color <auto|always|never>", "-h, --help",
     ],
     "check": [
         "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--preset NAME",

@@ -36,7 +36,7 @@ def said(drifts_mps: Any, pings_s: Any, status: str = "compared") -> str:
     rows = [ReferenceErrorRow("dive", "aided", name, unit, 1.0, 1.0, 0.0, 1.0, 1.0, 9, status)
             for name, unit in REFERENCE_QUANTITIES.items()]  # fmt: skip
     tables: Any = SimpleNamespace(reference_error=rows)
-    return far_off(of_one, of_one, errors, tables)
+    return far_off(of_one, of_one, errors, tables.reference_error)
 
 
 def test_error_that_is_gained_next_to_the_dvl_is_far_off() -> None:

@@ -9,7 +9,6 @@ the quaternion from the body to the frame of the positions; lines that begin wit
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from decimal import Decimal
 from itertools import product
 from pathlib import Path
 from typing import Any, Final
@@ -50,6 +49,7 @@ from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, skew, w
 from insdvl_replay.logs.columns.clean import Cleaner, note_lost_samples, stand_for_none
 from insdvl_replay.logs.columns.tables import Table, rows_among
 from insdvl_replay.logs.columns.topics import BOW_DOWN
+from insdvl_replay.logs.columns.tum import TUM_FORMAT, tum_poses
 
 # PX4's frames, and that of the messages before 1.13.
 _NED: Final = 1
@@ -60,9 +60,7 @@ _NORTHS: Final = (("pose_frame", _NED), ("local_frame", _OLD_NED))
 SIZE: Final = 9  # velocity error, misalignment and position error
 DP: Final = slice(6, 9)
 _LARGEST: Final = 1e30  # powers of larger variances are no numbers
-_TUM_COLUMNS: Final = 8
-_TUM_FORMAT: Final = "time x y z qx qy qz qw: seconds on the log's clock, m, and the attitude"
-_LATEST_S: Final = Decimal(2**63) / NS_PER_S
+_LONGER: Final = 0.01  # of a quaternion, more than rounding
 
 
 _FEW_AGAIN: Final = 0.2  # share of rows up to which values repeat by chance, such as rounded ones
@@ -538,12 +536,15 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
     if settings.sha256 not in (None, sha256):
         text = f"has changed since the settings were read: its SHA-256 is {sha256}"
         raise LogError(text, "run again", path)
-    time_ns, numbers = _tum_poses(path, content.decode("utf-8", "replace"))
+    time_ns, numbers = tum_poses(path, content.decode("utf-8", "replace"))
     finite = np.isfinite(numbers)
     if not finite.any():
-        raise LogError(f"has no number in any of its {len(numbers)} poses", _TUM_FORMAT, path)
+        raise LogError(f"has no number in any of its {len(numbers)} poses", TUM_FORMAT, path)
     numbers = np.where(finite, numbers, np.nan)
     notes = []
+    lacking = int(np.count_nonzero(~finite[:, :3].all(axis=1)))
+    if lacking:
+        notes.append(note("tum_without_position", lacking, lines=len(numbers)).about(role))
     back = int(np.count_nonzero(np.diff(time_ns) < 0))
     if back:
         notes.append(note("solution_out_of_order lines", back).about(role))
@@ -554,6 +555,7 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
     rows = order[is_new(time_ns[order])]
     way = numbers[rows, :3]
     mat = mat_from_quat(numbers[rows, 3:])
+    notes += [found.about(role) for found in length_notes(numbers[rows, 3:])]
     if settings.axes != "ned_frd":
         way = way @ MAT_ENU_NED
         mat = np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
@@ -564,25 +566,17 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
     return SolutionColumns(motion, way, *no_covariances()), notes
 
 
-def _tum_poses(path: Path, text: str) -> tuple[TimeNs, Floats]:
-    """Return the times of the poses in a text, (k,) ns, and their numbers, (k, 7), in the order of the lines."""
-    times = []
-    poses = []
-    for number, line in enumerate(text.splitlines(), 1):
-        words = line.replace(",", " ").split()
-        if not words or words[0].startswith("#"):
-            continue
-        try:
-            time_s = Decimal(words[0])
-            pose = [float(word) for word in words[1:]]
-            if len(words) != _TUM_COLUMNS or not (time_s.is_finite() and abs(time_s) < _LATEST_S):
-                raise ValueError
-        except (ArithmeticError, ValueError) as error:
-            # Of what is in it nothing is shown: it may be any file.
-            what = f"line {number} is no pose: it needs {_TUM_COLUMNS} numbers"
-            raise LogError(what, _TUM_FORMAT, path) from error
-        times.append(round(time_s * NS_PER_S))
-        poses.append(pose)
-    if not poses:
-        raise LogError("has no line with a pose", _TUM_FORMAT, path)
-    return np.array(times, np.int64), np.array(poses, np.float64)
+def length_notes(quat: Floats) -> list[Note]:
+    """Note quaternions, shape (k, 4), that are not of length 1."""
+    lengths = np.linalg.norm(quat, axis=1)
+    lengths = lengths[np.abs(lengths - 1.0) > _LONGER]
+    if not len(lengths):
+        return []
+    return [
+        note(
+            "quaternion_length",
+            len(lengths),
+            least=float(lengths.min()),
+            most=float(lengths.max()),
+        )
+    ]
