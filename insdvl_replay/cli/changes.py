@@ -62,11 +62,11 @@ def compare(
         typer.Option(help="With --reference: fit each trajectory to the reference first."),
     ] = None,
     axes: Annotated[
-        Literal["enu_flu", "ned_frd"] | None,
+        Literal["ned_frd", "enu_flu"] | None,
         typer.Option(help="With --reference: axes of OLD and NEW (default: by the format)."),
     ] = None,
     reference_axes: Annotated[
-        Literal["enu_flu", "ned_frd"] | None,
+        Literal["ned_frd", "enu_flu"] | None,
         typer.Option("--reference-axes", help="With --reference: axes of the reference."),
     ] = None,
     primary: Annotated[

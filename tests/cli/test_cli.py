@@ -25,8 +25,8 @@ DOCUMENTED = {
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
     ],
     "compare": [
-        "OLD", "NEW...", "--reference TRUTH", "--align <none|yaw|se3|sim3>", "--axes <enu_flu|ned_frd>",
-        "--reference-axes <enu_flu|ned_frd>", "--primary NAME", "--max-diff S", "--rpe DELTA", "--all-pairs",
+        "OLD", "NEW...", "--reference TRUTH", "--align <none|yaw|se3|sim3>", "--axes <ned_frd|enu_flu>",
+        "--reference-axes <ned_frd|enu_flu>", "--primary NAME", "--max-diff S", "--rpe DELTA", "--all-pairs",
         "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
         "--only-changed", "--all", "--fail-on worse|undecided|P%",
         "--format <table|json|csv|md|latex|html>", "--json", "-v, --verbose", "-q, --quiet",
