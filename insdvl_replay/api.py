@@ -548,7 +548,7 @@ def compare_trajectories(
     axes: str | None = None,
     reference_axes: str | None = None,
     primary: str = "",
-    max_diff_s: float = 0.01,
+    max_diff_s: float | None = None,
     rpe: str | Sequence[str] = (),
     all_pairs: bool = False,
     dives: str | Sequence[str] = (),
@@ -568,8 +568,8 @@ def compare_trajectories(
         ``enu_flu`` or ``ned_frd``. Default: by the format.
     primary : str
         The quantity that decides. Default: position.
-    max_diff_s : float
-        Most seconds between the stamps of poses, for APE and RPE.
+    max_diff_s : float, optional
+        Most seconds between the stamps of poses, for APE and RPE. Default: 0.01.
     rpe : str or sequence of str
         Lengths of RPE, such as ``1f`` or ``100m``. Default: ``1f``.
     all_pairs : bool
