@@ -6,7 +6,7 @@ from pathlib import Path
 from insdvl_replay.core.tables import TABLES, TableLayout
 
 FOLDER = Path(__file__).resolve().parents[2] / "schemas" / "insdvl_msgs" / "msg"
-TYPES = {"text": "string", "count": "uint32", "number": "float64"}
+TYPES = {"text": "string", "count": "uint32", "number": "float64", "flag": "bool"}
 
 
 def message_definition(layout: TableLayout) -> str:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import chain
-from typing import Annotated, Final
+from typing import Annotated, Final, NamedTuple
 
 import msgspec
 from msgspec import Meta, Struct
@@ -25,13 +25,14 @@ from insdvl_replay.core.quantities import (
     WITHOUT_VERDICT,
 )
 from insdvl_replay.core.report import StoredReport
-from insdvl_replay.core.tables import TABLES, EvidenceRow, Number, finite
+from insdvl_replay.core.tables import TABLES, EvidenceRow, Number, WhereRow, finite
 from insdvl_replay.core.words import ReasonCode, Role, Verdict
 from insdvl_replay.evaluation import answers
 from insdvl_replay.evaluation.answers import BAD, pooled_candidate, primary_of
 from insdvl_replay.evaluation.evidence import role_alone
 from insdvl_replay.evaluation.interval import LEVEL, level_of_candidates
 from insdvl_replay.evaluation.sentences import headline
+from insdvl_replay.evaluation.where import pooled_where, where_between
 
 OLD: Final = "before"  # name of the old side in sentences
 _TABLES: Final = [layout for layout in TABLES if layout.name in ("evidence", "drift", "outage")]
@@ -118,8 +119,22 @@ class _Paired(Struct, frozen=True):
         return primary_of(self.evidence, "")
 
 
+class ComparedFilters(NamedTuple):
+    """Each filter that both sides have, new against old."""
+
+    answers: tuple[Answer, ...]
+    where: tuple[
+        WhereRow, ...
+    ]  # the drift of all of them by what the vehicle does, over several dives
+
+
 def answers_of(pairs: Sequence[Pair]) -> tuple[Answer, ...]:
     """Compare each filter that both sides have with itself, over all dives."""
+    return compared_filters(pairs).answers
+
+
+def compared_filters(pairs: Sequence[Pair]) -> ComparedFilters:
+    """Compare each filter that both sides have with itself, over all dives, and by what the vehicle does."""
     pairs = _without_copies(pairs)
     having: dict[str, list[Pair]] = {}
     for pair in pairs:
@@ -132,9 +147,17 @@ def answers_of(pairs: Sequence[Pair]) -> tuple[Answer, ...]:
     # Filters that changed share the error rate of one.
     changed = [found.name for found in paired if found.largest_change > 0.0]
     level = level_of_candidates(len(changed))
-    found = [_answer(one, level if one.name in changed else LEVEL) for one in paired]
+    found = list[Answer]()
+    where = list[WhereRow]()
+    for one in paired:
+        own_level = level if one.name in changed else LEVEL
+        answer = _answer(one, own_level)
+        found.append(answer)
+        if len(one.evaluated) > 1 and answer.verdict not in WITHOUT_VERDICT:
+            where += _where(one, own_level)
     # What is not finite is missing, as in JSON.
-    return msgspec.json.decode(msgspec.json.encode(found), type=tuple[Answer, ...])
+    known = msgspec.json.encode(ComparedFilters(tuple(found), tuple(where)))
+    return msgspec.json.decode(known, type=ComparedFilters)
 
 
 def _without_copies(pairs: Sequence[Pair]) -> list[Pair]:
@@ -204,6 +227,35 @@ def _answer(paired: _Paired, level: float) -> Answer:
         undecided=ReasonCode.NONE,
         sentence=f"{name} {answer.sameness}.",
     )
+
+
+def _where(paired: _Paired, level: float) -> list[WhereRow]:
+    """Return the drift of one filter by what the vehicle does, new over old, over all dives."""
+    dives = [_where_on_dive(paired.name, pair) for pair in paired.evaluated]
+    vehicles = [pair.new.report.vehicle for pair in paired.evaluated]
+    return pooled_where(dives, level=level, vehicles=vehicles)
+
+
+def _where_on_dive(name: str, pair: Pair) -> list[WhereRow]:
+    """Return the rows of a filter on one dive, new over old, of the bins that both sides have."""
+    old = _where_rows(pair.old.report, name)
+    rows = []
+    for bin_, now in _where_rows(pair.new.report, name).items():
+        if bin_ not in old:
+            continue
+        row = where_between(old[bin_], now)
+        if row is not None:
+            rows.append(row)
+    return rows
+
+
+def _where_rows(report: StoredReport, name: str) -> dict[str, WhereRow]:
+    """Return the rows of a filter by bin; early results have none."""
+    found = dict[str, WhereRow]()
+    for row in report.tables.get("where", []):
+        if row["filter"] == name:
+            found[str(row["bin"])] = msgspec.convert(row, WhereRow)
+    return found
 
 
 def _by_dive(evidence: Sequence[Sequence[EvidenceRow]], primary: str) -> tuple[DiveChange, ...]:

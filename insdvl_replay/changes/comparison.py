@@ -11,7 +11,7 @@ from typing import Final
 from msgspec import Struct
 from msgspec.structs import replace
 
-from insdvl_replay.changes.answer import Answer, answers_of
+from insdvl_replay.changes.answer import Answer, compared_filters
 from insdvl_replay.changes.cells import ROUNDING, Change, RowPair, changes_of, paired_rows, within
 from insdvl_replay.changes.differences import Difference, differences, notes_on_names
 from insdvl_replay.changes.matching import (
@@ -24,7 +24,7 @@ from insdvl_replay.changes.matching import (
 from insdvl_replay.core.errors import ConfigError, Note, counted, require_known
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
 from insdvl_replay.core.report import StoredResult
-from insdvl_replay.core.tables import LAYOUTS, Number, TableLayout
+from insdvl_replay.core.tables import LAYOUTS, Number, TableLayout, WhereRow
 from insdvl_replay.core.words import ChangeVerdict, MatchedBy, Verdict
 from insdvl_replay.document.tables import plain_text
 from insdvl_replay.results.stored_results import read_results
@@ -82,6 +82,8 @@ class Comparison(Struct, frozen=True):
     changes: tuple[Change, ...]
     notes: tuple[Note, ...] = ()
     baseline: str = ""
+    # the drift of each filter by what the vehicle does, new over old, over several dives
+    where: tuple[WhereRow, ...] = ()
 
     @property
     def matched(self) -> list[DiveComparison]:
@@ -128,10 +130,11 @@ def compare_results(
         changes += found
     compared += [_gone(result) for result in matching.gone]
     compared += [_added(result) for result in matching.added]
+    filters = compared_filters(pairs)
     return Comparison(
         old=str(old),
         new=str(new),
-        answers=answers_of(pairs),
+        answers=filters.answers,
         tolerance_pct=tolerance_pct,
         counts=_counts(changes),
         worst=_largest(changes, 1.0),
@@ -142,6 +145,7 @@ def compare_results(
         changes=tuple(changes),
         notes=tuple(notes),
         baseline=pairs[0].new.report.baseline if pairs else "",
+        where=filters.where,
     )
 
 

@@ -17,7 +17,7 @@ from insdvl_replay.changes.comparison import (
 from insdvl_replay.changes.differences import Difference
 from insdvl_replay.core.errors import counted, listed, natural_key
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
-from insdvl_replay.core.tables import CANDIDATES, RATIO, PooledRow, finite
+from insdvl_replay.core.tables import CANDIDATES, RATIO, PooledRow, WhereRow, finite
 from insdvl_replay.core.words import ChangeVerdict, ReasonCode, Verdict
 from insdvl_replay.document.parts import (
     PAGE,
@@ -37,8 +37,10 @@ from insdvl_replay.evaluation.sentences import (
     interval_text,
     plan_line,
     ratio_text,
+    where_line,
     word_of,
 )
+from insdvl_replay.evaluation.where import notable
 from insdvl_replay.show.answers import TONES, verdict_in_table
 from insdvl_replay.show.first_screen import (
     ForestRow,
@@ -73,6 +75,7 @@ def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Resul
         title=_title(comparison),
         tables={
             "answer": Block.of(PooledRow, answer_rows),
+            "where": Block.of(WhereRow, comparison.where),
             "difference": Block.of(Difference, comparison.differences),
             "dive": Block(head, [_dive_cells(dive) for dive in comparison.dives]),
             "aggregate": Block.of(Aggregate, comparison.aggregates),
@@ -102,7 +105,7 @@ def comparison_document(
 ) -> list[Part]:
     """Return the screen: answers, changed verdicts, differences outside the tables, evidence or values, and counts."""
     most = len(comparison.differences) if values else _MOST_DIFFERENCES
-    parts: list[Part] = [Title(_title(comparison)), *_answer_screen(comparison.answers)]
+    parts: list[Part] = [Title(_title(comparison)), *_answer_screen(comparison)]
     for lines in (_changed_verdicts(comparison), _other_differences(comparison, most)):
         if lines:
             parts.append(Sentences(tuple(lines)))
@@ -245,28 +248,39 @@ def _answer_table(answers: Sequence[Answer], *, every_row: bool) -> Iterator[Dis
         yield table_of(title, kept, _ANSWER_COLUMNS, footnote, spare=(2, 7, 3, 4))
 
 
-def _answer_screen(answers: Sequence[Answer]) -> list[Part]:
+def _answer_screen(comparison: Comparison) -> list[Part]:
     """Return the answers: a line for each filter, on pages a section with forest plots."""
-    sections = [_answer_section(answer) for answer in answers]
+    answers = comparison.answers
+    sections = []
+    lines = answer_lines(answers)
+    for answer in answers:
+        where = [row for row in comparison.where if row.filter == answer.filter]
+        sections.append(_answer_section(answer, where))
+        line = where_line(notable(where))
+        if line:
+            lines.append(Callout(f"{answer.filter}: {line}"))
     caption = ""
     if any(answer.dives > 1 for answer in answers):
         caption = "All dives: each is one sample."
     page = first_screen(sections, caption, compared=("new result", "old one"))
-    return [Only(PRINTED, tuple(answer_lines(answers))), Only(PAGE, (page,))]
+    return [Only(PRINTED, tuple(lines)), Only(PAGE, (page,))]
 
 
-def _answer_section(answer: Answer) -> str:
+def _answer_section(answer: Answer, where: Sequence[WhereRow]) -> str:
     """Return the section of a filter on a page, with its forest plots."""
     said = [f"{_said(answer)}."]
     if answer.dives == 1:
         return section(answer, said, [evidence_forest("This dive", answer, _MOST_DRAWN)])
+    line = where_line(notable(where))
+    if line:
+        said.append(f"{line}.")
     rows = list[ForestRow]()
     for dive in answer.by_dive:
         if finite(dive.ratio) > 0.0:
             text = change_of_value(dive.old, dive.new, dive.unit)
             rows.append(ForestRow(dive.log, dive.ratio, tone=Verdict.UNDECIDED, text=text))
     plots = [
-        evidence_forest("All dives", answer, _MOST_DRAWN),
+        evidence_forest("All dives", answer, _MOST_DRAWN, where),
         by_dive_forest(answer.primary, rows),
     ]
     return section(answer, said, plots)

@@ -239,7 +239,9 @@ class DvlColumns(Columns):
     # (k, 3) over ground, m/s, NaN where invalid; of instruments without beams
     velocity_d: Floats | None = None
     look_d: Floats | None = None  # (3,) where the beams look on average, if the messages tell it
-    per_row = ("beam_velocity_mps", "velocity_d")
+    # (k,) m above the bottom, NaN where it is not known; None if the messages have neither it nor ranges
+    altitude_m: Floats | None = None
+    per_row = ("beam_velocity_mps", "velocity_d", "altitude_m")
 
 
 @dataclass(frozen=True)

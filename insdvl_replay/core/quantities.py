@@ -183,6 +183,17 @@ SECONDARIES: Final = {
     "velocity across": ("velocity_across",),
 }
 FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
+# What a vehicle does while it drifts, by which a drift is sorted into bins.
+BINS: Final = (
+    "straight",
+    "turns",
+    "hover",
+    "climbs",
+    "no_bottom_lock",
+    "near_bottom",
+    "fast",
+    "slow",
+)
 # Rows of evidence, each name once, those that may decide in front.
 EVIDENCE_QUANTITIES: Final = (
     *(
@@ -222,6 +233,10 @@ _LABELS: Final = {
     "position_crps": "position CRPS",
     "nis": "NIS / dof",
     "nees": "NEES / dof",
+    "straight": "straight legs",
+    "climbs": "climbs, descents",
+    "no_bottom_lock": "no bottom lock",
+    "near_bottom": "near the bottom",
     JOINT: "all together",
 }
 

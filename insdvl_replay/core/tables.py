@@ -14,6 +14,7 @@ from msgspec import Meta, Struct
 
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
+    BINS,
     CREDIBILITY_QUANTITIES,
     DRIFT_QUANTITIES,
     EVIDENCE_QUANTITIES,
@@ -43,7 +44,7 @@ Number = float | None
 _TWO_DIGITS: Final = 99.5  # From here on a size with two digits would have an exponent.
 # What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES.
 Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
-Kind = Literal["text", "count", "number"]
+Kind = Literal["text", "count", "number", "flag"]
 # End of the name of a percentage column. Its changes are in percentage points.
 PERCENTAGE: Final = "_pct"
 # Units by the end of a column's name.
@@ -157,6 +158,8 @@ def _column_of(hint: Any) -> tuple[Kind, Col]:
         return "text", column
     if held is int:
         return "count", column
+    if held is bool:
+        return "flag", column
     return "number", column
 
 
@@ -967,8 +970,77 @@ class AssayRow(Struct, frozen=True):
     role: Annotated[str, Col("primary (it may decide), secondary or shown.")] = Role.SHOWN
 
 
+class WhereRow(Struct, frozen=True, kw_only=True):
+    """One thing that the vehicle does: the drift of a candidate over that of the baseline meanwhile."""
+
+    about: ClassVar = (
+        "What the vehicle does, such as turns: the drift in 30 s meanwhile, of a candidate over that of the baseline."
+        " No verdict depends on it."
+    )
+
+    baseline_too: ClassVar = True
+    by_filter: ClassVar = True
+    title: ClassVar = "Where: drift in 30 s by what the vehicle does, {filter} against {baseline}"
+    footnote: ClassVar = (
+        "ratio: of the drift in this bin. to rest: this ratio over that of the rest of the dive. One dive has no "
+        "interval, and nothing is notable on it."
+    )
+
+    log: Annotated[str, Col("Dive, or * for all dives, then filter and bin.")]
+    filter: str
+    bin: Annotated[str, Col(names=BINS, head="where", form="label")]
+    unit: Annotated[str, Col("Unit of the drift.")]
+    baseline: Annotated[
+        Number,
+        Col(
+            "Root mean square of the horizontal drift in 30 s in this bin: of the baseline, and of the filter; of all "
+            "dives the median.",
+            head="{baseline}",
+            form="value",
+            better="lower",
+        ),
+    ]
+    value: Annotated[Number, Col(head="{filter}", form="value", better="lower")]
+    rest_value: Annotated[Number, Col("The filter's in the rest of the dive.", better="lower")]
+    ratio: Annotated[
+        Number,
+        Col(
+            "Filter over baseline in this bin, with its interval over dives. Of all dives it is the geometric mean.",
+            head="ratio",
+            form="ratio",
+            better="lower",
+        ),
+    ] = None
+    low: Annotated[Number, Col(form="ratio")] = None
+    high: Annotated[Number, Col(form="ratio")] = None
+    to_rest: Annotated[
+        Number,
+        Col(
+            "This ratio over the ratio in the rest of the dive, with its interval over dives.",
+            head="to rest",
+            form="ratio",
+        ),
+    ] = None
+    to_rest_low: Annotated[Number, Col(form="ratio")] = None
+    to_rest_high: Annotated[Number, Col(form="ratio")] = None
+    p_adjusted: Annotated[
+        Number,
+        Col(
+            "Probability of such a to_rest if the bin and the rest differed by at most 5 %, two-sided, adjusted for "
+            "all bins (Holm) and candidates.",
+            form="4",
+        ),
+    ] = None
+    stands_out: Annotated[
+        bool,
+        Col("Whether both intervals are wholly beyond the band, on the same side."),
+    ] = False
+    dives: Annotated[int, Col("Dives with a ratio, and their overlapping windows of 30 s.")] = 1
+    windows: Annotated[int, Col(head="windows")] = 0
+
+
 class Tables(Struct, frozen=True):
-    """The tables, with the rows of the CSV files; missing values are null. Early reports lack the last seven."""
+    """The tables, with the rows of the CSV files; missing values are null. Early reports lack the last eight."""
 
     improvement: list[ImprovementRow]
     convergence: list[ConvergenceRow]
@@ -981,6 +1053,7 @@ class Tables(Struct, frozen=True):
     track_fit: list[TrackFitRow] = []
     jumps: list[JumpRow] = []
     assay: list[AssayRow] = []
+    where: list[WhereRow] = []
 
 
 class CandidateVerdict(Struct, frozen=True):

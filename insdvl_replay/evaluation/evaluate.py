@@ -23,6 +23,7 @@ from insdvl_replay.core.tables import (
     OutageRow,
     ReferenceErrorRow,
     Tables,
+    WhereRow,
     finite,
 )
 from insdvl_replay.core.words import DelayStatus, ReferenceStatus
@@ -72,6 +73,7 @@ from insdvl_replay.evaluation.reference_errors import (
     reference_errors,
     run_from_start,
 )
+from insdvl_replay.evaluation.where import QUANTITY, where_table
 
 # At most this number of P (23 MB) is kept for the evaluation of errors; a longer dive is evaluated at fewer times.
 MOST_COVARIANCES: Final = 20_000
@@ -183,7 +185,25 @@ def tables_of_filters(
         drift=drift,
         track_fit=fits,
         jumps=jumps,
+        where=_where_rows(dive, histories, errors, in_time),
     )
+
+
+def _where_rows(
+    dive: Dive,
+    histories: Sequence[History],  # the first is the baseline
+    errors: Mapping[str, ReferenceErrors],  # by filter
+    in_time: Mapping[str, Series],  # from `accuracy_series`
+) -> list[WhereRow]:
+    """Return the drift by what the vehicle does; no rows without a reference that covers the dive."""
+    if dive.reference is None:
+        return []
+    drifts = {}
+    for name, series in in_time.items():
+        if QUANTITY in series:
+            drifts[name] = series[QUANTITY].errors
+    time_ns = errors[histories[0].filter].time_ns
+    return where_table(dive.name, histories, drifts, time_ns, dive.reference, dive.dvl)
 
 
 def _settled_rows(

@@ -7,7 +7,14 @@ from typing import Final, NamedTuple
 from insdvl_replay.core.dive_record import StartHeading
 from insdvl_replay.core.errors import counted
 from insdvl_replay.core.quantities import DRAWN_HEADING, FEWEST_DIVES, WITHOUT_VERDICT, label
-from insdvl_replay.core.tables import Number, PooledRow, finite, share_text, two_digits
+from insdvl_replay.core.tables import (
+    Number,
+    PooledRow,
+    WhereRow,
+    finite,
+    share_text,
+    two_digits,
+)
 from insdvl_replay.core.words import HeadingSource, Prediction, Reason, ReasonCode, Verdict
 from insdvl_replay.evaluation.answers import (
     BAD,
@@ -18,7 +25,11 @@ from insdvl_replay.evaluation.answers import (
     largest_acts,
     seen_controls,
 )
-from insdvl_replay.evaluation.interval import change_found, dives_needed
+from insdvl_replay.evaluation.interval import (
+    change_found,
+    dives_needed,
+    word_of_interval,
+)
 
 MANY_TIMES: Final = 3.0  # A larger ratio is written in times instead of percent.
 THREE_DIGITS: Final = 9.995  # From here on a ratio has three digits instead of two decimals.
@@ -90,11 +101,14 @@ def ratio_text(value: Number) -> str:
     return f"{value:.3g}"
 
 
-def interval_text(row: PooledRow) -> str:
+def interval_text(row: PooledRow | WhereRow) -> str:
     """Write the interval of a row, a dash where it has none."""
-    low = finite(row.low)
-    high = row.high
-    if math.isnan(low) or high is None:
+    return interval_of(row.low, row.high)
+
+
+def interval_of(low: Number, high: Number) -> str:
+    """Write an interval, a dash where there is none."""
+    if math.isnan(finite(low)) or high is None:
         return "-"
     return f"{ratio_text(low)} .. {ratio_text(high)}"
 
@@ -104,7 +118,7 @@ def ratio_with_interval(row: PooledRow) -> str:
     return f"{label(row.quantity)} {_ratio_and_interval(row)}"
 
 
-def _ratio_and_interval(row: PooledRow) -> str:
+def _ratio_and_interval(row: PooledRow | WhereRow) -> str:
     interval = interval_text(row)
     if interval == "-":
         return ratio_text(row.ratio)
@@ -415,6 +429,50 @@ def answer_lines(answer: CandidateAnswer, initial: str = "", start: str = "") ->
         plan_line(answer),
     ]
     return [line for line in lines if line]
+
+
+# --- Where it helped.
+
+_WHERE: Final = {
+    "straight": "on straight legs",
+    "turns": "in turns",
+    "hover": "while hovering",
+    "climbs": "in climbs and descents",
+    "no_bottom_lock": "without bottom lock",
+    "near_bottom": "near the bottom",
+    "fast": "when fast",
+    "slow": "when slow",
+}
+# What makes a filter worse there, and not elsewhere.
+_LOOK_AT: Final = {
+    "straight": "heading, mounting and scale of the DVL",
+    "turns": "lever arm and delay",
+    "hover": "the noise of the DVL at rest and the gyro biases",
+    "climbs": "mounting in pitch and the depth",
+    "no_bottom_lock": "noise and biases of the IMU",
+    "near_bottom": "the gate and lost beams",
+    "fast": "scale and mounting of the DVL",
+    "slow": "the noise of the DVL",
+}
+
+
+def where_line(rows: Sequence[WhereRow]) -> str:
+    """Say where a candidate is better or worse than elsewhere, by the notable rows; empty without any."""
+    if not rows:
+        return ""
+    first, *others = rows
+    line = _where_text(first)
+    if finite(first.ratio) > 1.0:
+        line += f"; look at {_LOOK_AT[first.bin]}"
+    if others:
+        line += f". Also {', '.join(map(_where_text, others))}"
+    return line
+
+
+def _where_text(row: WhereRow) -> str:
+    """Write the ratio of a bin, such as ``worse in turns: 1.31 (1.12 .. 1.53)``."""
+    word = word_of_interval(finite(row.low), finite(row.high))
+    return f"{word} {_WHERE[row.bin]}: {_ratio_and_interval(row)}"
 
 
 def begun_with_capital(text: str, answer: Answer) -> str:

@@ -329,7 +329,7 @@ def _by_channel(channel: Integers) -> list[tuple[int, NDArray[np.intp]]]:
 
 # --- Dives and replays.
 
-# Above a flat seabed, from which the ranges of the beams follow; no filter uses it.
+# Above a flat seabed, unless a dive has altitudes. The ranges of the beams follow from it, and no filter uses it.
 ALTITUDE_M: Final = 20.0
 # Decimals of what the instrument makes of its beams, m/s and rad: far below their noise.
 VELOCITY_DIGITS: Final = 6
@@ -443,18 +443,21 @@ def _dvl_batch(dvl: DvlColumns) -> Batch:
     velocity_d = np.round(_velocity_from_beams(dvl.beam_velocity_mps, vectors_d), VELOCITY_DIGITS)
     forward = velocity_d[:, 0]
     starboard = velocity_d[:, 1]
+    altitude_m = np.full(len(good), ALTITUDE_M)
+    if dvl.altitude_m is not None:
+        altitude_m = dvl.altitude_m
     columns: dict[str, Column] = {
         "velocity_mode": 1,  # bottom track
         **components("velocity", velocity_d),
         "velocity_covar": (_UNKNOWN_VARIANCE,) * 9,
-        "altitude": np.where(any_good, ALTITUDE_M, np.nan),
+        "altitude": np.where(any_good, altitude_m, np.nan),
         "course_gnd": np.round(np.arctan2(starboard, forward), VELOCITY_DIGITS),
         "speed_gnd": np.round(np.sqrt(forward * forward + starboard * starboard), VELOCITY_DIGITS),
         "num_good_beams": good_beams,
         "sound_speed": np.nan,
         "beam_ranges_valid": any_good,
         "beam_velocities_valid": any_good,
-        "range": np.where(good, ALTITUDE_M / vectors_d[:, 2], np.nan),
+        "range": np.where(good, altitude_m[:, None] / vectors_d[:, 2], np.nan),
         "range_covar": (_UNKNOWN_VARIANCE,) * 4,
         "beam_quality": (np.nan,) * 4,
         "beam_velocity": dvl.beam_velocity_mps,

@@ -20,12 +20,13 @@ from insdvl_replay.core.quantities import (
     label,
 )
 from insdvl_replay.core.report import Report
-from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
+from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, WhereRow, finite
 from insdvl_replay.core.words import DelayStatus, Prediction, ReferenceStatus, Role
 from insdvl_replay.document.tables import MISSING, percent
 from insdvl_replay.evaluation.answers import (
     BAD,
     CONTROL,
+    EVERY_DIVE,
     GOOD,
     NOTABLE_PCT,
     Answer,
@@ -34,6 +35,7 @@ from insdvl_replay.evaluation.answers import (
     answer_over_dives,
     answers_together,
     assay_rows,
+    levels_of,
     median_of,
     pooled_candidate,
     primary_of,
@@ -43,6 +45,7 @@ from insdvl_replay.evaluation.interval import LEVEL
 from insdvl_replay.evaluation.outage_test import SHORTEST_S
 from insdvl_replay.evaluation.sentences import interval_text, ratio_text, start_of
 from insdvl_replay.evaluation.verdicts import misfit
+from insdvl_replay.evaluation.where import pooled_where
 
 # By verdict: its colour.
 TONES: Final[dict[str, str]] = {
@@ -252,9 +255,7 @@ def _answer(reports: Sequence[Report], name: str, level: float = LEVEL) -> Candi
     having = [report for report in reports if name in report.filters]
     dives = [_candidate_on(report, name) for report in having]
     answer = answer_over_dives(name, dives, primary=_named_primary(having), level=level)
-    evaluated = [
-        report for report in having if report.filters[name].verdict not in WITHOUT_VERDICT
-    ]
+    evaluated = [report for report in having if _is_evaluated(report, name)]
     # Why other dives are not evaluated is no reason of those that are.
     is_evaluated = answer.verdict not in WITHOUT_VERDICT
     if evaluated and is_evaluated and answer.decisive is None:
@@ -376,6 +377,30 @@ def _rows_against_control(report: Report, name: str) -> list[EvidenceRow]:
 def assay_of(reports: Sequence[Report], primary: str) -> list[PooledRow]:
     """Pool the controls of `run --assay` over all dives, for a primary quantity; no rows without an assay."""
     return assay_rows([report.tables.assay for report in reports if report.tables.assay], primary)
+
+
+def where_of(
+    reports: Sequence[Report], answers: Sequence[CandidateAnswer]
+) -> dict[str, list[WhereRow]]:
+    """Return the drift by what the vehicle does, over all dives, of each candidate that is evaluated on several."""
+    found = dict[str, list[WhereRow]]()
+    if not reports:
+        return found
+    reports, _ = distinct_dives(reports)
+    levels = levels_of(answers, _evaluation(reports[0]).get("candidate", ""))
+    for answer in answers:
+        name = answer.filter
+        if answer.log != EVERY_DIVE or answer.verdict in WITHOUT_VERDICT:
+            continue
+        evaluated = [report for report in reports if _is_evaluated(report, name)]
+        rows = [of_filter(name, report.tables.where) for report in evaluated]
+        vehicles = [report.vehicle for report in evaluated]
+        found[name] = pooled_where(rows, level=levels[name], vehicles=vehicles)
+    return found
+
+
+def _is_evaluated(report: Report, name: str) -> bool:
+    return name in report.filters and report.filters[name].verdict not in WITHOUT_VERDICT
 
 
 def candidate_names(reports: Sequence[Report]) -> list[str]:

@@ -69,7 +69,11 @@ from insdvl_replay.show.answers import (
     of_filter,
     start_text,
 )
-from insdvl_replay.show.first_screen import evidence_forest, first_screen, section
+from insdvl_replay.show.first_screen import (
+    evidence_forest,
+    first_screen,
+    section,
+)
 
 NO_REFERENCE: Final = (
     "There is no reference, so true errors are unknown: accuracy, measured convergence, credibility and the predicted "
@@ -266,6 +270,7 @@ _SHOWN_ROWS: Final[Mapping[str, Callable[[Any], object]]] = {
     "reference_error": lambda row: row.samples,
     "credibility": lambda row: row.samples,
     "consistency": lambda row: is_whole(row.measurement),
+    "where": lambda row: row.ratio is not None,
 }
 _ERRORS_ALONE: Final[tuple[ShownColumn, ...]] = (
     ("", "l", "quantity:label"),
@@ -365,12 +370,12 @@ def _in_spite(named: Iterable[tuple[str, str]]) -> str:
 
 # --- The tables that `--table` names: for people, as CSV, as JSON.
 
-TOGETHER: Final = ("answers", "pooled", "summary")  # Names of the tables over all dives.
+TOGETHER: Final = ("answers", "pooled", "where", "summary")  # Names of the tables over all dives.
 
 
 def require_tables(names: Sequence[str]) -> None:
     """Raise a ConfigError, with the nearest name, if a table is not known."""
-    known = [*(layout.name for layout in TABLES), *TOGETHER]
+    known = list(dict.fromkeys([*(layout.name for layout in TABLES), *TOGETHER]))
     for name in names:
         require_known("table", name, known, most=len(known))
 
@@ -446,7 +451,7 @@ def dive_document(
     found = tables_of(report)
     by_candidate = _named(found, "evidence")
     outage = _named(found, "outage")
-    references = _named(found, "drift", "track_fit", "jumps")
+    references = _named(found, "where", "drift", "track_fit", "jumps")
     tables = _tables_by_filter(report, found)
     tables += _named(found, "consistency", "innovations", "credibility")
     headline = list(
@@ -528,7 +533,8 @@ def dive_section(report: Report, name: str, title: str = "Evidence") -> str:
     lines = answer_lines(answer, initial_text(report.config), start_text([report]))
     sentences = [grounds(answer), *lines, trust_sentence(report.tables, name, report.baseline)]
     most = _MOST_ROWS.get(len(report.filters), _FEWEST_ROWS)
-    return section(answer, sentences, [evidence_forest(title, answer, most)])
+    compared = [row for row in of_filter(name, report.tables.where) if row.ratio is not None]
+    return section(answer, sentences, [evidence_forest(title, answer, most, compared)])
 
 
 def dive_page(

@@ -14,7 +14,7 @@ from insdvl_replay.core.errors import counted
 from insdvl_replay.core.path_kinds import SUMMARY
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_whole, label
 from insdvl_replay.core.report import Report
-from insdvl_replay.core.tables import AnswerRow, Number, PooledRow
+from insdvl_replay.core.tables import AnswerRow, Number, PooledRow, WhereRow
 from insdvl_replay.core.words import GateStatus, ReasonCode, Severity
 from insdvl_replay.document.page import SIGNATURE, page
 from insdvl_replay.document.parts import (
@@ -37,8 +37,16 @@ from insdvl_replay.document.tables import (
     table_of,
 )
 from insdvl_replay.evaluation.answers import EVERY_DIVE, CandidateAnswer, answer_row
-from insdvl_replay.evaluation.sentences import answer_lines, grounds, paragraph, ratio_text
+from insdvl_replay.evaluation.sentences import (
+    answer_lines,
+    grounds,
+    interval_of,
+    paragraph,
+    ratio_text,
+    where_line,
+)
 from insdvl_replay.evaluation.verdicts import consistency_of
+from insdvl_replay.evaluation.where import notable
 from insdvl_replay.show.answers import (
     TONES,
     Failure,
@@ -54,6 +62,7 @@ from insdvl_replay.show.answers import (
     prediction_word,
     reports_of,
     start_text,
+    where_of,
 )
 from insdvl_replay.show.dive import TOGETHER, VALUES, dive_section, replay_result, values_of
 from insdvl_replay.show.first_screen import (
@@ -178,6 +187,14 @@ def _pooled(outcomes: Sequence[Outcome]) -> list[CandidateAnswer]:
     return [answer for answer in answers_of(reports_of(outcomes)) if answer.log == EVERY_DIVE]
 
 
+def where_rows(outcomes: Sequence[Outcome]) -> list[WhereRow]:
+    """Return the drift by what the vehicle does, over all dives that have a candidate; of one dive its own rows."""
+    reports = reports_of(outcomes)
+    if len(reports) == 1:
+        return list(reports[0].tables.where)
+    return list(chain.from_iterable(where_of(reports, answers_of(reports)).values()))
+
+
 NO_EVIDENCE: Final = (
     "no evidence. Accuracy takes a reference, the DVL outage test a dive of some minutes."
 )
@@ -195,6 +212,7 @@ def named_result(
     rows: dict[str, tuple[type[Struct], Sequence[Struct]]] = {
         "answers": (AnswerRow, answer_rows(outcomes)),
         "pooled": (PooledRow, pooled_rows(outcomes)),
+        "where": (WhereRow, where_rows(outcomes)),
         "summary": (SummaryRow, list(summary_rows(outcomes))),
     }
     reports = reports_of(outcomes)
@@ -202,7 +220,9 @@ def named_result(
     for name in names:
         if name in TOGETHER:
             tables = list(_TOGETHER[name](outcomes))
-            shown_parts += tables or [_missing_table(name, len(reports))]
+            shown_parts += tables
+            if not (tables or rows[name][1]):
+                shown_parts.append(_missing_table(name, len(reports)))
     return replay_result(reports, shown_parts, names, rows)
 
 
@@ -228,6 +248,38 @@ def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
             yield f"{answer.filter} against {answer.baseline}: {why}"
         else:
             yield f"{answer.filter} against {answer.baseline}: {NO_EVIDENCE}"
+
+
+_WHERE: Final[tuple[ShownColumn, ...]] = (
+    ("where", "l", "bin:label"),
+    ("ratio", "r", lambda row: ratio_text(row.ratio)),
+    ("interval", "r", lambda row: interval_of(row.low, row.high)),
+    ("to rest", "r", lambda row: ratio_text(row.to_rest)),
+    ("interval", "r", lambda row: interval_of(row.to_rest_low, row.to_rest_high)),
+    ("p", "r", "p_adjusted:significant"),
+    ("dives", "r", "dives"),
+    ("windows", "r", "windows"),
+    ("", "l", lambda row: "notable" if row.stands_out else ""),
+)
+
+
+def _where_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
+    """Yield the drift by what the vehicle does, a table for each candidate."""
+    reports = reports_of(outcomes)
+    answers = answers_of(reports)
+    found = where_of(reports, answers)
+    for answer in answers:
+        rows = found.get(answer.filter)
+        if rows:
+            names = f"{answer.filter} against {answer.baseline}"
+            title = f"Where: drift in 30 s by what the vehicle does, {names}"
+            yield table_of(title, rows, _WHERE, TO_REST)
+
+
+TO_REST: Final = (
+    "to rest: the ratio over that in the rest of the dive. A bin is notable if both intervals are beyond the band of a "
+    "factor 1.05 on the same side; they hold for all bins together. No verdict depends on it."
+)
 
 
 def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
@@ -256,11 +308,13 @@ def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
 _TOGETHER: Final = {
     "answers": _answer_tables,
     "pooled": _pooled_tables,
+    "where": _where_tables,
     "summary": _summary_tables,
 }
 _NEEDED: Final = {
     "answers": "it takes a candidate",
     "pooled": "it takes two dives with the same candidate",
+    "where": "it takes a reference, and a candidate on two dives with four windows of 30 s in a bin",
     "summary": "it takes a dive with evidence",
 }
 
@@ -291,6 +345,10 @@ OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]
         lambda outcomes: table_csv(Block.of(PooledRow, pooled_rows(outcomes))),
         _first_line(PooledRow),
     ),
+    "where.csv": (
+        lambda outcomes: table_csv(Block.of(WhereRow, where_rows(outcomes))),
+        _first_line(WhereRow),
+    ),
     INDEX: (index_page, SIGNATURE.encode()),
 }
 
@@ -318,7 +376,11 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     for answer in answers:
         verdicts.append(Callout(paragraph(answer, start), TONES.get(answer.verdict, "")))
     yield Only(PRINTED, tuple(verdicts))
-    sections = [_section_of(answer, reports, linked=linked) for answer in answers]
+    where = where_of(reports, answers)
+    sections = []
+    for answer in answers:
+        rows = where.get(answer.filter, [])
+        sections.append(_section_of(answer, reports, rows, linked=linked))
     if sections:
         caption = (
             "All dives: each is one sample. Dive by dive: one dive has no interval and no verdict."
@@ -338,10 +400,16 @@ def _title(outcomes: Sequence[Outcome], reports: Sequence[Report]) -> str:
     return title
 
 
-def _section_of(answer: CandidateAnswer, reports: Sequence[Report], *, linked: bool) -> str:
+def _section_of(
+    answer: CandidateAnswer,
+    reports: Sequence[Report],
+    where: Sequence[WhereRow],
+    *,
+    linked: bool,
+) -> str:
     """Return the section of a candidate: over all dives, or of the only dive that has it."""
     if answer.log == EVERY_DIVE:
-        return _section(answer, reports, initial_text(reports[0].config), linked=linked)
+        return _section(answer, reports, where, linked=linked)
     by_name = {report.log.name: report for report in reports}
     title = f"Evidence on {answer.log} alone"
     return dive_section(by_name[answer.log], answer.filter, title)
@@ -354,7 +422,7 @@ _MOST_ROWS: Final = 8  # Evidence rows of the forest plot of all dives.
 def _section(
     answer: CandidateAnswer,
     reports: Sequence[Report],
-    initial: str,
+    where: Sequence[WhereRow],
     *,
     linked: bool,
 ) -> str:
@@ -366,8 +434,12 @@ def _section(
     if answer.evaluated < answer.dives:
         title = f"All dives, {answer.evaluated} of {answer.dives}"
     having = [report for report in reports if answer.filter in report.filters]
+    initial = initial_text(reports[0].config)
     sentences = [grounds(answer), *answer_lines(answer, initial, start_text(having))]
-    return section(answer, sentences, [evidence_forest(title, answer, _MOST_ROWS), dives])
+    if line := where_line(notable(where)):
+        sentences.append(line)
+    evidence = evidence_forest(title, answer, _MOST_ROWS, where)
+    return section(answer, sentences, [evidence, dives])
 
 
 # The meaning of the columns of candidates.
@@ -450,6 +522,7 @@ def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
     links = tuple(_link(row) for row in rows)
     yield replace(table_of(title, rows, kept, footnote), links=links)
     yield from _pooled_tables(outcomes)
+    yield from _where_tables(outcomes)
 
 
 def _columns_with_values(

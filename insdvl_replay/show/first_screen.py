@@ -14,13 +14,13 @@ from urllib.parse import quote
 from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
 from insdvl_replay.core.report import Report
-from insdvl_replay.core.tables import Number, PooledRow, finite
+from insdvl_replay.core.tables import Number, PooledRow, WhereRow, finite
 from insdvl_replay.core.words import Role, Verdict
 from insdvl_replay.document.page import table_html
 from insdvl_replay.document.parts import DisplayTable, Html
 from insdvl_replay.document.tables import significant
 from insdvl_replay.evaluation.answers import Answer
-from insdvl_replay.evaluation.interval import BAND
+from insdvl_replay.evaluation.interval import BAND, word_of_interval
 from insdvl_replay.evaluation.sentences import (
     CONFIRMED,
     NOT_CONFIRMED,
@@ -76,6 +76,16 @@ class ForestRow:
 
 
 def forest(title: str, rows: Sequence[ForestRow]) -> str:
+    """Draw ratios, a row each, in a section of their own."""
+    return _section_of_plots([_plot(title, rows)])
+
+
+def _section_of_plots(plots: Sequence[str]) -> str:
+    """Return a section with plots below each other."""
+    return f'<section class="forest">{"".join(plots)}</section>'
+
+
+def _plot(title: str, rows: Sequence[ForestRow]) -> str:
     """Draw ratios, a row each; the mark of a row's reason, a footnote, is behind its text."""
     marks: dict[str, str] = {}
     notes = []
@@ -94,7 +104,7 @@ def forest(title: str, rows: Sequence[ForestRow]) -> str:
         middle = TOP + ROW * number + ROW / 2.0
         lines += _row(row, middle, end, marks.get(row.why, ""))
     svg = "".join([*lines, "</svg>"])
-    return f'<section class="forest"><h3>{escape(title)}</h3>{svg}{footnote}</section>'
+    return f"<h3>{escape(title)}</h3>{svg}{footnote}"
 
 
 def _axis(end: float, bottom: int) -> Iterator[str]:
@@ -281,10 +291,16 @@ def _stressed(sentence: str) -> str:
     return text
 
 
-def evidence_forest(title: str, answer: Answer, most: int) -> str:
-    """Draw rows of evidence over dives: the one that decides, those that can warn, convergence, then others."""
+def evidence_forest(title: str, answer: Answer, most: int, where: Sequence[WhereRow] = ()) -> str:
+    """Draw rows of evidence over dives: the one that decides, those that can warn, convergence, then others.
+
+    Below them is the drift by what the vehicle does, where it is known.
+    """
     drawn = [_evidence_row(row) for row in chosen_rows(answer.known, most)]
-    return forest(title, drawn)
+    plots = [_plot(title, drawn)]
+    if where:
+        plots.append(_where_plot(where))
+    return _section_of_plots(plots)
 
 
 def _evidence_row(row: PooledRow) -> ForestRow:
@@ -298,7 +314,22 @@ def _evidence_row(row: PooledRow) -> ForestRow:
     return ForestRow(label(row.quantity), row.ratio, ends, tone, text, decides=decides)
 
 
-def interval_ends(row: PooledRow) -> tuple[float, float] | None:
+def _where_plot(rows: Iterable[WhereRow]) -> str:
+    """Draw the drift by what the vehicle does. What is notable is bold, and has its colour."""
+    drawn = []
+    for row in rows:
+        ends = interval_ends(row)
+        tone: str = Verdict.UNDECIDED
+        if row.stands_out:
+            tone = word_of_interval(finite(row.low), finite(row.high))
+        text = f"{ratio_text(row.ratio)}, {row.windows} windows"
+        drawn.append(
+            ForestRow(label(row.bin), row.ratio, ends, tone, text, decides=row.stands_out)
+        )
+    return _plot("Where: drift in 30 s by what the vehicle does. Bold: notable", drawn)
+
+
+def interval_ends(row: PooledRow | WhereRow) -> tuple[float, float] | None:
     """Return the ends of the interval of a row; None without one."""
     low = finite(row.low)
     high = finite(row.high)

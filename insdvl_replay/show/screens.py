@@ -35,6 +35,7 @@ from insdvl_replay.evaluation.sentences import (
     plan_line,
     ratio_text,
     shouted,
+    where_line,
     word_of,
 )
 from insdvl_replay.evaluation.verdicts import (
@@ -42,6 +43,7 @@ from insdvl_replay.evaluation.verdicts import (
     credibility_of,
     trust_sentence,
 )
+from insdvl_replay.evaluation.where import notable
 from insdvl_replay.show.answers import (
     TONES,
     Failure,
@@ -61,6 +63,7 @@ from insdvl_replay.show.answers import (
     start_text,
     unchecked_delay,
     verdict_in_table,
+    where_of,
 )
 from insdvl_replay.show.dive import NO_REFERENCE, headline_table, line_alone, track_fit_line
 from insdvl_replay.show.dives import table_alone
@@ -107,24 +110,40 @@ def _answer_parts(
 
     The start is named once.
     """
+    where = _where_lines(answers, reports)
     if len(answers) > MOST_ANSWERS:
         yield Sentences(())
         yield _answer_table(answers)
         if start:
             yield f"start: {start}"
         yield from _plan_lines(answers)
+        for answer in answers:
+            if answer.filter in where:
+                yield f"{answer.filter}: {where[answer.filter]}"
         return
     lines: list[str | Callout] = []
     for answer in answers:
         said = f"{answer.filter} against {answer.baseline}: {headline(answer)}"
         lines.append(Callout(said, TONES.get(answer.verdict, "")))
         lines += answer_lines(answer, initial, start)
+        if answer.filter in where:
+            lines.append(where[answer.filter])
         if answer.verdict not in WITHOUT_VERDICT:
             start = ""
         if answer.verdict == Verdict.NOT_EVALUATED:
             lines += _in_spite_of_misfit(answer.filter, reports)
     if lines:
         yield Sentences(tuple(lines))
+
+
+def _where_lines(answers: Sequence[CandidateAnswer], reports: Sequence[Report]) -> dict[str, str]:
+    """Say where each candidate is better or worse than elsewhere, by its name; only of those of which it is known."""
+    lines = {}
+    for name, rows in where_of(reports, answers).items():
+        line = where_line(notable(rows))
+        if line:
+            lines[name] = line
+    return lines
 
 
 def _plan_lines(answers: Sequence[CandidateAnswer]) -> Iterator[str]:

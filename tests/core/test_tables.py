@@ -37,6 +37,7 @@ def test_the_tables_have_these_names_keys_and_primary_columns() -> None:
         ("track_fit", "quantity", "fitted"),
         ("jumps", "filter", "jumps"),
         ("assay", "quantity", "ratio"),
+        ("where", "bin", ""),
     ]
 
 
@@ -76,8 +77,11 @@ def test_a_replay_has_the_rows_that_its_layouts_name() -> None:
     longer = {f"outage_{length}s" for length in (60, 120, 300)} | {"60", "120", "300"}
     assert replay.tables.jumps == []  # neither filter has a position that could
     assert replay.tables.assay == []  # it is of `run --assay` alone
+    assert (
+        replay.tables.where == []
+    )  # it goes straight ahead at one speed, so that there is no rest
     for layout, rows in each_table(replay.tables):
-        if layout.name in ("jumps", "assay"):
+        if layout.name in ("jumps", "assay", "where"):
             continue
         of_others = longer | {
             name

@@ -138,6 +138,31 @@ def test_early_water_linked_without_beams_and_figure_of_merit(tmp_path: Path) ->
     assert codes(dive)["dvl_invalid"] == 1
 
 
+def test_the_altitude_is_the_instruments_else_that_of_its_beams(read: Any) -> None:
+    own = read(
+        "acoustic_msgs/msg/Dvl",
+        lambda i: apl(i) | {"altitude": 0.0 if i == 5 else 4.0 + i, "range": [30.0] * 4},
+    )
+    expected = np.delete([np.nan if i == 5 else 4.0 + i for i in range(len(TIMES))], 3)
+    np.testing.assert_array_equal(own.dvl.altitude_m, expected)
+
+    def with_ranges(i: int) -> dict[str, Any]:
+        ping = a50(i)
+        for number, beam in enumerate(ping["beams"]):
+            beam["distance"] = -1.0 if number == 2 else 10.0 + number
+            if i == 7:
+                beam["distance"] = 0.0
+        return ping
+
+    by_ranges = read("waterlinked_a50_ros_driver/msg/DVL", with_ranges)
+    below_m = np.cos(np.deg2rad(22.5)) * (10.0 + 11.0 + 13.0) / 3.0
+    known = np.arange(len(TIMES)) != 7
+    np.testing.assert_allclose(by_ranges.dvl.altitude_m[known], below_m)
+    assert np.isnan(by_ranges.dvl.altitude_m[7])
+    part = by_ranges.dvl.rows(~known)
+    assert len(part.altitude_m) == 1, "it is kept with its ping"
+
+
 # The family of the UUV Simulator
 
 UUV = [name for name, known in TYPES["dvl_beams"].items() if "beam_quaternions" in known.fields]

@@ -71,7 +71,11 @@ def test_settings_are_compared(tmp_path: Path) -> None:
     found = insdvl_replay.compare_settings(
         ARCHIVE / "dives" / "transit.mcap", FAST, after, tmp_path / "out"
     )
-    is_whole(found, {"answer", "difference", "dive", "aggregate", "change"}, tmp_path / "compared")
+    is_whole(
+        found,
+        {"answer", "where", "difference", "dive", "aggregate", "change"},
+        tmp_path / "compared",
+    )
     scale = found.tables["difference"].query("key == 'dvl.scale'")
     assert scale[["old", "new"]].to_numpy().tolist() == [["1.0", "1.05"]]
     with pytest.raises(UserError, match=r"transit: .*dvl\.scale 1\.0 -> 1\.05\n"):
@@ -83,7 +87,9 @@ def test_settings_are_compared(tmp_path: Path) -> None:
 def test_compare_and_check(folder: Path, tmp_path: Path) -> None:
     changed = insdvl_replay.compare(folder / "transit", folder / "transit")
     is_whole(
-        changed, {"answer", "difference", "dive", "aggregate", "change"}, tmp_path / "compared"
+        changed,
+        {"answer", "where", "difference", "dive", "aggregate", "change"},
+        tmp_path / "compared",
     )
     assert changed.tables["dive"]["log"].tolist() == ["transit"]
     gates = tmp_path / "gates.toml"

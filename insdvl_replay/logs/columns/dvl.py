@@ -152,7 +152,14 @@ def _decode_velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColu
     directions = _unused_directions(table, settings, cleaner)
     in_space = np.linalg.matrix_rank(directions.vectors_d, 0.01) == 3
     vectors_d = directions.vectors_d if in_space else None
-    return DvlColumns(cleaner.times, None, vectors_d, cleaner.kept(velocity_d), directions.look)
+    return DvlColumns(
+        cleaner.times,
+        None,
+        vectors_d,
+        cleaner.kept(velocity_d),
+        directions.look,
+        _altitude_m(table, cleaner, directions.vectors_d),
+    )
 
 
 def _decode_beams(
@@ -171,7 +178,37 @@ def _decode_beams(
     _drop_repeats(cleaner, beams_mps)
     # An infinite velocity along a beam counts as NaN.
     finite = cleaner.kept(np.where(np.isfinite(beams_mps), beams_mps, np.nan))
-    return DvlColumns(cleaner.times, finite, directions.vectors_d, look_d=directions.look)
+    return DvlColumns(
+        cleaner.times,
+        finite,
+        directions.vectors_d,
+        look_d=directions.look,
+        altitude_m=_altitude_m(table, cleaner, directions.vectors_d),
+    )
+
+
+def _altitude_m(table: Table, cleaner: Cleaner, vectors_d: Floats) -> Floats | None:
+    """Return how far the bottom is below each ping, shape (k,), NaN where unknown; None where no message tells.
+
+    The instrument's own value counts, else the mean over its beams.
+    """
+    if "altitude" in table:
+        altitude_m = cleaner.kept(table.column("altitude"))
+        return np.where(_is_length(altitude_m), altitude_m, np.nan)
+    if "beam_ranges" not in table:
+        return None
+    ranges_m = cleaner.kept(table.values("beam_ranges"))
+    if ranges_m.shape[1] != len(vectors_d):
+        return None
+    known = _is_length(ranges_m)
+    below_m = np.where(known, ranges_m * vectors_d[:, 2], 0.0).sum(axis=1)
+    beams = known.sum(axis=1)
+    return np.where(beams > 0, below_m / np.maximum(beams, 1), np.nan)
+
+
+def _is_length(values: Floats) -> Mask:
+    """Return which numbers are lengths: instruments write zero, or a negative number, for none."""
+    return np.asarray((values > 0.0) & (values < np.inf))
 
 
 def _are_set(status: Floats, bits: tuple[int, ...]) -> Mask:
