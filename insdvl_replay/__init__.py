@@ -57,12 +57,14 @@ if TYPE_CHECKING:
         history,
         inspect,
         load_config,
+        merge,
         plan,
         propose,
         read_result,
         read_results,
         replay_log,
         run_as_program,
+        run_shard,
         simulate,
     )
 
@@ -86,12 +88,14 @@ __all__ = [
     "history",
     "inspect",
     "load_config",
+    "merge",
     "plan",
     "propose",
     "read_result",
     "read_results",
     "replay_log",
     "run_as_program",
+    "run_shard",
     "simulate",
 ]
 

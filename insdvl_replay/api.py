@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
 from insdvl_replay.core.config_file import toml_value
-from insdvl_replay.core.errors import ConfigError, ResultError, hint_for
+from insdvl_replay.core.errors import ConfigError, Note, ResultError, hint_for
 from insdvl_replay.core.path_kinds import result_hint, result_named
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.settings_layers import SettingsLayers
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import ReplayJob
     from insdvl_replay.preparation.replay import Replay
     from insdvl_replay.results.trajectory import Trajectory
+    from insdvl_replay.show.answers import Failure
 
 Text = str | Path
 Paths = Text | Sequence[Text]
@@ -265,20 +266,116 @@ def read_results(folder: Text) -> "DiveResults":
     ResultError
         A result cannot be read, or is of a version that cannot be read.
     """
-    from insdvl_replay.core.tables import TABLES
-    from insdvl_replay.show.dive import TOGETHER
-    from insdvl_replay.show.dives import named_result, overview_parts
-
     found, notes = read_reports(_path("folder", folder), Report)
-    reports = [report for _, report in found]
-    names = [layout.name for layout in TABLES]
-    content = named_result(reports, [*names, *TOGETHER], ())
-    content = replace(content, document=overview_parts(reports), notes=notes)
     dives = {}
     for file, report in found:
         place = os.path.relpath(file.parent, folder)
         dives[place] = DiveResult(report, file.parent)
-    return DiveResults(content, dives, Path(folder))
+    reports = [report for _, report in found]
+    return DiveResults(_content_of_dives(reports, notes), dives, Path(folder))
+
+
+def _content_of_dives(outcomes: "Sequence[Report | Failure]", notes: Sequence[Note]) -> Content:
+    """Return all tables of several dives as data."""
+    from insdvl_replay.core.tables import TABLES
+    from insdvl_replay.show.dive import TOGETHER
+    from insdvl_replay.show.dives import named_result, overview_parts
+
+    names = [layout.name for layout in TABLES]
+    content = named_result(outcomes, [*names, *TOGETHER], ())
+    return replace(content, document=overview_parts(outcomes), notes=notes)
+
+
+def run_shard(
+    logs: Paths,
+    shard: str,
+    folder: Text,
+    config: Settings | None = None,
+    *,
+    auto: bool = False,
+    allow_damaged: bool = False,
+    force: bool = False,
+) -> "CommandResult":
+    """Replay one of several equal shares of the dives into a folder, for `merge`: table shard has a row for each.
+
+    Parameters
+    ----------
+    logs : str, Path or sequence of them
+        All dives, as logs, folders of them, patterns, lists or manifests.
+    shard : str
+        Which share it is: ``1/4`` has every fourth dive, starting at the first, counted by their names.
+    folder : str or Path
+        The folder of the results. Those that are up to date are used again.
+    config : Config, str, Path or sequence of them, optional
+        From `load_config`, or TOML files as for it. Noise that they do not give is that of a run over all dives.
+    auto : bool
+        Refuse a dive whose settings a run over all dives would find. Nothing is searched for.
+    allow_damaged : bool
+        Use the readable part of damaged logs.
+    force : bool
+        Replace other results.
+
+    Raises
+    ------
+    ConfigError
+        No dive is named, the shard is not of the form ``1/4``, settings are not valid, or other results are in the
+        folder. A log that cannot be used raises nothing: its row says why.
+    """
+    from insdvl_replay.batch.jobs import ReplayOptions
+    from insdvl_replay.batch.manifest import fetch_dives
+    from insdvl_replay.batch.parts import plan_shard_run, replay_shard, shard_result
+    from insdvl_replay.batch.search import with_search, without_search
+
+    layers = _settings(config)
+    options = ReplayOptions(layers.load(), allow_damaged)
+    if auto:
+        options = without_search(with_search(options, layers))
+    names = [str(path) for path in _paths(logs, "logs")]
+    output = _path("folder", folder)
+    run = plan_shard_run(shard, names, output, options, layers.load, fetch_dives)
+    return CommandResult(shard_result(replay_shard(run, force=force)))
+
+
+def merge(parts: Paths, folder: Text, *, force: bool = False) -> "DiveResults":
+    """Merge the shards of a run into the results of one run over all dives, byte for byte.
+
+    Table summary also has the dives that failed.
+
+    Parameters
+    ----------
+    parts : str, Path or sequence of them
+        Folders that `run_shard` or ``run --shard`` wrote, each with one shard or several.
+    folder : str or Path
+        The folder of the results.
+    force : bool
+        Replace other results.
+
+    Raises
+    ------
+    ConfigError
+        A shard is missing or there twice, shards are of different dives, settings or versions, or other results are in
+        the folder.
+    ResultError
+        A result is not as its shard wrote it.
+    """
+    from insdvl_replay.batch.merge import plan_merge
+    from insdvl_replay.batch.overviews import write_overviews
+    from insdvl_replay.show.answers import Failure
+
+    output = _path("folder", folder)
+    planned = plan_merge(_paths(parts, "parts"), output, force=force)
+    outcomes: list[Report | Failure] = []
+    dives = {}
+    for dive in planned.dives(force=force):
+        name = dive.target.name
+        if isinstance(dive.result, Report):
+            dives[name] = DiveResult(dive.result, dive.target)
+            outcomes.append(dive.result)
+        else:
+            outcomes.append(Failure(name, str(dive.result)))
+    if len(outcomes) > 1:
+        write_overviews(outcomes, output)
+    return DiveResults(_content_of_dives(outcomes, ()), dives, output)
 
 
 def plan(

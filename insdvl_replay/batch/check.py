@@ -3,13 +3,15 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.batch.found import Fetch, FoundDive
 from insdvl_replay.batch.jobs import Outcome, ReplayJob, ReplayOptions, plan_jobs
 from insdvl_replay.batch.replaying import Replaying, unheard
-from insdvl_replay.batch.search import outcomes
+from insdvl_replay.batch.search import outcomes_of_shard
+from insdvl_replay.batch.shards import ALL_DIVES, Shard, plan_share, with_noise_of_all
 from insdvl_replay.changes.expected import require_expected, write_expected
 from insdvl_replay.changes.findings import Checked, CheckResult, Finding
 from insdvl_replay.changes.formats import badge_json
@@ -26,23 +28,12 @@ Changed = tuple[str, Finding]
 
 
 @dataclass(frozen=True)
-class Part:
-    """Which share of the dives is checked, where several machines share the work: one of several parts."""
-
-    number: int = 1  # of this part, from 1
-    parts: int = 1  # how many there are
-
-    def of(self, dives: Sequence[FoundDive]) -> Sequence[FoundDive]:
-        """Return the dives of this part: of four parts the first has the dives 1, 5, 9 and so on."""
-        return dives[self.number - 1 :: self.parts]
-
-
-@dataclass(frozen=True)
 class Check:
     """The dives of a check, and how its logs are replayed."""
 
     gates: Gates
     dives: Sequence[FoundDive]  # logs and results
+    shard: Shard  # whose dives are checked
     options: ReplayOptions
     configs: Mapping[Path | None, Config]  # of dives with a file of settings of their own, by it
 
@@ -68,11 +59,11 @@ def plan_check(
     names: Sequence[str],  # paths and patterns of dives, from the working directory
     load: Load,
     *,
-    part: Part = Part(),
+    shard: Shard = ALL_DIVES,
     allow_damaged: bool = False,
     histories: bool = False,
 ) -> Check:
-    """Find the dives of a check, or of a part of it, and load their settings.
+    """Find the dives of a check, and load their settings.
 
     Without names, the dives are those that the gate file names, from its own folder.
 
@@ -89,7 +80,7 @@ def plan_check(
     if not names:
         hint = f'`insdvl-replay check {gates.path} DIVE...`, or dives = ["*.mcap"]'
         raise ConfigError(f"{gates.path}: names no dives", hint)
-    dives = part.of(find_dives(names, folder, results=True))
+    dives = find_dives(names, folder, results=True)
     options = ReplayOptions(
         load(None), allow_damaged=allow_damaged or content.allow_damaged, histories=histories
     )
@@ -97,7 +88,7 @@ def plan_check(
     for dive in dives:
         if dive.settings is not None and dive.settings not in configs:
             configs[dive.settings] = load(dive.settings)
-    return Check(gates, dives, options, configs)
+    return Check(gates, dives, shard, options, configs)
 
 
 def checked_dives(
@@ -142,19 +133,31 @@ def _results_of(
     how: Replaying,
     fetch: Fetch,
 ) -> list[Checked]:
-    """Return the dives of a check in their order: results as they are, logs with the result of their replay."""
-    dives = fetch(check.dives)
-    logs = [dive for dive in dives if not _is_result(dive)]
-    jobs = plan_jobs(logs, output, check.options, check.configs)
+    """Return the dives of a shard in their order: results as they are, logs with the result of their replay."""
+    own = check.shard.places(check.dives)
+    logs = list[FoundDive]()
+    own_logs = set[int]()
+    own_results = list[FoundDive]()
+    for place, dive in enumerate(check.dives):
+        if _is_result(dive):
+            if place in own:
+                own_results.append(dive)
+            continue
+        if place in own:
+            own_logs.add(len(logs))
+        logs.append(dive)
+    results = iter(fetch(own_results))
+    plan = partial(plan_jobs, output=output, options=check.options, configs=check.configs)
+    share = plan_share(check.shard, logs, frozenset(own_logs), fetch, plan)
     # Stored results may have filters that no settings name.
-    if jobs and len(logs) == len(dives):
-        require_known_filters(check.gates, _filters_of(jobs))
+    if own_logs and not own_results:
+        require_known_filters(check.gates, _filters_of(share.own_jobs))
     checked: list[Checked] = []
     # One outcome for each log, in the order of the dives.
-    with closing(outcomes(jobs, how)) as replays:
-        for dive in dives:
-            if _is_result(dive):
-                checked += checked_results(dive.path)
+    with closing(outcomes_of_shard(with_noise_of_all(share, how), how)) as replays:
+        for place in own:
+            if _is_result(check.dives[place]):
+                checked += checked_results(next(results).path)
             else:
                 checked += _replayed(next(replays))
     return checked

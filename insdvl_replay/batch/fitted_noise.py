@@ -30,7 +30,7 @@ def with_fitted_noise(jobs: Sequence[ReplayJob], how: Replaying) -> list[ReplayJ
     for place, job in enumerate(jobs):
         if place in fitted or job.error is not None or not job.options.config.noise.fit:
             continue
-        same = [other for other in range(place, len(jobs)) if _is_alike(jobs[other], job)]
+        same = [other for other in range(place, len(jobs)) if is_alike(jobs[other], job)]
         group = [jobs[other] for other in same]
         known = [] if how.rerun else _with_known_noise(group)
         if not known:
@@ -80,7 +80,7 @@ def _replacing(job: ReplayJob, earlier: ReplayJob, how: Replaying) -> ReplayJob:
     return replace(job, may_replace=not earlier.options.config.noise.fit)
 
 
-def _is_alike(other: ReplayJob, job: ReplayJob) -> bool:
+def is_alike(other: ReplayJob, job: ReplayJob) -> bool:
     """Return whether two dives are of one vehicle, with the same settings."""
     return other.error is None and (other.vehicle, other.options) == (job.vehicle, job.options)
 

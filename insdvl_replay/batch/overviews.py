@@ -14,14 +14,19 @@ from insdvl_replay.show.dives import OVERVIEWS
 _BEGINNING = 1000  # bytes at the start of a file that identify an overview of this tool
 
 
-def require_overviews(dives: Sequence[ReplayJob], output: Path, *, force: bool) -> None:
+def require_own_names(dives: Sequence[ReplayJob], *others: str) -> None:
+    """Raise a ConfigError if a dive has the name of a file about all dives: of an overview, or another one."""
+    names = {*OVERVIEWS, *others}
+    for dive in dives:
+        if dive.target.name in names:
+            text = f"{dive.name}: its results would have the name of an overview"
+            raise ConfigError(text, "rename it, or replay it alone")
+
+
+def require_overviews(output: Path, *, force: bool) -> None:
     """Raise a ConfigError if an overview cannot be written; a file with its name that is none is not replaced."""
     for name, (_, beginning) in OVERVIEWS.items():
         path = output / name
-        for dive in dives:
-            if dive.target == path:
-                text = f"{dive.name}: its results would have the name of an overview"
-                raise ConfigError(text, "rename it, or replay it alone")
         if not os.path.lexists(path):
             continue
         if path.is_symlink() or not path.is_file():

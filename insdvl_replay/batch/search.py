@@ -7,7 +7,7 @@ found have one of their own.
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from insdvl_replay.batch.fitted_noise import with_fitted_noise
 from insdvl_replay.batch.jobs import Outcome, ReplayJob, ReplayOptions, known_reports
@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 SEARCHING = "finding the settings"
 SEARCHING_SINGLE = "finding the settings of single dives"
 FOUND_NOTHING = "found_nothing"
+SHARD: Final = "--shard"
+"""The option with which settings that fit are not searched for, since they are found by all dives together."""
+_HINT_FOR_SHARDS: Final = (
+    "run without --shard over a few of the dives first; then use its vehicle.toml with -c for all"
+)
 
 
 def with_search(
@@ -40,26 +45,55 @@ def with_search(
     return replace(options, require_fit=not blocked_by, blocked_by=blocked_by, given=layers.keys())
 
 
+def without_search(options: ReplayOptions) -> ReplayOptions:
+    """Refuse dives of a shard that need other settings: only all dives together could find them."""
+    if not options.require_fit:
+        return options
+    return replace(options, blocked_by=SHARD)
+
+
 def outcomes(
     dives: Sequence[ReplayJob],
     how: Replaying,
     lake: LakeWriter | None = None,  # that also gets the evidence of all dives
 ) -> Generator[Outcome, None, None]:
     """Replay what has changed; settings are found for dives that need some, where that is allowed."""
+    yield from _added(_hinted(_parts(dives, how), how), dives, lake)
+
+
+def outcomes_of_shard(
+    dives: Sequence[ReplayJob],  # with the noise that all dives have together
+    how: Replaying,
+    lake: LakeWriter | None = None,
+) -> Generator[Outcome, None, None]:
+    """Replay what has changed of a shard. Other settings would have to fit dives of other shards, and are not found."""
+    yield from _added(_hinted([_replays(dives, how)], how), dives, lake)
+
+
+def _added(
+    replays: Generator[Outcome, None, None],
+    dives: Sequence[ReplayJob],
+    lake: LakeWriter | None,
+) -> Generator[Outcome, None, None]:
+    """Yield outcomes, and add their evidence to a lake."""
     if lake is None:
-        yield from _outcomes(dives, how)
+        yield from replays
         return
     require_lake(lake.lake, {dive.target.parent for dive in dives})
-    with closing(lake), closing(_outcomes(dives, how)) as replays:
+    with closing(lake), closing(replays):
         for outcome in replays:
             if isinstance(outcome.result, Report):
                 lake.add(outcome.result)
             yield outcome
 
 
-def _outcomes(dives: Sequence[ReplayJob], how: Replaying) -> Generator[Outcome, None, None]:
+def _hinted(
+    parts: Sequence[Generator[Outcome, None, None]],
+    how: Replaying,
+) -> Generator[Outcome, None, None]:
+    """Yield outcomes, with hints where other settings may help."""
     hints = _SearchHints(how.say)
-    for replays in _parts(dives, how):
+    for replays in parts:
         with closing(replays):
             for outcome in replays:
                 yield hints.added(outcome)
@@ -85,8 +119,12 @@ def _parts(dives: Sequence[ReplayJob], how: Replaying) -> list[Generator[Outcome
 def outcomes_as_planned(
     dives: Sequence[ReplayJob], how: Replaying
 ) -> Generator[Outcome, None, None]:
-    """Replay dives with the settings of their jobs."""
-    dives = with_fitted_noise(dives, how)
+    """Replay dives with the settings of their jobs, and a noise that is fitted to them together."""
+    yield from _replays(with_fitted_noise(dives, how), how)
+
+
+def _replays(dives: Sequence[ReplayJob], how: Replaying) -> Generator[Outcome, None, None]:
+    """Replay dives with the settings of their jobs; each whose noise is still open fits its own."""
     known = known_reports(dives, force=how.force, rerun=how.rerun, report_note=how.report_note)
     changed = [dive for dive in dives if dive.target not in known]
     pool = _pool(changed, how)
@@ -149,12 +187,18 @@ def outcomes_without_settings(
     )
     how = replace(how, force=how.force or are_ours)
     fitted = with_fitted_noise(dives, how)
-    (first,) = outcomes_as_planned(fitted[:1], replace(how, jobs=1))
-    if _settings_may_help(first):
-        yield from _outcomes_of_search(dives, fitted, first, given, how)
-        return
-    yield first
-    yield from _outcomes_of_others(dives[1:], fitted[1:], how)
+    while fitted:
+        (first,) = outcomes_as_planned(fitted[:1], replace(how, jobs=1))
+        if not _settings_may_help(first):
+            yield first
+            yield from _outcomes_of_others(dives[1:], fitted[1:], how)
+            return
+        if _can_be_opened(first.job):
+            yield from _outcomes_of_search(dives, fitted, first, given, how)
+            return
+        yield first  # a log that is broken tells nothing of the others
+        dives = dives[1:]
+        fitted = fitted[1:]
 
 
 def _earlier_search(dive: ReplayJob, given: "Given") -> _Earlier:
@@ -366,9 +410,12 @@ class _SearchHints:
         if not option:
             return outcome
         hint = f"run without {option} first; then use its vehicle.toml with -c"
+        if option == SHARD:
+            hint = _HINT_FOR_SHARDS
         found = outcome.result
         if isinstance(found, Report):
-            if _may_misfit(found) and not self._is_said:
+            is_refused = outcome.job.options.require_fit  # where its settings misfit
+            if not (is_refused or self._is_said) and _may_misfit(found):
                 self._say(f"hint: these settings may not fit {found.log.name}: {hint}")
                 self._is_said = True
             return outcome

@@ -10,6 +10,7 @@ from insdvl_replay.cli.changes import check, compare, plan
 from insdvl_replay.cli.lake import history, lake
 from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.run import run
+from insdvl_replay.cli.shards import merge
 from insdvl_replay.cli.utilities import compile_, config, explain, figure, schema, simulate
 from insdvl_replay.core.version import __version__
 
@@ -22,6 +23,7 @@ app = typer.Typer(
 )
 for command in (
     run,
+    merge,
     compare,
     check,
     history,

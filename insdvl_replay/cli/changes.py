@@ -26,7 +26,6 @@ from insdvl_replay.core.errors import (
 from insdvl_replay.core.words import GateStatus
 
 if TYPE_CHECKING:
-    from insdvl_replay.batch.check import Part
     from insdvl_replay.changes.findings import Checked, CheckResult
 
 GATE_FAILED = 1
@@ -364,9 +363,7 @@ def check(
             "--skip", metavar="GATE", help="Skip gates with this name or pattern. May be repeated."
         ),
     ] = [],
-    shard: Annotated[
-        str, typer.Option("--shard", metavar="I/N", help="Every N-th dive, starting at the I-th.")
-    ] = "1/1",
+    shard: opt.Shard = None,
     histories: Annotated[
         bool,
         typer.Option(
@@ -395,12 +392,13 @@ def check(
       insdvl-replay check gates.toml --badge badge.json
     """
     from insdvl_replay.batch.check import Listener, checked_dives, plan_check, write_badge
+    from insdvl_replay.batch.shards import ALL_DIVES, parse_shard
     from insdvl_replay.changes.formats import check_sentence, update_text
     from insdvl_replay.changes.gate_file import chosen_gates, load_gates, settings_of
     from insdvl_replay.cli.screen import fetch_with_progress, replaying
     from insdvl_replay.core.settings_layers import SettingsLayers
 
-    part = _part(shard)
+    meant = parse_shard(shard or str(ALL_DIVES))
     chosen = chosen_gates(load_gates(gates), only, skip)
     layers = SettingsLayers(
         preset or chosen.content.preset, config or settings_of(chosen), settings, allow_code
@@ -409,7 +407,7 @@ def check(
         chosen,
         dives,
         partial(layers.load, report=log_info),
-        part=part,
+        shard=meant,
         allow_damaged=allow_damaged,
         histories=histories,
     )
@@ -452,18 +450,6 @@ def check(
         sentence = check_sentence(found)
         log_to_stderr(f"error: {sentence}; the first: {first.dive}: {first.gate}: {reasons}")
     return max(codes)
-
-
-def _part(shard: str) -> "Part":
-    """Read the value of ``--shard``."""
-    from insdvl_replay.batch.check import Part
-
-    number, _, parts = shard.partition("/")
-    if number.isdecimal() and parts.isdecimal() and 1 <= int(number) <= int(parts):
-        return Part(int(number), int(parts))
-    raise ConfigError(
-        f"--shard {shard}: is not a part such as 1/4", "--shard 1/4, --shard 2/4 and so on"
-    )
 
 
 def _require_no_input(file: Path, inputs: "Sequence[Path]") -> None:

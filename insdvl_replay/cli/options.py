@@ -2,7 +2,7 @@
 
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -163,6 +163,15 @@ Outages = Annotated[
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace what an earlier run wrote.")]
+Strict = Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")]
+Shard = Annotated[
+    str | None,
+    typer.Option(
+        "--shard",
+        metavar="I/N",
+        help="Only every N-th dive, starting at the I-th, counted by their names.",
+    ),
+]
 Jobs = Annotated[
     int,
     typer.Option(
@@ -229,6 +238,13 @@ ChosenTables = Annotated[
         help="Print only this table, with all rows; answers, pooled and summary are over all dives. May be repeated.",
     ),
 ]
+
+
+def require_no_table_over_dives(tables: Sequence[str], dive: str) -> None:
+    """Raise a ConfigError where a table over dives is asked for that one dive cannot fill."""
+    for name in ("answers", "pooled"):
+        if name in tables:
+            raise ConfigError(f"--table {name}: {dive} is one dive", "name two dives or more")
 
 
 def span_settings(start: float | None, end: float | None, starts: int | None = None) -> list[str]:

@@ -115,9 +115,8 @@ def run(
         ),
     ] = [],
     fail_on: opt.FailOn = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")
-    ] = False,
+    strict: opt.Strict = False,
+    shard: opt.Shard = None,
     jobs: opt.Jobs = 1,
     scheduler: opt.Scheduler = None,
     rerun: opt.Rerun = False,
@@ -146,6 +145,9 @@ def run(
     --against KEY=VALUE replays each dive twice, without and with the setting, into the folders before and after. It
     prints for each filter whether the setting helped, as `compare` does.
 
+    --shard I/N replays one of N equal shares of the dives, on any machine. `insdvl-replay merge` makes the result of
+    one run of them.
+
     \b
     Example:
       insdvl-replay run dive.mcap
@@ -158,12 +160,14 @@ def run(
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
       insdvl-replay run dives/*.mcap -c vehicle.toml --against dvl.beam_sd_mps=0.006
       insdvl-replay run archive --lake lake --revision v1.3
+      insdvl-replay run archive -c vehicle.toml --shard 2/4 -o parts
     """
     from insdvl_replay.batch.against import plan_against
     from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.batch.found import own_configs
     from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
-    from insdvl_replay.batch.overviews import require_overviews
-    from insdvl_replay.batch.search import outcomes, with_search
+    from insdvl_replay.batch.overviews import require_overviews, require_own_names
+    from insdvl_replay.batch.search import outcomes, with_search, without_search
     from insdvl_replay.cli.against import answer_against
     from insdvl_replay.cli.run_screen import RunScreen, Wanted
     from insdvl_replay.cli.screen import fetch_with_progress, replaying
@@ -175,6 +179,8 @@ def run(
         require_parquet("--history parquet", "--history csv")
     require_tables(tables)
     _require_together(against, fail_on, tables, strict=strict)
+    if shard is not None:
+        _require_shared(against, tables, format_, one_dive=one_dive)
     added = _lake_writer(lake, revision, against)
     given = [*settings, *opt.span_settings(start, end, starts)]
     layers = SettingsLayers(preset, config, given, allow_code)
@@ -188,9 +194,17 @@ def run(
     )
     if auto and not config:
         options = with_search(options, layers, _blocking(against, scheduler, control=control))
-    found = find_dives(logs)
     how = replaying(jobs, scheduler, force=force, rerun=rerun, quiet=quiet)
+    wanted = Wanted(format_, tables, verbose, quiet, strict)
     fetch = partial(fetch_with_progress, offline=offline)
+    if shard is not None:
+        from insdvl_replay.batch.parts import plan_shard_run
+        from insdvl_replay.cli.shards import replay_shard
+
+        refusing = without_search(options)
+        planned = plan_shard_run(shard, logs, output, refusing, layers.load, fetch)
+        return replay_shard(planned, how, wanted, added)
+    found = find_dives(logs)
     if against:
         from insdvl_replay.changes.comparison import parse_limit  # needs scipy
 
@@ -200,25 +214,19 @@ def run(
         )
         replays = outcomes(sides.jobs, how, added)
         return answer_against(sides, replays, limit, format_, verbose, quiet=quiet)
-    configs = {file: layers.load(file) for file in {dive.settings for dive in found}}
+    configs = own_configs(found, layers.load)
     dives = plan_jobs(fetch(found), output, options, configs, one_dive=one_dive)
     if len(dives) > 1:
-        require_overviews(dives, output, force=force)
+        require_own_names(dives)
+        require_overviews(output, force=force)
     else:
-        _require_no_table_over_dives(tables, str(dives[0].name))
-    screen = RunScreen(dives, output, Wanted(format_, tables, verbose, quiet, strict))
+        opt.require_no_table_over_dives(tables, str(dives[0].name))
+    screen = RunScreen([dive.target for dive in dives], output, wanted)
     # An interrupt may come here, and the workers must end before this process.
     with closing(outcomes(dives, how, added)) as replays:
         for outcome in replays:
-            screen.add(outcome)
+            screen.add(outcome.job.target, outcome.result, unchanged=outcome.unchanged)
     return screen.finish()
-
-
-def _require_no_table_over_dives(tables: "Sequence[str]", dive: str) -> None:
-    """Raise a ConfigError where a table over dives is asked for that one dive cannot fill."""
-    for name in ("answers", "pooled"):
-        if name in tables:
-            raise ConfigError(f"--table {name}: {dive} is one dive", "name two dives or more")
 
 
 def _require_together(
@@ -254,6 +262,27 @@ def _lake_writer(
         return None
     require_revision(revision)
     return LakeWriter(lake, revision)
+
+
+def _require_shared(
+    against: "Sequence[str]",
+    tables: "Sequence[str]",
+    format_: str,
+    *,
+    one_dive: bool,
+) -> None:
+    """Raise a ConfigError where ``--shard`` stands beside an option that is about all dives, or makes them one."""
+    if against:
+        hint = "run the shards with each setting, merge both, and use `insdvl-replay compare`"
+        raise ConfigError("--shard: does not work with --against", hint)
+    if one_dive:
+        raise ConfigError("--shard: does not work with --one-dive", "one dive has one shard")
+    if tables or format_ != "table":
+        option = "--format"
+        if tables:
+            option = "--table"
+        hint = f"`insdvl-replay merge PART... {option} ...` afterwards"
+        raise ConfigError(f"--shard: does not work with {option}", hint)
 
 
 def _tracks(*, tum: bool, kml: bool, geojson: bool) -> tuple[str, ...]:

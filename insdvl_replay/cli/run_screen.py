@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from insdvl_replay.batch.jobs import Outcome, ReplayJob
 from insdvl_replay.batch.overviews import write_overviews
 from insdvl_replay.cli.messages import (
     log_failure,
@@ -65,10 +64,11 @@ class Wanted:
 class RunScreen:
     """The dives of a run as they are done, and what is printed of them."""
 
-    dives: Sequence[ReplayJob]
+    targets: Sequence[Path]  # the folders of all dives, in their order
     output: Path
     wanted: Wanted
-    _reports: list[Report | Failure] = field(default_factory=list)
+    is_shard: bool = False  # nothing is said of all dives, which other shards have, too
+    _outcomes: dict[str, Report | Failure] = field(default_factory=dict)  # by dive
     _codes: dict[str, int] = field(default_factory=dict)  # exit codes by dive
     _unchanged: int = 0
     _is_explained: bool = False
@@ -76,7 +76,13 @@ class RunScreen:
 
     @property
     def _is_alone(self) -> bool:
-        return len(self.dives) == 1
+        return len(self.targets) == 1 and not self.is_shard
+
+    @property
+    def _reports(self) -> list[Report | Failure]:
+        """What became of the dives, in their order and not in that in which they were done."""
+        names = [target.name for target in self.targets]
+        return [self._outcomes[name] for name in names if name in self._outcomes]
 
     @property
     def _prints_each(self) -> bool:
@@ -88,22 +94,26 @@ class RunScreen:
             return True
         return not (wanted.is_at_the_end or wanted.is_screen)
 
-    def add(self, outcome: Outcome) -> None:
+    def add(
+        self,
+        target: Path,
+        report: Report | Exception,
+        *,
+        unchanged: bool,
+    ) -> None:
         """Print what is to be known of a dive that is done."""
-        name = outcome.job.target.name
-        target = outcome.job.target
-        report = outcome.result
+        name = target.name
         if isinstance(report, Exception):
-            self._reports.append(Failure(name, str(report)))
+            self._outcomes[name] = Failure(name, str(report))
             self._codes[name] = log_failure(report, self.wanted.verbose)
             return
-        self._reports.append(report)
-        if outcome.unchanged:
+        self._outcomes[name] = report
+        if unchanged:
             self._unchanged += 1
         self._tell_findings(report, target)
         self._tell_notes(report, name)
         self._tell_time(report.tool.cpu_s)
-        self._tell_place(outcome)
+        self._tell_place(target, unchanged=unchanged)
         if self._prints_each:
             write_stdout(self._shown(report, target))
         self._codes[name] = self._strict_code(name, report)
@@ -137,15 +147,15 @@ class RunScreen:
             times = ", ".join(f"{name} {seconds:.3g} s" for name, seconds in cpu_s.items())
             log_to_stderr(f"processor time of one run over the dive: {times}")
 
-    def _tell_place(self, outcome: Outcome) -> None:
+    def _tell_place(self, target: Path, *, unchanged: bool) -> None:
         """Say where a result is, and whether it was there before."""
-        is_reported = outcome.unchanged and self._is_alone and not self.wanted.quiet
+        is_reported = unchanged and self._is_alone and not self.wanted.quiet
         if not (self.wanted.talks or is_reported):
             return
         word = "wrote"
-        if outcome.unchanged:
+        if unchanged:
             word = "unchanged"
-        log_to_stderr(f"{word} {outcome.job.target}")
+        log_to_stderr(f"{word} {target}")
 
     def _shown(self, report: Report, target: Path) -> str:
         """Return what is printed of one dive."""
@@ -181,6 +191,12 @@ class RunScreen:
             self._finish_several()
         return max(self._codes.values())
 
+    def finish_shard(self, sentence: str) -> int:
+        """Print what a shard has done, and return the exit code."""
+        write_stdout(f"{visible(sentence)}\n")
+        self._tell_failures()
+        return max(self._codes.values(), default=0)
+
     def _finish_several(self) -> None:
         wanted = self.wanted
         for path in write_overviews(self._reports, self.output):
@@ -188,7 +204,7 @@ class RunScreen:
                 log_to_stderr(f"wrote {path}")
         log_notes(earlier_results(self.output, self._codes), verbose=False)
         if self._unchanged and not (wanted.quiet or wanted.talks):
-            log_to_stderr(f"unchanged: {self._unchanged} of {len(self.dives)} dives")
+            log_to_stderr(f"unchanged: {self._unchanged} of {len(self.targets)} dives")
         if not wanted.tables and (not wanted.quiet or wanted.format in WHOLE):
             write_stdout(self._last_screen())
         self._tell_failures()

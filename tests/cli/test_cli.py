@@ -21,8 +21,12 @@ DOCUMENTED = {
         "--tum", "--kml", "--geojson",
         "--history <csv|parquet>", "--lake DIR", "--revision NAME", "--against KEY=VALUE",
         "--fail-on worse|undecided|P%", "--strict",
-        "--jobs N", "--scheduler ADDR",
+        "--shard I/N", "--jobs N", "--scheduler ADDR",
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
+    ],
+    "merge": [
+        "PART...", "-o, --output DIR", "--format <table|json|csv|md|latex|html>", "--table NAME", "--strict",
+        "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
     ],
     "compare": [
         "OLD", "NEW...", "--reference TRUTH", "--align <none|yaw|se3|sim3>", "--axes <ned_frd|enu_flu>",

@@ -135,6 +135,40 @@ def test_settings_in_a_file_are_used_without_a_search(logs: Path, tmp_path: Path
     same_replay(result, tmp_path / "out" / "still", tmp_path / "saved")
 
 
+# --- run --shard, merge
+
+
+def test_shards_and_their_merge(logs: Path, tmp_path: Path) -> None:
+    config = load_config(settings=ONE_START)
+    for number in (1, 2):
+        share = f"{number}/2"
+        command = ["run", logs, "-o", f"part_{number}", *GIVEN, "--no-auto", "--shard", share]
+        done = done_here(*command, cwd=tmp_path)
+        part = insdvl_replay.run_shard(logs, share, tmp_path / f"python_{number}", config)
+        assert done.stdout == f"{part.content.sentences[0]}\n"
+        assert done.returncode == 3 * ("failed" in set(part.tables["shard"]["status"]))
+    command = ["merge", "part_1", "part_2", "-o", "merged", "--table", "summary"]
+    done = done_here(*command, "--format", "csv", cwd=tmp_path)
+    assert done.returncode == 3
+    parts = [tmp_path / "python_1", tmp_path / "python_2"]
+    results = insdvl_replay.merge(parts, tmp_path / "python")
+    assert list(results.dives) == ["dive", "still"]
+    assert list(results.tables["summary"]["status"]) == ["failed", "done", "done"]
+    for name in ("summary.csv", "answers.csv", "evidence.csv", "index.html"):
+        python = (tmp_path / "python" / name).read_bytes()
+        assert python == (tmp_path / "merged" / name).read_bytes()
+    for name in results.dives:
+        assert report_of(tmp_path / "python" / name) == report_of(tmp_path / "merged" / name)
+
+
+def test_a_missing_shard_is_the_same_error(logs: Path, tmp_path: Path) -> None:
+    command = ["run", logs / "dive.mcap", "-o", "part", *GIVEN, "--shard", "1/2"]
+    assert done_here(*command, cwd=tmp_path).returncode == 0
+    done = done_here("merge", "part", "-o", "merged", cwd=tmp_path)
+    found = refused(lambda: insdvl_replay.merge("part", "merged"), tmp_path)
+    assert found == (done.returncode, done.stderr.strip())
+
+
 # --- run --against
 
 

@@ -49,6 +49,7 @@ WRITING = {
     ),
     *(
         "hardlink_to",
+        "copyfile",
         "chmod",
         "save",
         "savez",

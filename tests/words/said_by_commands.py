@@ -82,6 +82,14 @@ WRONG = (
     "history thesis",
     "history empty_lake",
     "history empty_lake --quantity positon",
+    "run DIVE --shard 3/2",
+    "run DIVE --shard half",
+    "run DIVE --shard 1/2 --one-dive",
+    "run DIVE --shard 1/2 --against dvl.scale=1.1",
+    "run DIVE --shard 1/2 --table pooled",
+    "run DIVE --shard 1/2 --format json",
+    "merge",
+    "merge thesis",
 )
 CODE = '[filters.baseline]\naiding = ["velocity"]\n[filters.mine]\naiding = ["velocity", "told_code:Down"]\n'
 

@@ -19,6 +19,7 @@ from said_of_logs import said_of_logs
 from said_of_own_code import said_of_own_code
 from said_of_results import said_of_results
 from said_of_settings import said_of_settings
+from said_of_shards import said_of_shards
 
 GOLDEN = Path(__file__).parent / "golden"
 AREAS: dict[str, Callable[[Path], Cases]] = {
@@ -30,6 +31,7 @@ AREAS: dict[str, Callable[[Path], Cases]] = {
     "own_code": said_of_own_code,
     "results": said_of_results,
     "settings": said_of_settings,
+    "shards": said_of_shards,
 }
 
 
