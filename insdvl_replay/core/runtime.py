@@ -21,6 +21,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar, cast
 
+from insdvl_replay.core.processor import compile_common_code, use_common_code
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _P = ParamSpec("_P")
@@ -56,8 +58,9 @@ def prepare_process() -> None:
 
     The packages create some hundred thousand permanent objects at import. Collecting garbage at every thousandth would
     take a tenth of a short run. Huge pages are slow to get from the host of a virtual machine, so they are off unless
-    the user asks for them.
+    the user asks for them. The machine code of the libraries is that which all processors with AVX2 have.
     """
+    use_common_code()
     gc.set_threshold(_MANY_OBJECTS)
     os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
     limit = memory_limit()
@@ -285,6 +288,7 @@ def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
     import numba  # takes half a second, and `is_warm` does not need it
     from numba.core import config
 
+    compile_common_code()
     while _to_inline:
         _register_inlined(_to_inline.pop())
     dispatcher: Any = numba.njit(**_NUMBA_OPTIONS)(function)

@@ -34,6 +34,12 @@ def row(name: str, printed: str) -> list[int]:
     return [int(cell) for cell in line.strip("| ").split("|")[1:]]
 
 
+def titles(printed: str) -> list[str]:
+    """Read the titles of the columns of the table."""
+    line = next(line for line in printed.splitlines() if line.startswith("|  |"))
+    return [cell.strip() for cell in line.strip("| ").split("|")]
+
+
 @pytest.mark.nightly
 def test_damaged_logs_end_in_a_sentence_or_in_tables_that_say_what_is_lost() -> None:
     found = attacked("mutate", "--short", "--seed", "1000", "--count", str(MUTANTS), "--jobs", "1")
@@ -48,7 +54,10 @@ def test_damaged_logs_end_in_a_sentence_or_in_tables_that_say_what_is_lost() -> 
 def test_damaged_files_of_instruments_end_in_a_sentence_or_in_notes() -> None:
     found = attacked("formats", "--seed", "1000", "--count", "20", "--jobs", "1")
     assert found.returncode == 0, found.stdout + found.stderr
-    assert all(number > 10 for number in row("differs, noted", found.stdout))
+    noted = dict(zip(titles(found.stdout), row("differs, noted", found.stdout), strict=True))
+    # Of a log that is compressed as a whole, little more than what is before the damage can be read.
+    assert noted.pop("zstd") > 0
+    assert all(number > 10 for number in noted.values()), noted
 
 
 def ended(code: int, said: str = "", peak_mb: float = 300.0) -> victim.Ended:

@@ -1,12 +1,16 @@
 """Other processors: simulated logs are the same bytes, tables the same numbers.
 
 Libraries choose code by the processor, and what they compute differs in the last bit. Three processors are emulated.
+On those with AVX2 the program makes the choice, and every byte is the same.
 """
 
 import csv
 import hashlib
+import json
 import math
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +19,7 @@ from processor_work import motion_digest
 from processors import PROCESSORS, Processor
 
 from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.processor import has_common_code
 
 pytestmark = pytest.mark.nightly
 
@@ -138,3 +143,32 @@ def test_tables_agree_in_nine_digits(processor: Processor, here: Path, tmp_path:
         for (place, filter_, one), (_, _, other) in zip(ours, theirs, strict=True)
         if not agree(one, other, SAME_FITTED if filter_ == "tuned" else SAME, place)
     ] == []
+
+
+def files_without_tool(folder: Path) -> dict[str, bytes | dict[str, object]]:
+    """Every file of results; of reports all but the block that says when, where and how fast they were made."""
+    files: dict[str, bytes | dict[str, object]] = {}
+    for path in sorted(folder.rglob("*")):
+        name = str(path.relative_to(folder))
+        if path.name == "report.json":
+            report = json.loads(path.read_text("utf-8"))
+            del report["tool"]
+            files[name] = report
+        elif path.is_file():
+            files[name] = path.read_bytes()
+    return files
+
+
+def test_every_byte_is_the_same_on_processors_with_avx2(tmp_path: Path) -> None:
+    """This one by the choice of the program, whatever it has, and one of 2013 by that of the libraries."""
+    if not has_common_code():
+        pytest.skip("this processor has no AVX2")
+    mine = tmp_path / "mine"
+    other = tmp_path / "other"
+    command = [sys.executable, "-m", "insdvl_replay", *replay_into(mine)]
+    subprocess.run(command, check=True, capture_output=True)
+    PROCESSORS["AVX2"].run(replay_into(other))
+    ours = files_without_tool(mine)
+    theirs = files_without_tool(other)
+    assert ours.keys() == theirs.keys()
+    assert [name for name, content in ours.items() if content != theirs[name]] == []
