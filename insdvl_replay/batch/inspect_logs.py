@@ -14,7 +14,9 @@ from insdvl_replay.inspection.survey import inspect_log, inspect_summary
 class Fetch(Protocol):
     """Fetches the remote logs of dives, or finds them in the cache alone; each that cannot be had gets its error."""
 
-    def __call__(self, dives: Sequence[FoundDive], *, offline: bool = False) -> list[FoundDive]:
+    def __call__(
+        self, dives: Sequence[FoundDive], *, offline: bool = False, whole: bool = False
+    ) -> list[FoundDive]:
         """Return the dives, those of remote logs with their files."""
 
 
@@ -35,7 +37,8 @@ class Look:
     def fetched(self, found: list[FoundDive], fetch: Fetch) -> list[FoundDive]:
         """Return the dives with their files, as far as they are needed."""
         if self.needs_files:
-            return fetch(found, offline=self.offline)
+            whole = not self.offline  # Pictures are counted, too.
+            return fetch(found, offline=self.offline, whole=whole)
         files = []
         for dive in found:
             if dive.parts:

@@ -126,10 +126,13 @@ def _found(dive: ManifestDive, file: Path) -> FoundDive:
     )
 
 
-def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[FoundDive]:
+def fetch_dives(
+    dives: Sequence[FoundDive], *, offline: bool = False, whole: bool = False
+) -> list[FoundDive]:
     """Fetch remote logs and compare digests; a dive that cannot be had, or is another, gets its error.
 
-    Offline, those of earlier commands are used, and nothing is fetched.
+    Offline, those of earlier commands are used, and nothing is fetched. The ``whole`` log is fetched where its chunks
+    of pictures are wanted, too.
 
     A server that stalled is not asked for other dives.
     """
@@ -147,7 +150,7 @@ def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[Fo
                 return dive
             if urlsplit(dive.url).netloc in stalled:
                 raise LogError("its server stalled before", "try again later", dive.url)
-            path = fetched(dive.url, dive.sha256, stopped.is_set, offline=offline)
+            path = fetched(dive.url, dive.sha256, stopped.is_set, offline=offline, whole=whole)
             return replace(dive, path=path)
         except UserError as error:
             if isinstance(error, StalledError):

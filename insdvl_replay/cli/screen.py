@@ -192,14 +192,14 @@ def progress(
 
 
 def fetch_with_progress(
-    dives: "Sequence[FoundDive]", *, offline: bool = False
+    dives: "Sequence[FoundDive]", *, offline: bool = False, whole: bool = False
 ) -> "list[FoundDive]":
     """Fetch the remote logs of dives, and show the progress; each dive that cannot be had has its error."""
     from insdvl_replay.batch.manifest import fetch_dives
 
     is_remote = any(dive.url or dive.parts for dive in dives)
     with progress("fetching logs") if is_remote else nullcontext():
-        return fetch_dives(dives, offline=offline)
+        return fetch_dives(dives, offline=offline, whole=whole)
 
 
 def replaying(

@@ -6,6 +6,7 @@ It uses the functions that read a dive, so it reports what a replay would find.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,7 +26,8 @@ from insdvl_replay.logs.columns.topics import Source
 from insdvl_replay.logs.file_clocks import align_files
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
 from insdvl_replay.logs.formats.recording import Recording, open_recording
-from insdvl_replay.logs.formats.remote import LogSummary, read_summary, remote_name
+from insdvl_replay.logs.formats.remote import read_summary, remote_name
+from insdvl_replay.logs.formats.remote_parts import LogSummary
 from insdvl_replay.logs.read import Finding, find_roles, idle_sensors, sources_of
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -185,8 +187,8 @@ def _summary_facts(name: str, summary: LogSummary) -> LogFacts:
         has_summary=True,
         start_utc=_utc(stated.message_start_time) if stated.message_count else None,
         duration_s=(stated.message_end_time - stated.message_start_time) * 1e-9,
-        metadata=summary.metadata,
-        attachments=summary.attachments,
+        metadata=tuple(map(attrgetter("name"), summary.metadata)),
+        attachments=tuple(map(attrgetter("name"), summary.attachments)),
     )
 
 

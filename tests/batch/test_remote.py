@@ -12,6 +12,7 @@ from typing import Any
 
 import fsspec
 import pytest
+from camera_logs import with_camera
 from mcap.writer import Writer
 from remote_server import LogServer, manifest, served
 from small_logs import simulated, written
@@ -515,7 +516,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     }.items():
         monkeypatch.setenv(key, value)
     system = fsspec.filesystem("s3", skip_instance_cache=True)
-    system.mkdir("dives")
+    system.makedirs("dives", exist_ok=True)
     yield system
     service.stop()
 
@@ -535,3 +536,16 @@ def test_logs_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None:
         fetched(url, SHA256)
     with pytest.raises(LogError, match="cannot be fetched"):
         fetched("s3://dives/none.mcap")
+
+
+def test_of_a_log_in_a_bucket_that_a_camera_fills_parts_are_fetched(
+    bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(remote, "LEAST_BYTES", 1 << 20)
+    log = tmp_path / "camera.mcap"
+    with_camera(log, LOG, 100_000, 20)
+    bucket.pipe("dives/camera.mcap", log.read_bytes())
+    path = fetched("s3://dives/camera.mcap")
+    assert path.stat().st_size < 0.5 * log.stat().st_size
+    ours, whole = inspect_log(path, Config()), inspect_log(log, Config())
+    assert ours.roles == whole.roles

@@ -40,6 +40,7 @@ from insdvl_replay.logs.formats.log_file import (
 )
 
 MAGIC: Final = b"\x89MCAP0\r\n"  # first and last bytes
+PARTS: Final = "insdvl_replay.parts"  # name of the metadata of a file without the chunks that have only pictures
 HEADER_SIZE: Final = 9  # bytes in front of each record's content: its kind and its length
 HEADER: Final = struct.Struct("<BQ")
 # What a record of each kind must at least hold for its own fields; no record is of kind 0.
@@ -717,7 +718,21 @@ class McapFile(ChunkedFile):
             )
         if self._private:
             notes.append(note("unknown_records", self._private))
+        notes += [_note_on_parts(record) for record in self.metadata if record.name == PARTS]
         return tuple(notes)
+
+
+def _note_on_parts(record: records.Metadata) -> Note:
+    """Say what was not fetched of a remote log."""
+    told = record.metadata
+    chunks = told.get("chunks", "")
+    size = told.get("bytes", "")
+    return note(
+        "log_parts",
+        int(chunks) if chunks.isdecimal() else 1,
+        size_mb=int(size) / 1e6 if size.isdecimal() else 0.0,
+        topics=told.get("topics", ""),
+    )
 
 
 def _messages(heads: Array, starts: Integers) -> Messages:

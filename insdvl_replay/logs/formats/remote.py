@@ -1,5 +1,7 @@
 """Remote logs: fetched once and kept by their digest, or looked at by the summary at their end.
 
+Of a long log of which no digest is listed, only the chunks are fetched that a replay can use (`remote_parts`).
+
 A server is asked once whether a log that is kept is still the one it has. What it sends is kept only if all of it came,
 nothing changed meanwhile, and the digest is the one that is wanted. Whatever a server does, a transfer ends.
 
@@ -42,8 +44,15 @@ from zlib_ng import zlib_ng
 from insdvl_replay.core.errors import ConfigError, LogError, show_as
 from insdvl_replay.core.extras import install_hint
 from insdvl_replay.core.urls import shown_url, without_access
-from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.formats.mcap_file import HEADER_SIZE, MAGIC, log_channels, walk
+from insdvl_replay.logs.formats.remote_parts import (
+    LEAST_BYTES,
+    LogSummary,
+    Parts,
+    Read,
+    parts_of,
+    write_parts,
+)
 
 T = TypeVar("T")
 STALLED_S: float = 30.0  # without a byte from the server
@@ -70,6 +79,7 @@ _LONGEST_NAME: Final = 200  # bytes of a file's name
 _ABANDONED_S: Final = 86400.0  # a part that was left so long ago belongs to no other process
 _FIRST_TAIL: Final = 128 << 10  # bytes of a log's end that are asked for first
 _LONGEST_TAIL: Final = 512 << 10
+_LONGEST_SUMMARY: Final = 64 << 20  # where its chunk indexes are needed
 _FOOTER: Final = struct.Struct("<QQI")
 _AS_THEY_ARE: Final = "%/:=&?~#+!$,;'@()*[]"  # characters of a URL
 _ESSENTIAL: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
@@ -111,10 +121,12 @@ def fetched(
     is_stopped: Callable[[], bool] = lambda: False,
     *,
     offline: bool = False,
+    whole: bool = False,
 ) -> Path:
     """Return a remote log from the cache, after fetching it if it is not there or has changed.
 
-    A log whose digest is known is used from the cache where its server cannot be asked. Offline, none is asked.
+    A log whose digest is known is used from the cache where its server cannot be asked. Offline, none is asked. Of a
+    long log without a known digest, chunks that have only pictures are left out, unless the ``whole`` is wanted.
 
     Raises
     ------
@@ -123,7 +135,7 @@ def fetched(
     """
     if os.environ.get("INSDVL_REPLAY_OFFLINE", "") not in ("", "0"):
         offline = True
-    path = _fetched(url, sha256, is_stopped, offline=offline)
+    path = _fetched(url, sha256, is_stopped, offline=offline, whole=whole)
     show_as(path, shown_url(url))
     return path
 
@@ -138,12 +150,14 @@ class _Kept:
     state: Any  # what its server said
 
     @classmethod
-    def of(cls, url: str, sha256: str) -> "_Kept":
-        """Look for a log, by its digest if that is known."""
-        said_sha256, state = _said_before(_said(url))
-        path = _logs() / (sha256 or said_sha256) / remote_name(url)
+    def of(cls, url: str, sha256: str, *, whole: bool) -> "_Kept":
+        """Look for a log, by its digest if that is known; where the whole is wanted, a part is not it."""
+        said = _said_before(_said(url))
+        path = _logs() / (sha256 or said.sha256) / remote_name(url)
         is_there = path.is_file() and file_digest(path) == path.parent.name
-        return cls(path, is_there, said_sha256, state)
+        if whole and said.is_part and not sha256:
+            is_there = False
+        return cls(path, is_there, said.sha256, said.state)
 
     def is_still(self, state: Mapping[str, Any], *, is_listed: bool) -> bool:
         """Return whether it is the log of which a server says something now; a size alone shows no change."""
@@ -153,33 +167,52 @@ class _Kept:
 
 @dataclass(frozen=True)
 class _Offer:
-    """A log on its server."""
+    """A log on its server, and how it may be fetched."""
 
+    url: str
     system: Any  # of files
     path: str
+    limits: "_Limits"
+    is_stopped: Callable[[], bool]
 
     def state(self) -> dict[str, str | int]:
         """Ask the server what it says of the log now."""
         return _within(ANSWERED_S, lambda: _state(self.system, self.path))
 
-    def copy(
-        self,
-        part: Path,
-        size: str | int | None,
-        limits: "_Limits",
-        is_stopped: Callable[[], bool],
-    ) -> None:
+    def copy(self, part: Path, size: str | int | None) -> None:
         """Copy it to a file."""
         is_over = Event()
-        watch = _watch(size, limits.longest_bytes, is_over.is_set)
+        watch = _watch(size, self.limits.longest_bytes, is_over.is_set)
         try:
             _within(
-                limits.longest_s,
+                self.limits.longest_s,
                 lambda: self.system.get_file(self.path, str(part), callback=watch),
-                is_stopped,
+                self.is_stopped,
             )
         finally:
             is_over.set()
+
+    def reader(self, size: int) -> Read:
+        """Return what reads the bytes between two places of it, where it has some size."""
+
+        def read(start: int, end: int) -> bytes:
+            end = min(end, size)
+            content = _within(
+                self.limits.longest_s, lambda: self._ask(start, end, size), self.is_stopped
+            )
+            if len(content) != end - start:
+                text = f"its server sent {len(content)} bytes of {end - start}"
+                raise LogError(text, _CHECK, shown_url(self.url))
+            return content
+
+        return read
+
+    def _ask(self, start: int, end: int, size: int) -> bytes:
+        if urlsplit(self.url).scheme not in ("http", "https"):
+            return bytes(self.system.cat_file(self.path, start=start, end=end))
+        content, now = _tail_of_web(self.url, end - start, end)
+        _require_size(self.url, size, now)
+        return content
 
 
 def _fetched(
@@ -188,15 +221,15 @@ def _fetched(
     is_stopped: Callable[[], bool],
     *,
     offline: bool,
+    whole: bool,
 ) -> Path:
-    kept = _Kept.of(url, sha256)
+    kept = _Kept.of(url, sha256, whole=whole)
     if offline:
         if kept.is_there:
             return kept.path
         text = "is not kept from an earlier command, and offline nothing is fetched"
         raise LogError(text, _ONLINE, shown_url(url))
-    limits = _limits()
-    offer = _Offer(*_file_system(url))
+    offer = _Offer(url, *_file_system(url), _limits(), is_stopped)
     try:
         with _refused(url):
             state = offer.state()
@@ -209,20 +242,52 @@ def _fetched(
         raise LogError(text, "list it in a manifest with its sha256", shown_url(url))
     if kept.is_still(state, is_listed=bool(sha256)):
         return kept.path
-    if int(state.get("size", 0)) > limits.longest_bytes:
-        size_gb = int(state["size"]) / 1e9
-        text = f"has {size_gb:.3g} GB: {_too_long(limits.longest_bytes)}"
-        raise LogError(text, _LONGER, shown_url(url))
+    parts = None
     with _refused(url):
-        _make_private(_logs(), _said(url).parent)
-        _remove_abandoned(_logs())
-        with TemporaryDirectory(dir=_logs(), prefix=".part") as folder:
-            part = Path(folder) / remote_name(url)
-            offer.copy(part, state.get("size"), limits, is_stopped)
-            if offer.state() != state:
-                text = "changed on its server while it was fetched; nothing was kept"
-                raise LogError(text, "fetch it again", shown_url(url))
-            return _store(url, part, state, sha256)
+        if not (sha256 or whole):
+            parts = _parts_of(url, int(state["size"]))
+        return _fetch(offer, state, parts, sha256)
+
+
+def _fetch(
+    offer: _Offer,
+    state: Mapping[str, Any],
+    parts: Parts | None,
+    sha256: str,
+) -> Path:
+    """Fetch a log, or parts of it, and keep it."""
+    url = offer.url
+    size = int(state.get("size", 0))
+    fetched_bytes = size if parts is None else parts.bytes_of_chunks
+    longest_bytes = offer.limits.longest_bytes
+    if fetched_bytes > longest_bytes:
+        text = f"has {fetched_bytes / 1e9:.3g} GB: {_too_long(longest_bytes)}"
+        raise LogError(text, _LONGER, shown_url(url))
+    _make_private(_logs(), _said(url).parent)
+    _remove_abandoned(_logs())
+    with TemporaryDirectory(dir=_logs(), prefix=".part") as folder:
+        part = Path(folder) / remote_name(url)
+        if parts is None:
+            offer.copy(part, state.get("size"))
+        else:
+            write_parts(part, parts, offer.reader(size))
+        if offer.state() != state:
+            text = "changed on its server while it was fetched; nothing was kept"
+            raise LogError(text, "fetch it again", shown_url(url))
+        return _store(url, part, state, sha256, is_part=parts is not None)
+
+
+def _parts_of(url: str, size: int) -> Parts | None:
+    """Choose the parts of a long MCAP file that are fetched; None where the whole is."""
+    if size < LEAST_BYTES:
+        return None
+    try:
+        found = read_summary(url, _LONGEST_SUMMARY)
+    except StalledError:
+        raise
+    except LogError:  # no MCAP file, no summary, or no ranges
+        return None
+    return parts_of(found)
 
 
 def _store(
@@ -230,15 +295,18 @@ def _store(
     part: Path,
     state: Mapping[str, Any],
     sha256: str,
+    *,
+    is_part: bool,
 ) -> Path:
     """Keep a log that was fetched, and what its server says of it."""
-    digest = _digest_of_whole(part, state, sha256, shown_url(url))
+    of_whole = {} if is_part else state  # A part is shorter than its server says.
+    digest = _digest_of_whole(part, of_whole, sha256, shown_url(url))
     kept = _logs() / digest / part.name
     kept.parent.mkdir(mode=0o700, exist_ok=True)
     part.chmod(0o600)
     part.replace(kept)
     part.touch(mode=0o600)
-    part.write_text(json.dumps({"sha256": digest, "state": state}))
+    part.write_text(json.dumps({"sha256": digest, "state": state, "is_part": is_part}))
     part.replace(_said(url))
     return kept
 
@@ -290,13 +358,21 @@ def _said(url: str) -> Path:
     return cache_folder() / "urls" / f"{hashlib.sha256(url.encode()).hexdigest()}.json"
 
 
-def _said_before(said: Path) -> tuple[str, Any]:
+class _Said(NamedTuple):
+    """What is known of a log since it was fetched."""
+
+    sha256: str = ""
+    state: Any = None
+    is_part: bool = False  # without the chunks that have only pictures
+
+
+def _said_before(said: Path) -> _Said:
     """Return the digest and the state of a log when it was fetched; nothing where it was not, or nobody can tell."""
     try:
         known = json.loads(said.read_bytes())
-        return str(known["sha256"]), known["state"]
-    except (OSError, ValueError, TypeError, KeyError):
-        return "", None
+        return _Said(str(known["sha256"]), known["state"], bool(known.get("is_part")))
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return _Said()
 
 
 def _make_private(*folders: Path) -> None:
@@ -468,22 +544,10 @@ def _refused(url: str) -> Iterator[None]:
 # --- The summary at the end of a log.
 
 
-@dataclass(frozen=True)
-class LogSummary:
-    """What the end of an MCAP file says of the whole."""
-
-    size_bytes: int
-    channels: tuple[LogChannel, ...]
-    statistics: records.Statistics
-    chunks: tuple[records.ChunkIndex, ...]
-    metadata: tuple[str, ...]  # names
-    attachments: tuple[str, ...]  # names
-
-
-def read_summary(url: str) -> LogSummary:
+def read_summary(url: str, most_bytes: int = _LONGEST_TAIL) -> LogSummary:
     """Read the summary of a remote MCAP file, by at most two requests for ranges of bytes, 512 KiB together.
 
-    Of a longer summary, the indexes of chunks are left out.
+    Of a longer summary than ``most_bytes``, the indexes of chunks are left out.
 
     Raises
     ------
@@ -500,17 +564,17 @@ def read_summary(url: str) -> LogSummary:
     end = tail_start + footer - HEADER_SIZE
     if not 0 < start <= end:
         raise LogError("has no summary", _FETCH, shown_url(url))
-    room = _LONGEST_TAIL - len(tail)
+    room = most_bytes - len(tail)
     if tail_start - start > room:
         offsets = tail[max(offsets_start - tail_start, 0) : footer - HEADER_SIZE]
-        return _summary(url, size, _essential(url, size, offsets, room))
+        return _summary(url, size, start, _essential(url, size, offsets, room))
     if start < tail_start:
         tail = _part(url, start, tail_start, size) + tail
         tail_start = start
     summary = tail[start - tail_start :]
     if crc and zlib_ng.crc32(summary[: -len(MAGIC) - 4]) != crc:
         raise LogError("the checksum of the summary is wrong", _FETCH, shown_url(url))
-    return _summary(url, size, summary[: end - start])
+    return _summary(url, size, start, summary[: end - start])
 
 
 def _essential(
@@ -530,7 +594,12 @@ def _essential(
     return _part(url, start, end, size)
 
 
-def _summary(url: str, size: int, content: bytes) -> LogSummary:
+def _summary(
+    url: str,
+    size: int,
+    start: int,
+    content: bytes,
+) -> LogSummary:
     """Read the records of a summary."""
     found = _records(url, content)
     schemas = {schema.id: schema for schema in found[Opcode.SCHEMA]}
@@ -541,11 +610,13 @@ def _summary(url: str, size: int, content: bytes) -> LogSummary:
     statistics = found[Opcode.STATISTICS][0]
     return LogSummary(
         size,
+        start,
+        content,
         log_channels(channels, schemas, statistics.channel_message_counts),
         statistics,
         tuple(found[Opcode.CHUNK_INDEX]),
-        tuple(record.name for record in found[Opcode.METADATA_INDEX]),
-        tuple(record.name for record in found[Opcode.ATTACHMENT_INDEX]),
+        tuple(found[Opcode.METADATA_INDEX]),
+        tuple(found[Opcode.ATTACHMENT_INDEX]),
     )
 
 
@@ -577,9 +648,13 @@ def _part(
 ) -> bytes:
     """Read a range of a file that had a size before."""
     content, now = _tail(url, end - start, end)
+    _require_size(url, size, now)
+    return content
+
+
+def _require_size(url: str, size: int, now: int) -> None:
     if now != size:
         raise LogError("changed on its server while it was read", "try again", shown_url(url))
-    return content
 
 
 def _tail(url: str, count: int, end: int | None = None) -> tuple[bytes, int]:
