@@ -119,10 +119,10 @@ class LakeWriter:
 
     def close(self) -> None:
         """Join what replaces joined rows, and the files of single replays if there are many."""
-        if not self._replacing and len(_single_files(_rows_folder(self.lake))) <= _MOST_FILES:
-            return
         with _writing(self.lake), _locked(self.lake):
-            _join(self.lake, self._replacing)
+            files = len(_single_files(_rows_folder(self.lake)))
+            if self._replacing or files > _MOST_FILES:
+                _join(self.lake, self._replacing)
         self._replacing.clear()
 
     def _know_joined(self, folder: Path) -> None:
@@ -197,7 +197,7 @@ def compact_lake(lake: Path) -> Compacted:
         before = len(list(_rows_folder(lake).glob("*.parquet")))
         joined = _join(lake, [])
         files = len(list(_rows_folder(lake).glob("*.parquet")))
-    replays = len(set(joined["replay"].to_pylist()))
+    replays = len(joined["replay"].unique())
     return Compacted(replays, joined.num_rows, before, files)
 
 

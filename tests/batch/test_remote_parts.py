@@ -127,7 +127,7 @@ def test_the_whole_is_fetched_where_it_is_wanted_or_its_digest_is_listed(log: Pa
 
 @pytest.mark.parametrize(
     "fault",
-    ["short", "few pictures", "no ranges", "loose messages"],
+    ["short", "few pictures", "no ranges", "loose messages", "huge chunks", "much metadata"],
 )
 def test_other_logs_are_fetched_whole(
     fault: str, log: Path, monkeypatch: pytest.MonkeyPatch
@@ -139,6 +139,10 @@ def test_other_logs_are_fetched_whole(
         monkeypatch.setattr(remote, "LEAST_BYTES", 1)
     if fault == "loose messages":
         monkeypatch.setattr(remote_parts, "_SLACK_BYTES", -(1 << 30))
+    if fault == "huge chunks":
+        monkeypatch.setattr(remote_parts, "_MOST_OF_CHUNK", PICTURE)
+    if fault == "much metadata":
+        monkeypatch.setattr(remote_parts, "_MOST_METADATA", 10)
     with server_of(log) as server:
         server.has_ranges = fault != "no ranges"
         assert fetched(f"{server.url}/camera.mcap").read_bytes() == log.read_bytes()

@@ -33,6 +33,7 @@ _AT_ONCE: Final = 8  # requests
 _HEAD_BYTES: Final = 4 << 10  # that have the header
 _SLACK_BYTES: Final = 64 << 10  # of records between the chunks that no index lists
 _MOST_METADATA: Final = 1 << 20
+_MOST_OF_CHUNK: Final = 64 << 20  # bytes; a log with longer chunks is fetched whole
 _INDEX_ENTRY: Final = 16  # bytes of a message index for each message
 # Types that no sensor of a replay has, without ``msg``: pictures, clouds, and what is drawn.
 _PICTURES: Final = frozenset(
@@ -106,7 +107,7 @@ def parts_of(summary: LogSummary) -> Parts | None:
     found = Parts(
         definitions,
         needed,
-        [record for record in summary.metadata if record.length <= _MOST_METADATA],
+        summary.metadata,
         left_out,
         sorted(channel.topic for channel in summary.channels if channel.id in missing),
         counts,
@@ -117,13 +118,14 @@ def parts_of(summary: LogSummary) -> Parts | None:
 
 
 def _lists_all(summary: LogSummary) -> bool:
-    """Return whether all chunks are listed, and little is outside of what is."""
-    listed = sum(map(_length, summary.chunks))
-    listed += sum(record.length for record in summary.metadata)
-    listed += sum(record.length for record in summary.attachments)
-    others = summary.start - listed
-    is_complete = len(summary.chunks) == summary.statistics.chunk_count > 0
-    return is_complete and others <= len(summary.content) + _SLACK_BYTES
+    """Return whether all chunks are listed, of a usual size, and little is outside of what is."""
+    metadata = sum(record.length for record in summary.metadata)
+    attachments = sum(record.length for record in summary.attachments)
+    lengths = list(map(_length, summary.chunks))
+    others = summary.start - sum(lengths) - metadata - attachments
+    is_complete = len(lengths) == summary.statistics.chunk_count > 0
+    is_usual = max(lengths, default=0) <= _MOST_OF_CHUNK and metadata <= _MOST_METADATA
+    return is_complete and is_usual and others <= len(summary.content) + _SLACK_BYTES
 
 
 def _length(chunk: records.ChunkIndex) -> int:
