@@ -4,16 +4,18 @@ Everything else in the worlds of the judge is about truth and counting, and call
 that makes a word. If the tool names its rule otherwise, this file changes and no other.
 """
 
+import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
+from in_process import done_here
 
 from insdvl_replay.core.quantities import is_beam
 from insdvl_replay.core.tables import EvidenceRow, finite
@@ -219,6 +221,90 @@ def log_ratio_of(record: Record, quantity: str) -> float:
         if row.quantity == quantity and row.ratio:
             return math.log(row.ratio)
     return math.nan
+
+
+# --- The whole tool: trajectories that were made elsewhere.
+
+
+class Compared(NamedTuple):
+    """What the command that compares trajectories said of NEW.
+
+    Attributes
+    ----------
+    word : str
+        The verdict; empty where there is none, since files were refused.
+    ratio : float
+        Of the primary quantity, NEW over OLD, with its interval; NaN where there is none.
+    code : int
+        With which the command ended.
+    """
+
+    word: str
+    ratio: float
+    low: float
+    high: float
+    dives: int
+    code: int
+    stderr: str
+
+
+def compared(old: Path, new: Path, reference: Path) -> Compared:
+    """Ask the tool to compare two folders of trajectories."""
+    done = done_here("compare", old, new, "--reference", reference, "--json", cwd=old.parent)
+    if not done.stdout.strip():
+        return Compared("", math.nan, math.nan, math.nan, 0, done.returncode, done.stderr)
+    (answer,) = json.loads(done.stdout)["answers"]
+    row = _primary_row(answer["rows"])
+    return Compared(
+        word=answer["verdict"],
+        ratio=finite(row.get("ratio")),
+        low=finite(row.get("low")),
+        high=finite(row.get("high")),
+        dives=int(row.get("dives") or 0),
+        code=done.returncode,
+        stderr=done.stderr,
+    )
+
+
+def _primary_row(rows: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    """Give the row that decides; an empty one where there is none."""
+    for row in rows:
+        if row["role"] == "primary":
+            return row
+    return {}
+
+
+# --- The whole tool: parts of dives.
+
+
+class WherePart(NamedTuple):
+    """What the tool says of one part of the dives of an archive.
+
+    Attributes
+    ----------
+    ratio : float
+        Candidate over baseline; NaN where it is not known.
+    stands_out : bool
+        Whether the tool says that this part is not as the others.
+    """
+
+    name: str
+    ratio: float
+    stands_out: bool
+
+
+WhereRecord = Any
+"""What the tool keeps of the parts of one dive."""
+
+
+def where_record_of(replay: Replay, candidate: str) -> WhereRecord:
+    """Keep what is said of the parts of one dive."""
+    raise NotImplementedError
+
+
+def where_over(records: Sequence[WhereRecord]) -> list[WherePart]:
+    """Ask the tool which parts stand out over several dives."""
+    raise NotImplementedError
 
 
 @contextmanager

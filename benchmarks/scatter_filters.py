@@ -13,8 +13,14 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.core.config import Config, Filter, Initial, Vector
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, ReferenceColumns, TimeNs
+from insdvl_replay.core.config import Config, Dvl, Filter, Initial, Vector
+from insdvl_replay.core.dive_columns import (
+    Dive,
+    DvlColumns,
+    Floats,
+    ReferenceColumns,
+    TimeNs,
+)
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, vector_from_mat
@@ -34,6 +40,37 @@ PLAIN_STATES: Final = 12
 NO_TURN: Final[Vector] = (0.0, 0.0, 0.0)
 
 
+class PingNoise(msgspec.Struct, frozen=True):
+    """White noise of a DVL of the filter's own, in place of that of the baseline's DVL.
+
+    Both are drawn from their seeds, so that the filter gives the same answer whenever it runs.
+    """
+
+    own_mps: float
+    own_seed: int
+    baseline_mps: float
+    baseline_seed: int
+
+    def added_mps(self, pings: int) -> Floats:
+        """Return what the velocities of the filter's DVL have beside those of the baseline's, shape (k, 3)."""
+        return self.of_own_mps(pings) - self.of_baseline_mps(pings)
+
+    def of_own_mps(self, pings: int) -> Floats:
+        """Return the noise of the filter's DVL, shape (k, 3)."""
+        rng = np.random.default_rng(self.own_seed)
+        return self.own_mps * rng.standard_normal((pings, 3))
+
+    def of_baseline_mps(self, pings: int) -> Floats:
+        """Return the noise of the baseline's DVL, which is in the readings of the dive, shape (k, 3)."""
+        rng = np.random.default_rng(self.baseline_seed)
+        return self.baseline_mps * rng.standard_normal((pings, 3))
+
+    @property
+    def exchanged(self) -> "PingNoise":
+        """The noise of a filter that has the DVL of the baseline, whose DVL the baseline has."""
+        return PingNoise(self.baseline_mps, self.baseline_seed, self.own_mps, self.own_seed)
+
+
 class Told(msgspec.Struct, frozen=True, kw_only=True):
     """How the sensors of one filter in one dive differ from those of the baseline."""
 
@@ -41,6 +78,9 @@ class Told(msgspec.Struct, frozen=True, kw_only=True):
     gyro_bias_radps: Vector = (0.0, 0.0, 0.0)
     mounting_rpy_deg: Vector = NO_TURN
     """By which the velocities of the DVL are turned."""
+    lever_arm_m: Vector = (0.0, 0.0, 0.0)
+    """By which the lever arm that the filter is told is off."""
+    ping_noise: PingNoise | None = None
     heading_deg: float = 0.0
     """Added to the readings of a heading."""
     velocity_sd_mps: float | None = None
@@ -94,12 +134,10 @@ def with_other_sensors(dive: Dive, told: Told) -> Dive:
         sensors["heading"] = replace(
             heading, values=heading.values + told.heading_deg * DEG, mat_nb=None
         )
-    return replace(
-        dive,
-        imu=imu,
-        dvl=turned_dvl(dive.dvl, told.mounting_rpy_deg, told.shake_mps),
-        sensors=sensors,
-    )
+    dvl = turned_dvl(dive.dvl, told.mounting_rpy_deg, told.shake_mps)
+    if told.ping_noise is not None:
+        dvl = with_added(dvl, told.ping_noise.added_mps(len(dvl.time_ns)))
+    return replace(dive, imu=imu, dvl=dvl, sensors=sensors)
 
 
 def turned_dvl(dvl: DvlColumns, rpy_deg: Vector, shake_mps: float = 0.0) -> DvlColumns:
@@ -108,14 +146,26 @@ def turned_dvl(dvl: DvlColumns, rpy_deg: Vector, shake_mps: float = 0.0) -> DvlC
         return dvl
     added_mps = shake_mps * np.random.default_rng().standard_normal((len(dvl.time_ns), 3))
     mat = mat_from_rpy(np.array(rpy_deg) * DEG)
+    velocity_d = dvl.velocity_d
+    if velocity_d is None:
+        velocity_d = beam_columns(dvl)[0] @ np.linalg.pinv(beam_columns(dvl)[1]).T
+    return with_added(dvl, velocity_d @ mat.T - velocity_d + added_mps)
+
+
+def with_added(dvl: DvlColumns, added_mps: Floats) -> DvlColumns:
+    """Add velocities in d, shape (k, 3), to those of a DVL, of beams or of axes."""
     if dvl.velocity_d is not None:
-        return replace(dvl, velocity_d=dvl.velocity_d @ mat.T + added_mps)
+        return replace(dvl, velocity_d=dvl.velocity_d + added_mps)
+    # Beams measure the velocity and a little noise beside it, which stays as it is.
+    velocity_mps, vectors_d = beam_columns(dvl)
+    return replace(dvl, beam_velocity_mps=velocity_mps + added_mps @ vectors_d.T)
+
+
+def beam_columns(dvl: DvlColumns) -> tuple[Floats, Floats]:
+    """Return the velocities along the beams, shape (k, beams), and their directions in d, shape (beams, 3)."""
     if dvl.beam_velocity_mps is None or dvl.beam_vectors_d is None:
         raise ValueError("a DVL has velocities along beams or along axes")
-    # Beams measure the velocity and a little noise beside it, which stays as it is.
-    velocity_d = dvl.beam_velocity_mps @ np.linalg.pinv(dvl.beam_vectors_d).T
-    change_d = velocity_d @ mat.T - velocity_d + added_mps
-    return replace(dvl, beam_velocity_mps=dvl.beam_velocity_mps + change_d @ dvl.beam_vectors_d.T)
+    return dvl.beam_velocity_mps, dvl.beam_vectors_d
 
 
 def baseline_of(config: Config, told: Told) -> Filter:
@@ -124,6 +174,12 @@ def baseline_of(config: Config, told: Told) -> Filter:
     if told.velocity_sd_mps is None:
         return baseline
     return msgspec.structs.replace(baseline, velocity_sd_mps=told.velocity_sd_mps)
+
+
+def with_lever_arm(dvl: Dvl, told: Told) -> Dvl:
+    """Give a filter the settings of the DVL with the lever arm that it is told."""
+    told_m = np.array(dvl.lever_arm_m) + np.array(told.lever_arm_m)
+    return msgspec.structs.replace(dvl, lever_arm_m=tuple(map(float, told_m)))
 
 
 def with_larger_errors(found: History, exact: ReferenceColumns, factor: float) -> History:
@@ -154,7 +210,8 @@ class OtherSensors(Candidate):
         case, exact = read_case()
         told = case.told[self.name]
         # Readings come in the axes of the IMU, and the start is replaced below.
-        dvl = msgspec.structs.replace(case.config.dvl, mounting_rpy_deg=NO_TURN, scale=1.0)
+        dvl = with_lever_arm(case.config.dvl, told)
+        dvl = msgspec.structs.replace(dvl, mounting_rpy_deg=NO_TURN, scale=1.0)
         initial = Initial(
             source="level", heading_deg=0.0, latitude_deg=float(start.position[0] / DEG)
         )

@@ -22,6 +22,7 @@ from scatter_filters import (
     baseline_of,
     turned_dvl,
     with_larger_errors,
+    with_lever_arm,
     with_other_sensors,
 )
 from sea_worlds import Sea, SeaDvl, SeaReference, Voyage
@@ -161,6 +162,7 @@ def exchanged(drawn: Drawn, name: str) -> Drawn:
         mounting_rpy_deg=NO_TURN if told.mounting_rpy_deg == NO_TURN else rpy_deg_of(mounting.T),
         heading_deg=-told.heading_deg,
         factor=1.0 / told.factor,
+        ping_noise=told.ping_noise.exchanged if told.ping_noise else None,
     )
     return drawn._replace(
         reported=with_other_sensors(drawn.reported, told), told={**drawn.told, name: back}
@@ -391,7 +393,9 @@ def histories_of(world: ScatterWorld, drawn: Drawn) -> dict[str, History]:
             continue
         told = drawn.told[name]
         dive = with_other_sensors(drawn.reported, told)
-        as_told = msgspec.structs.replace(config, filters={name: baseline_of(config, told)})
+        filters = {name: baseline_of(config, told)}
+        dvl = with_lever_arm(config.dvl, told)
+        as_told = msgspec.structs.replace(config, filters=filters, dvl=dvl)
         (history,) = _runs(drawn, dive, as_told).values()
         found[name] = with_larger_errors(history, exact, told.factor)
     return found
@@ -463,7 +467,7 @@ DVL_SD_MPS: Final = 0.008
 """What filters are told of the DVL, which is nearly true; the preset's 20 mm/s are far from it."""
 
 
-def _settings(
+def settings_of(
     *others: str, aiding: tuple[str, ...] = ("velocity",), sd_mps: float = DVL_SD_MPS
 ) -> Config:
     """Give a baseline and filters with sensors of their own; all are told the preset of the IMU's grade."""
@@ -515,7 +519,7 @@ def _too_large(times: float) -> Config:
 
     Both have nearly the same gains, but at the start.
     """
-    config = _settings(sd_mps=DVL_SD_MPS * math.sqrt(times))
+    config = settings_of(sd_mps=DVL_SD_MPS * math.sqrt(times))
     factor = math.sqrt(times)
     inertial = {
         key: factor * getattr(config.noise, key) for key in InertialNoise.__struct_fields__
@@ -529,7 +533,7 @@ WITH_COMPASS: Final = ("velocity", "heading")
 
 
 def _two_compasses(scatter: float, sd_deg: float) -> ScatterWorld:
-    config = _settings(OTHER, aiding=WITH_COMPASS)
+    config = settings_of(OTHER, aiding=WITH_COMPASS)
     return ScatterWorld(
         f"two compasses, s {scatter:g}", "equal", config, compasses(OTHER, sd_deg=sd_deg)
     )
@@ -537,20 +541,23 @@ def _two_compasses(scatter: float, sd_deg: float) -> ScatterWorld:
 
 def _two_mountings(scatter: float, sd_deg: float) -> ScatterWorld:
     return ScatterWorld(
-        f"two mountings, s {scatter:g}", "equal", _settings(OTHER), mountings(OTHER, sd_deg=sd_deg)
+        f"two mountings, s {scatter:g}",
+        "equal",
+        settings_of(OTHER),
+        mountings(OTHER, sd_deg=sd_deg),
     )
 
 
 def _two_imus(scatter: float, accel_mg: float, gyro_degph: float) -> ScatterWorld:
     draw = imus(OTHER, accel_mg=accel_mg, gyro_degph=gyro_degph)
-    return ScatterWorld(f"two IMUs, s {scatter:g}", "equal", _settings(OTHER), draw)
+    return ScatterWorld(f"two IMUs, s {scatter:g}", "equal", settings_of(OTHER), draw)
 
 
 def _start_heading(
     name: str, *, told_deg: float, vehicle_deg: float = 0.0, reference_deg: float = 0.0
 ) -> ScatterWorld:
     """Hold a compass against none, where the heading at the start is as uncertain as the filters are told."""
-    config = _settings()
+    config = settings_of()
     initial = msgspec.structs.replace(
         config.initial,
         uncertainty="settings",
@@ -577,68 +584,71 @@ WORLDS: Final[tuple[ScatterWorld, ...]] = (
     ScatterWorld(
         "five compasses, none differs",
         "equal",
-        _settings(*FIVE, aiding=WITH_COMPASS),
+        settings_of(*FIVE, aiding=WITH_COMPASS),
         compasses(*FIVE, sd_deg=0.07),
     ),
     ScatterWorld(
         "two IMUs, the reference of the same sensors",
         "equal",
-        _dependent(_settings(OTHER)),
+        _dependent(settings_of(OTHER)),
         imus(OTHER, accel_mg=6.0, gyro_degph=40.0),
         primary="outage_30s",
     ),
     ScatterWorld(
         "vehicles that differ, equal on average",
         "equal",
-        _settings(OTHER),
+        settings_of(OTHER),
         factors(OTHER, ratio=1.0, log_sd=0.1),
         dives_of_vehicle=2,
         vehicle_log_sd=0.2,
     ),
     ScatterWorld(
-        "equal on average, s 0.3", "equal", _settings(OTHER), factors(OTHER, ratio=1.0, log_sd=0.3)
+        "equal on average, s 0.3",
+        "equal",
+        settings_of(OTHER),
+        factors(OTHER, ratio=1.0, log_sd=0.3),
     ),
     # True changes.
     ScatterWorld(
         "errors times 0.8, s 0.1",
         "ensemble",
-        _settings(OTHER),
+        settings_of(OTHER),
         factors(OTHER, ratio=0.8, log_sd=0.1),
     ),
     ScatterWorld(
         "errors times 0.8, s 0.2",
         "ensemble",
-        _settings(OTHER),
+        settings_of(OTHER),
         factors(OTHER, ratio=0.8, log_sd=0.2),
     ),
     ScatterWorld(
         "five at once, the first is named and 0.8 of the baseline",
         "ensemble",
-        _named(_settings(*FIVE), FIVE[0]),
+        _named(settings_of(*FIVE), FIVE[0]),
         first_of_several(*FIVE, ratio=0.8, log_sd=0.1),
     ),
     ScatterWorld(
         "errors times 1.25, s 0.2",
         "ensemble",
-        _settings(OTHER),
+        settings_of(OTHER),
         factors(OTHER, ratio=1.25, log_sd=0.2),
     ),
     ScatterWorld(
         "a mounting known to 0.8 deg, before to 1",
         "ensemble",
-        _settings(OTHER),
+        settings_of(OTHER),
         calibrated_mounting(OTHER, of_baseline_deg=1.0, of_other_deg=0.8),
     ),
     ScatterWorld(
         "a mounting known to 0.45 deg, before to 0.6",
         "ensemble",
-        _settings(OTHER),
+        settings_of(OTHER),
         calibrated_mounting(OTHER, of_baseline_deg=0.6, of_other_deg=0.45),
     ),
     ScatterWorld(
         "baseline's R of 125 mm/s, truly 50",
         "ensemble",
-        _with(_settings(sd_mps=0.125), right=_by_velocity(0.05)),
+        _with(settings_of(sd_mps=0.125), right=_by_velocity(0.05)),
         nothing_drawn,
         sea=_noisy(0.05),
     ),
@@ -653,14 +663,14 @@ WORLDS: Final[tuple[ScatterWorld, ...]] = (
     ScatterWorld(
         "late: R of 2 mm/s, truly 7",
         "ensemble",
-        _with(_settings(), small=_by_velocity(0.002)),
+        _with(settings_of(), small=_by_velocity(0.002)),
         late(nothing_drawn),
         sea=WAVES,
     ),
     ScatterWorld(
         "late: R of 5 mm/s, truly 100, the reference of the same sensors",
         "ensemble",
-        _dependent(_with(_settings(sd_mps=0.11), small=_by_velocity(0.005))),
+        _dependent(_with(settings_of(sd_mps=0.11), small=_by_velocity(0.005))),
         late(nothing_drawn),
         primary="outage_60s",
         sea=_noisy(0.1),
@@ -668,15 +678,15 @@ WORLDS: Final[tuple[ScatterWorld, ...]] = (
     ScatterWorld(
         "late: two compasses, s 0.2",
         "equal",
-        _settings(OTHER, aiding=WITH_COMPASS),
+        settings_of(OTHER, aiding=WITH_COMPASS),
         late(compasses(OTHER, sd_deg=0.07)),
     ),
     # No difference, and none that could be told.
     ScatterWorld(
-        "a copy", "copy", _with(_settings(), copy=_by_velocity(DVL_SD_MPS)), nothing_drawn
+        "a copy", "copy", _with(settings_of(), copy=_by_velocity(DVL_SD_MPS)), nothing_drawn
     ),
     ScatterWorld(
-        "a copy that is a class", "copy", _settings(OTHER), factors(OTHER, ratio=1.0, log_sd=0.0)
+        "a copy that is a class", "copy", settings_of(OTHER), factors(OTHER, ratio=1.0, log_sd=0.0)
     ),
     ScatterWorld(
         "baseline's noise 800 times too large",
@@ -685,6 +695,6 @@ WORLDS: Final[tuple[ScatterWorld, ...]] = (
         nothing_drawn,
     ),
     ScatterWorld(
-        "another answer each time", "no word", _settings(OTHER), shaken(OTHER, sd_mps=0.03)
+        "another answer each time", "no word", settings_of(OTHER), shaken(OTHER, sd_mps=0.03)
     ),
 )

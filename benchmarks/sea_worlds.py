@@ -165,13 +165,17 @@ class Sea:
     imu_rate_hz: float = 50.0
     outage_s: tuple[float, float] | None = None
 
+    def drawn_motion(self, rng: np.random.Generator) -> Scenario:
+        """Draw the motion of one dive."""
+        return drawn_motion(self.voyage, self.duration_s, rng)
+
     def dive(self, seed: int) -> tuple[Dive, Dive]:
         """Simulate one dive: as its sensors report it, and exactly. Nobody knows the true biases."""
         motion, imu, dvl, reference = (
             np.random.default_rng(stream) for stream in np.random.SeedSequence(seed).spawn(4)
         )
         exact = exact_dive(
-            drawn_motion(self.voyage, self.duration_s, motion),
+            self.drawn_motion(motion),
             imu_rate_hz=self.imu_rate_hz,
             reference_rate_hz=self.reference.rate_hz,
             outages=[self.outage_s] if self.outage_s else [],
