@@ -17,6 +17,7 @@ from unittest.mock import patch
 import numpy as np
 from in_process import done_here
 
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import is_beam
 from insdvl_replay.core.tables import EvidenceRow, finite
 from insdvl_replay.core.words import Verdict
@@ -304,6 +305,30 @@ def where_record_of(replay: Replay, candidate: str) -> WhereRecord:
 
 def where_over(records: Sequence[WhereRecord]) -> list[WherePart]:
     """Ask the tool which parts stand out over several dives."""
+    raise NotImplementedError
+
+
+# --- The whole tool: histories of a filter.
+
+
+def lake_template() -> Any:
+    """Return the rows of one replay, as a lake has them."""
+    raise NotImplementedError
+
+
+def write_lake(lake: Path, template: Any, logs: Floats) -> None:
+    """Write the evidence of several versions on the same dives.
+
+    Parameters
+    ----------
+    logs : ndarray, shape (versions, dives)
+        Log ratios of the position error.
+    """
+    raise NotImplementedError
+
+
+def history_steps(lake: Path) -> tuple[int, ...]:
+    """Ask the tool which versions, from 0, changed the filter."""
     raise NotImplementedError
 
 

@@ -40,7 +40,7 @@ class Track(NamedTuple):
     @property
     def time_s(self) -> Floats:
         """Times of the grid, shape (k,)."""
-        return GRID_S * np.arange(len(self.position_m))
+        return np.asarray(GRID_S * np.arange(len(self.position_m)), np.float64)
 
     @property
     def distance_m(self) -> float:

@@ -301,8 +301,7 @@ def _other_kinds() -> Iterator[SetKind]:
     yield SetKind("few: one or two dives", "no word", (1, 2), ratio=0.5)
     yield SetKind("few: two of three", "no word", (3,), ratio=0.5, missing=("NEW",))
     yield SetKind("clocks: NEW begins at 0 s", "no word", (4,), ratio=0.5, new=FROM_ZERO)
-    worse = {"ratio": 0.5, "heading_ratio": 6.0}
-    yield SetKind("mixed: heading worse", "mixed", (6, 12), **worse)
+    yield SetKind("mixed: heading worse", "mixed", (6, 12), ratio=0.5, heading_ratio=6.0)
 
 
 SIDES: Final = ("OLD", "NEW", "TRUTH")

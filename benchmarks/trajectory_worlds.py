@@ -247,7 +247,7 @@ def of_question(question: Question, sets: Sequence[JudgedSet]) -> list[JudgedSet
 class Asked(NamedTuple):
     """How many of some sets are asked, and by how much chance may be off."""
 
-    count: float
+    counted: float
     error: float
 
 
@@ -269,8 +269,8 @@ def is_met(question: Question, count: int, asked: Asked | None) -> bool:
         return True
     allowed = ALLOWED_ERRORS * asked.error
     if question.is_least:
-        return count >= asked.count - allowed - 1e-9
-    return count <= asked.count + allowed + 1e-9
+        return count >= asked.counted - allowed - 1e-9
+    return count <= asked.counted + allowed + 1e-9
 
 
 def rate_rows(sets: Sequence[JudgedSet]) -> tuple[list[str], bool]:
@@ -288,7 +288,7 @@ def rate_rows(sets: Sequence[JudgedSet]) -> tuple[list[str], bool]:
         limit = ""
         if asked is not None:
             side = "at least" if question.is_least else "at most"
-            limit = f"{side} {100.0 * asked.count / len(chosen):.3g}"
+            limit = f"{side} {100.0 * asked.counted / len(chosen):.3g}"
         pct = f"{100.0 * count / len(chosen):.1f}{'' if met else ' *'}"
         rows.append(f"| {question.asks} | {count} of {len(chosen)} | {pct} | {limit} |")
     return rows, all_met

@@ -342,7 +342,7 @@ class Rate(NamedTuple):
     """A row of the table of rates."""
 
     asks: str
-    count: int
+    counted: int
     archives: int
     independent: float
     asked_pct: float
@@ -351,7 +351,7 @@ class Rate(NamedTuple):
     @property
     def pct(self) -> float:
         """Share of the archives."""
-        return 100.0 * self.count / self.archives
+        return 100.0 * self.counted / self.archives
 
     @property
     def is_met(self) -> bool:
@@ -368,7 +368,7 @@ class Rate(NamedTuple):
         side = "at least" if self.is_least else "at most"
         star = "" if self.is_met else " *"
         return (
-            f"| {self.asks} | {self.count} of {self.archives} | {self.independent:.0f} | "
+            f"| {self.asks} | {self.counted} of {self.archives} | {self.independent:.0f} | "
             f"{self.pct:.1f}{star} | {side} {self.asked_pct:g} |"
         )
 

@@ -95,7 +95,7 @@ def test_archives_are_counted() -> None:
 
 def test_rates_are_as_asked_but_for_chance() -> None:
     found = rates_of([judged("lever arm off by 0.2 m", *[[OUT]] * 10)])
-    assert [(rate.count, rate.is_met) for rate in found] == [(10, True), (0, True)]
+    assert [(rate.counted, rate.is_met) for rate in found] == [(10, True), (0, True)]
     half = [[OUT]] * 5 + [[CALM]] * 5
     assert [rate.is_met for rate in rates_of([judged("lever arm off by 0.2 m", *half)])] == [
         False,
