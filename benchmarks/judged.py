@@ -6,21 +6,25 @@ that makes a word. If the tool names its rule otherwise, this file changes and n
 
 import json
 import math
+import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from unittest.mock import patch
 
+import msgspec
 import numpy as np
 from in_process import done_here
+from pyarrow.parquet import read_table
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import is_beam
-from insdvl_replay.core.tables import EvidenceRow, finite
-from insdvl_replay.core.words import Verdict
+from insdvl_replay.core.tables import EvidenceRow, LakeRow, WhereRow, finite
+from insdvl_replay.core.words import Role, Verdict
 from insdvl_replay.evaluation.answers import (
     CandidateAnswer,
     CandidateOnDive,
@@ -33,11 +37,18 @@ from insdvl_replay.evaluation.interval import (
     log_ratio_interval,
     word_of_interval,
 )
+from insdvl_replay.evaluation.where import pooled_where
+from insdvl_replay.logs import write_dive
 from insdvl_replay.nav.user_candidate import CandidateStart, Solution
 from insdvl_replay.preparation.programs import UserProcesses
 from insdvl_replay.preparation.replay import Replay
 from insdvl_replay.preparation.user_process import solution_of_class
+from insdvl_replay.results.lake import LakeWriter, require_lake
+from insdvl_replay.sim.dive import simulate_dive
 
+POSITION: Final = "position"
+TEMPLATE_S: Final = 120.0
+"""Of the dive whose evidence a lake begins with."""
 SIZES: Final = (3, 5, 8)
 """Dives of the groups on which the tool says its word."""
 
@@ -294,42 +305,92 @@ class WherePart(NamedTuple):
     stands_out: bool
 
 
-WhereRecord = Any
+WhereRecord = tuple[WhereRow, ...]
 """What the tool keeps of the parts of one dive."""
 
 
 def where_record_of(replay: Replay, candidate: str) -> WhereRecord:
     """Keep what is said of the parts of one dive."""
-    raise NotImplementedError
+    return tuple(row for row in replay.tables.where if row.filter == candidate)
 
 
 def where_over(records: Sequence[WhereRecord]) -> list[WherePart]:
     """Ask the tool which parts stand out over several dives."""
-    raise NotImplementedError
+    found = list[WherePart]()
+    for row in pooled_where(records):
+        found.append(WherePart(row.bin, finite(row.ratio), bool(row.stands_out)))
+    return found
 
 
 # --- The whole tool: histories of a filter.
 
 
-def lake_template() -> Any:
-    """Return the rows of one replay, as a lake has them."""
-    raise NotImplementedError
+@cache
+def lake_template() -> tuple[LakeRow, ...]:
+    """Return the rows of one replay, as a lake has them: those of the candidate, in each process made once."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        log = folder / "dive.mcap"
+        write_dive(log, simulate_dive("straight", seed=1, duration_s=TEMPLATE_S))
+        done = done_here(
+            "run", log, "--preset", "fog", "--lake", "lake", "--starts", "1", cwd=folder
+        )
+        if done.returncode:
+            raise RuntimeError(done.stderr)
+        rows = read_table(folder / "lake" / "rows").to_pylist()
+    of_candidate = [row for row in rows if row["filter"] != "baseline"]
+    return tuple(msgspec.convert(row, LakeRow) for row in of_candidate)
 
 
-def write_lake(lake: Path, template: Any, logs: Floats) -> None:
-    """Write the evidence of several versions on the same dives.
+def write_lake(lake: Path, template: Sequence[LakeRow], logs: Floats) -> None:
+    """Write the evidence of several versions on the same dives, a day for each version.
 
     Parameters
     ----------
     logs : ndarray, shape (versions, dives)
         Log ratios of the position error.
     """
-    raise NotImplementedError
+    require_lake(lake, ())
+    for version, of_version in enumerate(logs.tolist()):
+        name = version_name(version)
+        writer = LakeWriter(lake, name)
+        for dive, log_ratio in enumerate(of_version):
+            identity = {
+                "log": f"dive_{dive}",
+                "log_sha256": f"{dive:064x}",
+                "code_sha256": f"{version:064x}",
+                "replay": f"{version:016x}{dive:016x}",
+                "revision": name,
+                "filter_verdict": Verdict.UNDECIDED,
+                "started_at": f"2026-01-{version + 1:02d}T00:00:{dive:02d}Z",
+            }
+            rows = [_lake_row(row, math.exp(log_ratio), identity) for row in template]
+            writer.add_rows(rows)
+        writer.close()
+
+
+def _lake_row(row: LakeRow, ratio: float, identity: Mapping[str, str]) -> LakeRow:
+    row = msgspec.structs.replace(row, **identity)
+    if row.quantity != POSITION:
+        return row
+    baseline = finite(row.baseline)
+    # Both errors are independent, so that no proof shows that nothing differs.
+    values = {"ratio": ratio, "value": ratio * baseline, "acts": 1.0, "role": Role.PRIMARY}
+    return msgspec.structs.replace(row, **values)
+
+
+def version_name(version: int) -> str:
+    """Name a version, from 0."""
+    return f"v{version}"
 
 
 def history_steps(lake: Path) -> tuple[int, ...]:
     """Ask the tool which versions, from 0, changed the filter."""
-    raise NotImplementedError
+    done = done_here("history", lake, "--format", "json", cwd=lake.parent)
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    steps = json.loads(done.stdout)["tables"]["step"]
+    return tuple(int(step["name"].removeprefix("v")) for step in steps)
 
 
 @contextmanager
