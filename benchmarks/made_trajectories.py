@@ -182,6 +182,10 @@ class Sampling:
         inside = (times_s > begin * whole_s) & (times_s < end * whole_s)
         return times_s[~inside]
 
+    def stamps_s(self, times_s: Floats) -> Floats:
+        """Stamp the times of rows by the clock of the file."""
+        return np.asarray(self.clock_s + times_s * (1.0 + 1e-6 * self.clock_ppm))
+
 
 def write_tum(
     path: Path,
@@ -192,19 +196,38 @@ def write_tum(
     rng: np.random.Generator | None = None,
 ) -> None:
     """Write a trajectory: the truth where there is no error, with white noise of the position if asked."""
+    times_s, position_m, quaternions = _rows(track, error, sampling)
+    if noise_m and rng is not None:
+        position_m = position_m + noise_m * rng.standard_normal(position_m.shape)
+    stamps_s = sampling.stamps_s(times_s)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savetxt(path, np.column_stack([stamps_s, position_m, quaternions]), fmt="%.9f")
+
+
+def write_noisy_csv(
+    path: Path, track: Track, sampling: Sampling, noise_m: float, rng: np.random.Generator
+) -> None:
+    """Write the truth with white noise of the position as a table that states the standard deviation."""
+    times_s, position_m, quaternions = _rows(track, None, sampling)
+    position_m = position_m + noise_m * rng.standard_normal(position_m.shape)
+    sd_m = np.full(position_m.shape, noise_m)
+    columns = [sampling.stamps_s(times_s), position_m, quaternions, sd_m]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    header = "time_s,x,y,z,qx,qy,qz,qw,x_sd,y_sd,z_sd"
+    np.savetxt(
+        path, np.column_stack(columns), fmt="%.9f", delimiter=",", header=header, comments=""
+    )
+
+
+def _rows(track: Track, error: Error | None, sampling: Sampling) -> tuple[Floats, Floats, Floats]:
+    """Return times since the start, positions and attitudes of the rows of a file."""
     times_s = sampling.times_s(track)
     position_m = track.position_m
     mat = track.mat
     if error is not None:
         position_m = position_m + error.position_m
         mat = mat_from_vector(error.turn_rad) @ mat
-    position_m = at_times(position_m, times_s)
-    if noise_m and rng is not None:
-        position_m = position_m + noise_m * rng.standard_normal(position_m.shape)
-    quaternions = _quaternions_at(mat, times_s)
-    stamps_s = sampling.clock_s + times_s * (1.0 + 1e-6 * sampling.clock_ppm)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    np.savetxt(path, np.column_stack([stamps_s, position_m, quaternions]), fmt="%.9f")
+    return times_s, at_times(position_m, times_s), _quaternions_at(mat, times_s)
 
 
 def at_times(columns: Floats, times_s: Floats) -> Floats:

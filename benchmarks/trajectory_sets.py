@@ -12,7 +12,16 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
-from made_trajectories import ERROR_SHARE, KINDS, Error, Sampling, Track, drawn_track, write_tum
+from made_trajectories import (
+    ERROR_SHARE,
+    KINDS,
+    Error,
+    Sampling,
+    Track,
+    drawn_track,
+    write_noisy_csv,
+    write_tum,
+)
 from rule_worlds import LEAST_FOUND_PCT
 
 DAY_S: Final = 86_400.0
@@ -56,6 +65,8 @@ class SetKind:
         By which the attitude error of NEW is larger beside this.
     noise : float
         White noise of the reference, over the position error of OLD.
+    is_noise_stated : bool
+        Whether the reference states this noise.
     missing : tuple of str
         Sides that lack the file of the second dive.
     copy_noise_m : float
@@ -76,6 +87,7 @@ class SetKind:
     new: Sampling = USUAL
     reference: Sampling = USUAL
     noise: float = 0.0
+    is_noise_stated: bool = False
     missing: tuple[str, ...] = ()
     copy_noise_m: float = math.nan
     repeats: Repeats | None = None
@@ -137,7 +149,11 @@ def _make_dive(kind: SetKind, number: int, rng: np.random.Generator, folder: Pat
     # Horizontal noise has two components.
     noise_m = kind.noise * made.old.rms_m / math.sqrt(2.0)
     reference = on_day(kind.reference, number)
-    write_tum(folder / "TRUTH" / name, track, None, reference, noise_m, rng)
+    if kind.is_noise_stated:
+        path = folder / "TRUTH" / Path(name).with_suffix(".csv")
+        write_noisy_csv(path, track, reference, noise_m, rng)
+    else:
+        write_tum(folder / "TRUTH" / name, track, None, reference, noise_m, rng)
     if kind.repeats is not None:
         return made.log_ratio + _write_runs(kind, kind.repeats, made, number, rng, folder)
     write_tum(folder / "OLD" / name, track, made.old, on_day(kind.old, number))
@@ -253,7 +269,8 @@ def _equal_kinds() -> Iterator[SetKind]:
     yield _equal("NEW ends after a half", (5, 12), scatter=0.2, new=ENDS_EARLY, is_exact=False)
     yield _equal("NEW has a hole", (5, 12), scatter=0.2, new=WITH_HOLE, is_exact=False)
     yield _equal("noise of the reference 0.3", (5, 12), noise=0.3, is_exact=False)
-    yield _equal("noise of the reference 3", (5, 12), noise=3.0, is_exact=False)
+    stated: dict[str, Any] = {"noise": 3.0, "is_noise_stated": True, "is_exact": False}
+    yield _equal("noise of the reference 3, stated", (5, 12), **stated)
     for side in SIDES:
         yield _equal(f"{side} lacks a dive", (6,), scatter=0.2, missing=(side,))
 
@@ -270,7 +287,8 @@ def _changed_kinds() -> Iterator[SetKind]:
     yield _changed("2, NEW ends after a half", (6,), 2.0, new=ENDS_EARLY, is_exact=False)
     yield _changed("0.5, NEW has a hole", (6,), 0.5, new=WITH_HOLE, is_exact=False)
     yield _changed("0.5, noise of the reference 0.3", (6,), 0.5, noise=0.3, is_exact=False)
-    yield _changed("0.5, noise of the reference 3", (6,), 0.5, noise=3.0, is_exact=False)
+    stated: dict[str, Any] = {"noise": 3.0, "is_noise_stated": True, "is_exact": False}
+    yield _changed("0.5, noise of the reference 3, stated", (4, 6, 8, 12), 0.5, **stated)
     for side in SIDES:
         yield _changed(f"0.5, {side} lacks a dive", (6,), 0.5, missing=(side,))
 
@@ -289,6 +307,9 @@ def _other_kinds() -> Iterator[SetKind]:
     yield SetKind("copy: noise of 1 um", "copy", (3, 10), copy_noise_m=1e-6)
     half = Sampling(rate_hz=2.0)
     yield SetKind("copy: every other row", "copy", (5,), copy_noise_m=0.0, new=half)
+    untold: dict[str, Any] = {"noise": 3.0, "is_exact": False}
+    yield SetKind("untold: noise of the reference 3", "equal", (5, 12), **untold)
+    yield SetKind("untold: 0.5, the same", "change", (4, 6, 8, 12), ratio=0.5, **untold)
     by_run = Repeats(2, 0.22, is_by_run=True)
     yield SetKind("repeats: one is better, one worse", "no word", (5, 8), repeats=by_run)
     of_new = replace(by_run, old_too=False)
