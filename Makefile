@@ -96,7 +96,7 @@ calibration: .venv/test.stamp
 clocks: .venv/test.stamp
 	PYTHONPATH=tests $(BIN)/python benchmarks/clock_worlds.py
 
-# How often the words on filters are right, in worlds whose truth is known; takes a quarter of an hour on two cores.
+# How often the words on filters are right, in worlds whose truth is known; takes twenty minutes on two cores.
 JUDGES := rule_worlds misfit_worlds scatter_judge judge onboard foreign noise trajectory_worlds where_worlds history_worlds
 judge: .venv/test.stamp
 	@failed=0; for part in $(JUDGES); do \

@@ -86,6 +86,12 @@ TURNING_DEGPS: Final = 2.0
 class Survey(Sea):
     """Dives along straight legs with turns between them, to both sides."""
 
+    speed_change_mps: float = 0.05
+    """Amplitude of the speed."""
+    speed_period_s: float = 47.0
+    climb_mps: float = 0.0
+    """Amplitude of the vertical speed."""
+
     def drawn_motion(self, rng: np.random.Generator) -> Scenario:
         """Draw the legs and turns of one dive."""
         segments = list[Segment]()
@@ -97,10 +103,11 @@ class Survey(Sea):
         return Scenario(
             "legs and turns",
             self.duration_s,
-            Wave(float(speed_mps), 0.05, 47.0),
+            Wave(float(speed_mps), self.speed_change_mps, self.speed_period_s),
             tuple(segments),
             roll_deg=Wave(0.0, 1.0, float(rng.uniform(11.0, 23.0))),
             pitch_deg=Wave(0.0, 1.0, float(rng.uniform(17.0, 37.0))),
+            heave_mps=Wave(0.0, self.climb_mps, 130.0),
         )
 
 
@@ -112,6 +119,14 @@ SURVEY: Final = Survey(
     reference=SEA.reference,
     imu_rate_hz=SEA.imu_rate_hz,
 )
+VARIED: Final = replace(
+    SURVEY,
+    dvl=replace(SEA.dvl, lost_spans=10, lost_s=(8.0, 25.0)),
+    speed_change_mps=0.6,
+    speed_period_s=147.0,
+    climb_mps=0.2,
+)
+"""Dives that also climb, become faster and slower, and lose the bottom now and then."""
 
 
 # --- What is drawn.
@@ -153,15 +168,21 @@ class WhereWorld(NamedTuple):
 
 
 def _world(
-    kind: Kind, name: str, draw: Draw, sd_mps: float = 0.008, *, can_be_exchanged: bool = False
+    kind: Kind,
+    name: str,
+    draw: Draw,
+    sd_mps: float = 0.008,
+    *,
+    sea: Sea = SURVEY,
+    can_be_exchanged: bool = False,
 ) -> WhereWorld:
     of_pair: PairKind = "equal" if can_be_exchanged else "ensemble"
     config = settings_of(OTHER, sd_mps=sd_mps)
-    return WhereWorld(kind, ScatterWorld(name, of_pair, config, draw, sea=SURVEY))
+    return WhereWorld(kind, ScatterWorld(name, of_pair, config, draw, sea=sea))
 
 
-def _equal(name: str, draw: Draw, sd_mps: float = 0.008) -> WhereWorld:
-    return _world("nothing", name, draw, sd_mps, can_be_exchanged=True)
+def _equal(name: str, draw: Draw, sd_mps: float = 0.008, sea: Sea = SURVEY) -> WhereWorld:
+    return _world("nothing", name, draw, sd_mps, sea=sea, can_be_exchanged=True)
 
 
 WORLDS: Final = (
@@ -184,6 +205,9 @@ WORLDS: Final = (
         two_dvls(OTHER, baseline_mps=0.01, own_mps=0.05),
         sd_mps=0.012,
     ),
+    _equal("varied dives, two IMUs", imus(OTHER, accel_mg=0.7, gyro_degph=2.0), sea=VARIED),
+    _equal("varied dives, two mountings", mountings(OTHER, sd_deg=0.07), sea=VARIED),
+    _equal("varied dives, s 0.3", factors(OTHER, ratio=1.0, log_sd=0.3), sea=VARIED),
 )
 
 
