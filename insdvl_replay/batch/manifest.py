@@ -6,7 +6,7 @@ digest of its file, so that the same manifest always means the same dives.
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Event
 from typing import Annotated, Final
@@ -21,6 +21,7 @@ from insdvl_replay.core.path_kinds import require_kind_of_toml
 from insdvl_replay.core.runtime import parallel_map, track_progress
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.logs.formats.remote import (
+    PassingError,
     StalledError,
     fetched,
     file_digest,
@@ -127,19 +128,24 @@ def _found(dive: ManifestDive, file: Path) -> FoundDive:
 
 
 def fetch_dives(
-    dives: Sequence[FoundDive], *, offline: bool = False, whole: bool = False
+    dives: Sequence[FoundDive],
+    *,
+    offline: bool = False,
+    whole: bool = False,
+    pauses_s: Sequence[float] | None = None,
 ) -> list[FoundDive]:
     """Fetch remote logs and compare digests; a dive that cannot be had, or is another, gets its error.
 
     Offline, those of earlier commands are used, and nothing is fetched. The ``whole`` log is fetched where its chunks
     of pictures are wanted, too.
 
-    A server that stalled is not asked for other dives.
+    A server that fails is asked again, after pauses of so many seconds. One that failed each time is asked once for
+    each other dive, and one that stalled is not asked for them at all.
     """
     if not any(dive.sha256 or dive.url or dive.parts for dive in dives):
         return list(dives)
     stopped = Event()
-    stalled = set[str]()
+    servers = _Servers(pauses_s)
 
     def had(dive: FoundDive) -> FoundDive:
         try:
@@ -148,13 +154,9 @@ def fetch_dives(
             if not dive.url:
                 _require_digest(dive)
                 return dive
-            if urlsplit(dive.url).netloc in stalled:
-                raise LogError("its server stalled before", "try again later", dive.url)
-            path = fetched(dive.url, dive.sha256, stopped.is_set, offline=offline, whole=whole)
+            path = servers.fetched(dive, stopped.is_set, offline=offline, whole=whole)
             return replace(dive, path=path)
         except UserError as error:
-            if isinstance(error, StalledError):
-                stalled.add(urlsplit(dive.url).netloc)
             return replace(dive, error=error)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
@@ -163,6 +165,48 @@ def fetch_dives(
 
     found = parallel_map(had, dives, stop=stopped.set)
     return [dive for _, dive in zip(track_progress("fetching logs", dives), found, strict=True)]
+
+
+@dataclass
+class _Servers:
+    """The servers of dives, and which of them have failed."""
+
+    pauses_s: Sequence[float] | None  # before each try after one that failed
+    _stalled: set[str] = field(default_factory=set)
+    _failing: set[str] = field(default_factory=set)
+
+    def fetched(
+        self,
+        dive: FoundDive,
+        is_stopped: Callable[[], bool],
+        *,
+        offline: bool,
+        whole: bool,
+    ) -> Path:
+        """Return a remote log from the cache, after fetching it if needed."""
+        server = urlsplit(dive.url).netloc
+        if server in self._stalled:
+            raise LogError("its server stalled before", "try again later", dive.url)
+        pauses = self.pauses_s
+        if server in self._failing:
+            pauses = ()
+        try:
+            path = fetched(
+                dive.url,
+                dive.sha256,
+                is_stopped,
+                offline=offline,
+                whole=whole,
+                pauses_s=pauses,
+            )
+        except StalledError:
+            self._stalled.add(server)
+            raise
+        except PassingError:
+            self._failing.add(server)
+            raise
+        self._failing.discard(server)
+        return path
 
 
 def _folder_of(dive: FoundDive, had: Callable[[FoundDive], FoundDive]) -> Path:

@@ -20,10 +20,12 @@ class LogServer:
         self.sent = 0  # bytes of logs
         self.url = ""
         self.cut: int | None = None  # bytes after which it drops the connection
+        self.cuts: list[int] = []  # likewise, for the next transfers
         self.announced: int | None = None  # length that it announces instead of the true one
         self.head_announces: int | None = None  # likewise, without content
         self.has_length = True
         self.stalls = False
+        self.failures: list[int] = []  # how it fails the next requests: a status, or 0 to hang up
         self.has_ranges = True
         self.has_tags = True
         self.changes = False  # with every answer
@@ -48,6 +50,12 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, *, with_content: bool) -> None:
         told = self.told
         told.asked.append(self.command)
+        if told.failures:
+            status = told.failures.pop(0)
+            if status:
+                self.send_error(status)
+            self.close_connection = True
+            return
         if (log := told.logs.get(self.path)) is None:
             self.send_error(404)
             return
@@ -83,6 +91,10 @@ class _Handler(BaseHTTPRequestHandler):
             return
         if told.stalls:
             time.sleep(2.0)
+            self.close_connection = True
+            return
+        if told.cuts:
+            self.wfile.write(content[: told.cuts.pop(0)])
             self.close_connection = True
             return
         part = content if told.cut is None else content[: told.cut]

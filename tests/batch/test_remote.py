@@ -6,6 +6,7 @@ import os
 import re
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from remote_server import LogServer, manifest, served
 from small_logs import simulated, written
 
 from insdvl_replay.batch.dive_paths import find_dives
+from insdvl_replay.batch.found import dive_of_url
 from insdvl_replay.batch.manifest import fetch_dives
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
@@ -36,6 +38,17 @@ pytestmark = pytest.mark.usefixtures("cache")
 def server() -> Iterator[LogServer]:
     with served({"/dive.mcap": LOG}) as told:
         yield told
+
+
+SHORT_S = (0.01, 0.01, 0.01)
+
+
+@contextmanager
+def one_at_a_time() -> Iterator[None]:
+    """Fetch one log after the other."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "cpu_count", lambda: 1)
+        yield
 
 
 def kept(cache: Path) -> list[Path]:
@@ -135,6 +148,94 @@ def test_nothing_is_kept_of_a_server_that_misbehaves(
         fetched(f"{server.url}/dive.mcap", sha256)
     assert raised.value.exit_code == 3
     assert not kept(cache)
+
+
+@pytest.mark.parametrize("failure", [503, 500, 429, 408, 0])
+@pytest.mark.parametrize("failed", [1, 2, 3])
+def test_a_server_that_fails_is_asked_again(server: LogServer, failure: int, failed: int) -> None:
+    """A try asks with HEAD and, if that fails, with GET."""
+    server.failures = [failure] * (2 * failed)
+    path = fetched(f"{server.url}/dive.mcap", SHA256, pauses_s=SHORT_S)
+    assert path.read_bytes() == LOG
+    assert not server.failures
+    assert (
+        len(server.asked) == 2 * failed + 3
+    )  # then what is there, all of it, and if it is still that
+
+
+@pytest.mark.parametrize("failure", [503, 0])
+def test_after_four_tries_the_dive_has_failed_and_the_others_go_on(
+    server: LogServer, tmp_path: Path, failure: int
+) -> None:
+    server.failures = [failure] * 100
+    entries = [f'url = "{server.url}/dive.mcap"\nsha256 = "{SHA256}"']
+    lost, *_ = fetch_dives(find_dives([manifest(tmp_path, *entries)]), pauses_s=SHORT_S)
+    assert lost.error is not None
+    assert lost.error.exit_code == 3
+    assert "(tried 4 times)" in lost.error.message
+    if failure:  # where it hangs up, the library tries once more by itself
+        assert server.asked == ["HEAD", "GET"] * 4
+    server.logs["/other.mcap"] = OTHER
+    server.failures = [503] * 8
+    dives = [dive_of_url(f"{server.url}/{name}.mcap") for name in ("dive", "other")]
+    with one_at_a_time():
+        found = fetch_dives(dives, pauses_s=SHORT_S)
+    assert found[0].error is not None
+    assert found[1].error is None
+    assert found[1].path.read_bytes() == OTHER
+
+
+def test_a_server_that_failed_four_times_is_asked_once_for_each_other_dive(
+    server: LogServer,
+) -> None:
+    server.failures = [503] * 100
+    dives = [dive_of_url(f"{server.url}/{name}.mcap") for name in "abcde"]
+    with one_at_a_time():
+        found = fetch_dives(dives, pauses_s=SHORT_S)
+    assert all(dive.error is not None for dive in found)
+    assert server.asked == ["HEAD", "GET"] * (4 + 4)
+
+
+def test_a_transfer_that_breaks_off_is_begun_again(server: LogServer, cache: Path) -> None:
+    server.cuts = [5000, 100, 0]
+    path = fetched(f"{server.url}/dive.mcap", pauses_s=SHORT_S)
+    assert path.read_bytes() == LOG
+    assert server.asked.count("GET") == 4
+    assert not list(cache.rglob(".part*"))
+
+
+@pytest.mark.parametrize("failure", [401, 403, 404, 410])
+def test_a_server_that_has_no_such_log_is_asked_once(server: LogServer, failure: int) -> None:
+    server.failures = [failure] * 8
+    with pytest.raises(LogError, match="cannot be fetched") as raised:
+        fetched(f"{server.url}/dive.mcap", pauses_s=SHORT_S)
+    assert "tried" not in raised.value.message
+    assert server.asked == ["HEAD", "GET"]
+
+
+def test_a_log_that_is_no_longer_wanted_is_not_waited_for(server: LogServer) -> None:
+    server.failures = [503] * 8
+    begun_s = time.monotonic()
+    with pytest.raises(LogError):
+        fetched(f"{server.url}/dive.mcap", is_stopped=lambda: bool(server.asked), pauses_s=[60.0])
+    assert time.monotonic() - begun_s < 30.0
+
+
+def test_tries_end_with_the_longest_transfer(
+    server: LogServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("INSDVL_REPLAY_FETCH_HOURS", "0.001")
+    server.failures = [503] * 8
+    with pytest.raises(LogError):
+        fetched(f"{server.url}/dive.mcap", pauses_s=[10.0])
+    assert server.asked == ["HEAD", "GET"]
+
+
+def test_an_inspection_asks_again(server: LogServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(remote, "PAUSES_S", SHORT_S)
+    server.failures = [503, 0, 502]
+    summary = remote.read_summary(f"{server.url}/dive.mcap")
+    assert summary.size_bytes == len(LOG)
 
 
 @pytest.mark.parametrize("url", ["http://127.0.0.1:9/x.mcap", "http://[::1]:9/x.mcap"])
@@ -351,7 +452,7 @@ def test_a_server_that_stalled_is_not_asked_for_other_dives(
     lines = [f'url = "{server.url}{path}"\nsha256 = "{SHA256}"' for path in server.logs]
     dives = fetch_dives(find_dives([manifest(tmp_path, *lines)]))
     assert sum("stalled before" in str(dive.error) for dive in dives) == 8
-    assert server.asked.count("GET") == 1
+    assert server.asked.count("GET") == 4  # the tries for the first
 
 
 def test_a_transfer_ends_that_is_not_wanted_or_longer_than_announced(

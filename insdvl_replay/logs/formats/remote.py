@@ -24,7 +24,7 @@ import struct
 import time
 from base64 import b64encode
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -57,6 +57,7 @@ from insdvl_replay.logs.formats.remote_parts import (
 T = TypeVar("T")
 STALLED_S: float = 30.0  # without a byte from the server
 ANSWERED_S: float = 60.0  # for a short answer: what a server says of a log, or a part of it
+PAUSES_S: Sequence[float] = (1.0, 4.0, 16.0)  # before each try after one that failed
 LONGEST_GB: Final = 20.0
 LONGEST_HOURS: Final = 6.0
 _LOOKED_S: Final = 0.2  # between looks whether a transfer is still wanted
@@ -75,6 +76,11 @@ _OF_THIS_DISK: Final = (
     errno.EPERM,
     errno.ENOTDIR,
 )
+# Answers of a server on the web that pass: the request took too long, too many requests, and faults of its own.
+_BUSY: Final = (408, 425, 429)
+_OF_SERVER: Final = 500
+# Errors of aiohttp and botocore where a connection is not made, or breaks off.
+_BROKEN_OFF: Final = frozenset({"ClientConnectionError", "ClientPayloadError", "HTTPClientError"})
 _LONGEST_NAME: Final = 200  # bytes of a file's name
 _ABANDONED_S: Final = 86400.0  # a part that was left so long ago belongs to no other process
 _FIRST_TAIL: Final = 128 << 10  # bytes of a log's end that are asked for first
@@ -98,7 +104,11 @@ class _TooLongError(OSError):
     """More came from a server than is fetched of one log."""
 
 
-class StalledError(LogError):
+class PassingError(LogError):
+    """A server was not reached, was busy or broke off, and may do better when it is asked again (exit code 3)."""
+
+
+class StalledError(PassingError):
     """A server did not answer, or stopped in the middle (exit code 3)."""
 
 
@@ -122,11 +132,13 @@ def fetched(
     *,
     offline: bool = False,
     whole: bool = False,
+    pauses_s: Sequence[float] | None = None,
 ) -> Path:
     """Return a remote log from the cache, after fetching it if it is not there or has changed.
 
     A log whose digest is known is used from the cache where its server cannot be asked. Offline, none is asked. Of a
     long log without a known digest, chunks that have only pictures are left out, unless the ``whole`` is wanted.
+    A server that fails is asked again after each of the pauses, by default `PAUSES_S`.
 
     Raises
     ------
@@ -135,9 +147,53 @@ def fetched(
     """
     if os.environ.get("INSDVL_REPLAY_OFFLINE", "") not in ("", "0"):
         offline = True
-    path = _fetched(url, sha256, is_stopped, offline=offline, whole=whole)
+    path = _with_retries(
+        lambda: _fetched(url, sha256, is_stopped, offline=offline, whole=whole),
+        _limits().longest_s,
+        is_stopped,
+        pauses_s,
+    )
     show_as(path, shown_url(url))
     return path
+
+
+def _with_retries(
+    read: Callable[[], T],
+    longest_s: float,  # of all tries together
+    is_stopped: Callable[[], bool] = lambda: False,
+    pauses_s: Sequence[float] | None = None,
+) -> T:
+    """Read from a server, and again after each pause if it fails in a way that may pass."""
+    if pauses_s is None:
+        pauses_s = PAUSES_S
+    until_s = time.monotonic() + longest_s
+    tries = 0
+    while True:
+        try:
+            return read()
+        except PassingError as error:
+            tries += 1
+            is_last = tries > len(pauses_s)
+            if is_last or is_stopped() or time.monotonic() + pauses_s[tries - 1] > until_s:
+                raise _after(tries, error) from error
+        _pause(pauses_s[tries - 1], is_stopped)
+
+
+def _after(tries: int, error: PassingError) -> PassingError:
+    """Return an error that says how often a server was asked."""
+    if tries == 1:
+        return error
+    return type(error)(f"{error.what} (tried {tries} times)", error.hint, *error.where)
+
+
+def _pause(pause_s: float, is_stopped: Callable[[], bool]) -> None:
+    """Wait, as long as the log is still wanted."""
+    until_s = time.monotonic() + pause_s
+    while not is_stopped():
+        left_s = until_s - time.monotonic()
+        if left_s <= 0.0:
+            return
+        time.sleep(min(left_s, _LOOKED_S))
 
 
 @dataclass(frozen=True)
@@ -202,7 +258,7 @@ class _Offer:
             )
             if len(content) != end - start:
                 text = f"its server sent {len(content)} bytes of {end - start}"
-                raise LogError(text, _CHECK, shown_url(self.url))
+                raise PassingError(text, _CHECK, shown_url(self.url))
             return content
 
         return read
@@ -282,8 +338,8 @@ def _parts_of(url: str, size: int) -> Parts | None:
     if size < LEAST_BYTES:
         return None
     try:
-        found = read_summary(url, _LONGEST_SUMMARY)
-    except StalledError:
+        found = _summary_of(url, _LONGEST_SUMMARY)
+    except PassingError:
         raise
     except LogError:  # no MCAP file, no summary, or no ranges
         return None
@@ -400,7 +456,7 @@ def _digest_of_whole(
     size = part.stat().st_size
     if size != state.get("size", size):
         text = f"has {size} bytes, where its server announced {state['size']}; nothing was kept"
-        raise LogError(text, _CHECK, shown)
+        raise PassingError(text, _CHECK, shown)
     digest = file_digest(part)
     if digest != (sha256 or digest):
         text = f"the SHA-256 of what was sent is {digest}; the manifest says {sha256}"
@@ -536,9 +592,24 @@ def _refused(url: str) -> Iterator[None]:
             raise LogError(
                 text, "make room there, or set XDG_CACHE_HOME", shown_url(url)
             ) from error
-        kind = StalledError if isinstance(cause, TimeoutError) else LogError
+        kind = LogError
+        if isinstance(cause, TimeoutError):
+            kind = StalledError
+        elif _may_pass(error) or _may_pass(cause):
+            kind = PassingError
         hint = _LONGER if isinstance(cause, _TooLongError) else _CHECK
         raise kind(f"cannot be fetched: {reason}", hint, shown_url(url)) from error
+
+
+def _may_pass(error: BaseException) -> bool:
+    """Return whether a server may do better when it is asked again: not where it says that it has no such log."""
+    status = getattr(error, "status", None)
+    if isinstance(status, int):
+        return status in _BUSY or status >= _OF_SERVER
+    reason = getattr(error, "reason", None)  # of urllib
+    if isinstance(error, ConnectionError) or isinstance(reason, ConnectionError | TimeoutError):
+        return True
+    return not _BROKEN_OFF.isdisjoint(kind.__name__ for kind in type(error).__mro__)
 
 
 # --- The summary at the end of a log.
@@ -554,6 +625,11 @@ def read_summary(url: str, most_bytes: int = _LONGEST_TAIL) -> LogSummary:
     LogError
         The server sends no ranges or other bytes than it says, or the file has no summary that can be used.
     """
+    return _with_retries(lambda: _summary_of(url, most_bytes), ANSWERED_S)
+
+
+def _summary_of(url: str, most_bytes: int) -> LogSummary:
+    """Read the summary of a remote MCAP file, with one try."""
     tail, size = _tail(url, _FIRST_TAIL)
     tail_start = size - len(tail)
     footer = len(tail) - len(MAGIC) - _FOOTER.size
