@@ -140,7 +140,7 @@ def _writing(folder: Path) -> Iterator[Outcome]:
     yield _judged("5 report.json is a pipe", code, said, 2)
     shutil.copy(folder / "dive.mcap", folder / "other.mcap")
     (folder / "thesis").write_text("years of work")
-    for name in ("index.html", "summary.csv", "answers.csv", "evidence.csv"):
+    for name in ("index.html", "summary.csv", "answers.csv", "evidence.csv", "where.csv"):
         (folder / "replay" / name).symlink_to("../thesis")
         code, _, said = _ended(folder, "run", "dive.mcap", "other.mcap", "--force")
         (folder / "replay" / name).unlink()

@@ -331,7 +331,7 @@ def test_a_result_that_lost_a_file_is_made_again(
     )
     assert [line for line in done.stderr.splitlines() if line.startswith("wrote")] == [
         "wrote out/dive_2", "wrote out/summary.csv", "wrote out/answers.csv",
-        "wrote out/evidence.csv", "wrote out/index.html",
+        "wrote out/evidence.csv", "wrote out/where.csv", "wrote out/index.html",
     ]  # fmt: skip
     assert bytes_of(tmp_path / "out") == bytes_of(results)
 
@@ -593,6 +593,7 @@ def test_only_what_changed_is_replayed(archive: Path, results: Path, tmp_path: P
         "wrote out/summary.csv",
         "wrote out/answers.csv",
         "wrote out/evidence.csv",
+        "wrote out/where.csv",
         "wrote out/index.html",
     ]
     assert bytes_of(tmp_path / "out") == bytes_of(results)
@@ -732,7 +733,9 @@ def test_a_file_that_bears_an_overviews_name_is_left_alone(
     assert f"out/{name}: exists" in done.stderr
 
 
-@pytest.mark.parametrize("name", ["summary.csv", "answers.csv", "evidence.csv", "index.html"])
+@pytest.mark.parametrize(
+    "name", ["summary.csv", "answers.csv", "evidence.csv", "where.csv", "index.html"]
+)
 @pytest.mark.parametrize("kind", ["link", "pipe"])
 def test_no_link_or_pipe_that_bears_an_overviews_name_is_written_to(
     name: str, kind: str, archive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -276,6 +276,7 @@ def test_a_bad_log_does_not_stop_the_others(
         "index.html",
         "straight",
         "summary.csv",
+        "where.csv",
     ]
     lines = (output / "summary.csv").read_text().split("\n")
     assert lines[1].startswith("bad,,")

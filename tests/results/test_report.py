@@ -20,7 +20,7 @@ from insdvl_replay.batch.schemas import SCHEMAS, json_schema
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.report import Tool, decode_report
 from insdvl_replay.core.report import as_json as encode_report
-from insdvl_replay.core.tables import AssayRow, ConvergenceRow
+from insdvl_replay.core.tables import AssayRow, ConvergenceRow, WhereRow
 from insdvl_replay.core.words import Reason
 from insdvl_replay.document.latex import as_latex
 from insdvl_replay.document.page import page
@@ -65,7 +65,19 @@ HEADERS = {
 }
 """What other people's scripts rely on."""
 CONTROL = AssayRow("dive", "gyro_noise_x3", "position", "m", 1.25, 1.5, 1.2, "primary")
-WHOLE = replace(tables(), assay=[CONTROL])
+TURNS = WhereRow(
+    log="dive",
+    filter="aided",
+    bin="turns",
+    unit="m",
+    baseline=0.1,
+    value=0.12,
+    rest_value=0.09,
+    ratio=1.2,
+    to_rest=1.3,
+    windows=17,
+)
+WHOLE = replace(tables(), assay=[CONTROL], where=[TURNS])
 """Every table has a row."""
 SCHEMA_FOLDER = Path(__file__).resolve().parents[2] / "schemas"
 

@@ -21,6 +21,7 @@ SAMPLE = Path(__file__).parents[2] / "sample_logs" / "figure_eight.mcap"
 FILES = {
     "improvement.csv", "convergence.csv", "reference_error.csv", "consistency.csv",
     "credibility.csv", "evidence.csv", "outage.csv", "drift.csv", "track_fit.csv", "jumps.csv", "assay.csv",
+    "where.csv",
     "report.json", "report.html", "replay.mcap", "foxglove.json", "plotjuggler.xml", "trajectory.npz",
     "config.toml", "run.log",
 }  # fmt: skip
