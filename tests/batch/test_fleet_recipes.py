@@ -94,7 +94,7 @@ def assert_whole(calls: list[str], vehicle: Path, output: Path) -> None:
     assert done.returncode == 3
     results = output / "results"
     whole = vehicle / "whole"
-    for name in ("summary.csv", "answers.csv", "evidence.csv", "index.html"):
+    for name in ("summary.csv", "answers.csv", "evidence.csv", "where.csv", "index.html"):
         assert (results / name).read_bytes() == (whole / name).read_bytes()
     assert sorted(path.name for path in results.iterdir()) == sorted(
         path.name for path in whole.iterdir()

@@ -154,7 +154,7 @@ def test_shards_and_their_merge(logs: Path, tmp_path: Path) -> None:
     results = insdvl_replay.merge(parts, tmp_path / "python")
     assert list(results.dives) == ["dive", "still"]
     assert list(results.tables["summary"]["status"]) == ["failed", "done", "done"]
-    for name in ("summary.csv", "answers.csv", "evidence.csv", "index.html"):
+    for name in ("summary.csv", "answers.csv", "evidence.csv", "where.csv", "index.html"):
         python = (tmp_path / "python" / name).read_bytes()
         assert python == (tmp_path / "merged" / name).read_bytes()
     for name in results.dives:
