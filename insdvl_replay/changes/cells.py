@@ -368,10 +368,11 @@ def cell_name(
 
 def change_text(key: str, old: str, new: str) -> str:
     """Write the change of a setting, long values cut."""
-    return f"{key} {_cut(old)} -> {_cut(new)}"
+    return f"{key} {cut_value(old)} -> {cut_value(new)}"
 
 
-def _cut(text: str) -> str:
+def cut_value(text: str) -> str:
+    """Return a value, a long one cut."""
     if len(text) <= _MOST_LETTERS:
         return text
     return f"{text[: _MOST_LETTERS - 3]}..."

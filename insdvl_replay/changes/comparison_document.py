@@ -3,10 +3,10 @@
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
-from typing import Final
+from typing import Final, NamedTuple
 
 from insdvl_replay.changes.answer import Answer
-from insdvl_replay.changes.cells import Change, change_text
+from insdvl_replay.changes.cells import Change, change_text, cut_value
 from insdvl_replay.changes.comparison import (
     Aggregate,
     Comparison,
@@ -43,6 +43,7 @@ from insdvl_replay.evaluation.sentences import (
 from insdvl_replay.evaluation.where import notable
 from insdvl_replay.show.answers import TONES, verdict_in_table
 from insdvl_replay.show.first_screen import (
+    OLD_TO_NEW,
     ForestRow,
     by_dive_forest,
     change_of_value,
@@ -103,16 +104,19 @@ def comparison_document(
     every_row: bool = False,  # all rows of the evidence
     command: str = "",  # the one that shows all values, if it is not the one that was typed
 ) -> list[Part]:
-    """Return the screen: answers, changed verdicts, differences outside the tables, evidence or values, and counts."""
-    most = len(comparison.differences) if values else _MOST_DIFFERENCES
-    parts: list[Part] = [Title(_title(comparison)), *_answer_screen(comparison)]
-    for lines in (_changed_verdicts(comparison), _other_differences(comparison, most)):
-        if lines:
-            parts.append(Sentences(tuple(lines)))
+    """Return the screen: the question, its answers, changed verdicts, the evidence or values, and what else changed."""
+    parts: list[Part] = [Title(_title(comparison)), _facts(comparison)]
+    parts += _answer_screen(comparison)
+    changed = _changed_verdicts(comparison)
+    if other_logs := other_logs_text(comparison):
+        changed.append(other_logs)
+    if changed:
+        parts.append(Sentences(tuple(changed)))
     if values:
         parts.append(_values_table(comparison))
     else:
         parts += _evidence_tables(comparison, every_row=every_row)
+    parts += _what_else_changed(comparison, every_row=values)
     alone = tuple(_dives_alone(comparison.dives))
     if alone:
         parts.append(Sentences(alone))
@@ -155,12 +159,12 @@ def _dives_alone(dives: Iterable[DiveComparison]) -> Iterator[str]:
 
 
 def _closing_lines(comparison: Comparison, *, values: bool, command: str) -> Iterator[str]:
-    """Count the values by verdict, and say where the others are."""
-    yield f"{_moved_counts(comparison)}; {_same_count(comparison)}"
+    """Say where all values are; below all values their counts by verdict, and the worst and the best of them."""
     if not values:
         table = "... --table NAME" if command else "--table NAME"
         yield f"All values: {command}--all. One table: {table}"
         return
+    yield f"{_moved_counts(comparison)}; {_same_count(comparison)}"
     for name, change in (("worst", comparison.worst), ("best", comparison.best)):
         if change is not None:
             yield f"{name}: {described(change)}"
@@ -203,16 +207,51 @@ def answer_lines(answers: Sequence[Answer]) -> list[Callout]:
 
 
 def _said(answer: Answer) -> str:
-    """Write the primary quantity of an answer, with what these dives can find; or that nothing changed."""
+    """Write the primary quantity of an answer, and on how many dives the filter is no longer evaluated."""
+    return "; ".join(text for text in (_grounds(answer), _evaluated(answer)) if text)
+
+
+def _grounds(answer: Answer) -> str:
+    """Write the primary quantity of an answer, or that nothing changed; empty if it is not evaluated."""
+    if answer.is_same and answer.verdict not in WITHOUT_VERDICT:
+        return answer.sameness
+    return grounds(answer)
+
+
+def _evaluated(answer: Answer) -> str:
+    """Say on how many dives a filter is not evaluated, if that decides or is new; else empty."""
     dives = counted(answer.dives, "dive")
     if answer.verdict in WITHOUT_VERDICT:
-        return f"evaluated in only {answer.evaluated} of {dives}: {answer.reason}"
-    found = [answer.sameness if answer.is_same else grounds(answer)]
-    if answer.undecided not in (ReasonCode.NONE, ReasonCode.ONE_DIVE):
-        found.append(plan_line(answer).rstrip("."))
+        return f"evaluated in only {answer.evaluated} of {dives}"
     if answer.lost:
-        found.append(f"no longer evaluated in {answer.lost} of {dives}: {answer.reason}")
-    return "; ".join(text for text in found if text)
+        return f"no longer evaluated in {answer.lost} of {dives}"
+    return ""
+
+
+def _plan(answer: Answer) -> str:
+    """Say what these dives can find; empty where they decided, or are one."""
+    if answer.undecided in (ReasonCode.NONE, ReasonCode.ONE_DIVE) or answer.is_same:
+        return ""
+    return plan_line(answer)
+
+
+def _why_not_evaluated(answer: Answer) -> str:
+    """Say why a filter is not evaluated on some dives, or on any; empty if it is on all of them."""
+    if answer.lost or answer.verdict in WITHOUT_VERDICT:
+        return answer.reason
+    return ""
+
+
+def lines_below(answers: Sequence[Answer]) -> list[str]:
+    """Return what these dives can find, and why filters are not evaluated, each once with the filters it is about."""
+    filters: dict[str, list[str]] = {}
+    for answer in answers:
+        if plan := _plan(answer):
+            filters.setdefault(plan, []).append(answer.filter)
+    for answer in answers:
+        if why := _why_not_evaluated(answer):
+            filters.setdefault(f"not evaluated: {why}", []).append(answer.filter)
+    return [f"{', '.join(names)}: {text}" for text, names in filters.items()]
 
 
 _ANSWER_COLUMNS: Final[tuple[ShownColumn, ...]] = (
@@ -223,7 +262,7 @@ _ANSWER_COLUMNS: Final[tuple[ShownColumn, ...]] = (
     ("new", "r", "value:value"),
     ("ratio", "r", lambda row: ratio_text(row.ratio)),
     ("interval", "r", interval_text),
-    ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
+    ("smaller\non", "r", lambda row: f"{row.dives_won}/{row.dives}"),
     ("", "l", verdict_in_table),
 )
 
@@ -263,17 +302,25 @@ def _answer_screen(comparison: Comparison) -> list[Part]:
     if any(answer.dives > 1 for answer in answers):
         caption = "All dives: each is one sample."
     page = first_screen(sections, caption, compared=("new result", "old one"))
-    return [Only(PRINTED, tuple(lines)), Only(PAGE, (page,))]
+    printed: list[Part] = [Sentences(tuple(lines))]
+    below = lines_below(answers)
+    if below:
+        printed.append(Sentences(tuple(below)))
+    return [Only(PRINTED, tuple(printed)), Only(PAGE, (page,))]
 
 
 def _answer_section(answer: Answer, where: Sequence[WhereRow]) -> str:
     """Return the section of a filter on a page, with its forest plots."""
-    said = [f"{_said(answer)}."]
+    said = list[str]()
+    for text in (_grounds(answer), _plan(answer), _evaluated(answer)):
+        if text:
+            said.append(f"{text.removesuffix('.')}.")
+    why = _why_not_evaluated(answer)
     if answer.dives == 1:
-        return section(answer, said, [evidence_forest("This dive", answer, _MOST_DRAWN)])
+        return section(answer, said, [evidence_forest("This dive", answer, _MOST_DRAWN)], why)
     line = where_line(notable(where))
     if line:
-        said.append(f"{line}.")
+        said.insert(1, f"{line}.")
     rows = list[ForestRow]()
     for dive in answer.by_dive:
         if finite(dive.ratio) > 0.0:
@@ -281,31 +328,56 @@ def _answer_section(answer: Answer, where: Sequence[WhereRow]) -> str:
             rows.append(ForestRow(dive.log, dive.ratio, tone=Verdict.UNDECIDED, text=text))
     plots = [
         evidence_forest("All dives", answer, _MOST_DRAWN, where),
-        by_dive_forest(answer.primary, rows),
+        by_dive_forest(answer.primary, rows, OLD_TO_NEW),
     ]
-    return section(answer, said, plots)
+    return section(answer, said, plots, why)
 
 
 # --- Settings, verdicts and other differences.
 
 
 def _title(comparison: Comparison) -> str:
-    """Name the setting that differs, count further ones, then name the dives and both sides."""
+    """Ask whether the setting that differs did help; further ones are counted."""
+    changes = list(_changed_settings(comparison))
+    if not changes:
+        return "same settings: did anything change?"
+    text = changes[0].text
+    others = len(changes) - 1
+    if others:
+        return f"{text} and {counted(others, 'more setting')}: did they help?"
+    return f"{text}: did it help?"
+
+
+def _facts(comparison: Comparison) -> str:
+    """Name the dives, and both sides."""
     matched = comparison.matched
     dives = f"{len(matched)} dives"
     if len(matched) == 1:
         dives = matched[0].log
-    first, *others = _changed_settings(comparison) or ["same settings"]
-    if others:
-        first += f" and {counted(len(others), 'more setting')}"
-    return f"{first}: {dives}, new: {comparison.new}, old: {comparison.old}"
+    return f"{dives}, new: {comparison.new}, old: {comparison.old}"
 
 
-def _changed_settings(comparison: Comparison) -> list[str]:
-    """Return the settings that differ, each once, with the number of its dives if it does not differ in all.
+class _Changed(NamedTuple):
+    """What else changed than values, on some dives or all."""
 
-    The keys of a filter that only one side has say nothing more than its name.
-    """
+    what: str
+    old: str  # empty where a side has none
+    new: str
+    dives: str  # empty for all
+
+    @property
+    def text(self) -> str:
+        """It in a line."""
+        text = self.what
+        if self.old or self.new:
+            text = change_text(self.what, self.old or NONE, self.new or NONE)
+        if self.dives:
+            text += f" (in {self.dives})"
+        return text
+
+
+def _changed_settings(comparison: Comparison) -> Iterator[_Changed]:
+    """Yield the settings that differ, each once; of a filter that only one side has its name alone."""
     found = [item for item in comparison.differences if item.block == "config"]
     one_sided = dict[str, str]()  # by filter, the side that has it
     for item in found:
@@ -315,40 +387,73 @@ def _changed_settings(comparison: Comparison) -> list[str]:
         elif match is not None and item.old is None:
             one_sided[match[1]] = "new"
     own_keys = tuple(f"filters.{name}." for name in one_sided)
-    texts = list[str]()
     for item in found:
         if not item.key.startswith(own_keys):
-            texts.append(_difference_text(item, item.key, comparison))
+            yield _changed(item, item.key, comparison)
     for name, side in one_sided.items():
-        texts.append(f"filter {name} only in the {side} results")
-    return texts
+        yield _Changed(f"filter {name} only in the {side} results", "", "", "")
 
 
-def _difference_text(item: Difference, name: str, comparison: Comparison) -> str:
-    """Write a difference, with the number of its dives if it is not in all."""
-    old = NONE if item.old is None else item.old
-    new = NONE if item.new is None else item.new
-    text = change_text(name, old, new)
+def _changed(item: Difference, what: str, comparison: Comparison) -> _Changed:
+    """Return a difference, with the number of its dives if it is not in all."""
+    return _Changed(what, item.old or "", item.new or "", _dives_of(item.logs, comparison))
+
+
+def _dives_of(logs: Iterable[str], comparison: Comparison) -> str:
+    count = len(set(logs))
     matched = len(comparison.matched)
-    if len(item.logs) < matched:
-        text += f" (in {len(item.logs)} of {matched})"
-    return text
+    if count == matched:
+        return ""
+    return f"{count} of {matched}"
 
 
-def _other_differences(comparison: Comparison, most: int) -> list[str]:
-    """Return the differences outside the tables, one line each: logs, settings that the title lacks, and the rest."""
-    texts = _changed_settings(comparison)[1:]
+def _changed_notes(comparison: Comparison) -> Iterator[_Changed]:
+    """Yield the notes that came, went or have another count, each once whatever its counts on the dives."""
+    groups: dict[tuple[str, bool, bool], list[Difference]] = {}
     for item in comparison.differences:
-        if item.block != "config" and not _is_of_other_logs(item):
-            texts.append(_difference_text(item, f"{item.block} {item.key}", comparison))
-    lines = texts[:most]
-    other_logs = other_logs_text(comparison)
-    if other_logs:
-        lines.insert(0, other_logs)
-    left = len(texts) - most
-    if left > 0:
-        lines.append(f"{left} more differ: --all")
-    return lines
+        if item.block == "notes":
+            group = (item.key, item.old is None, item.new is None)
+            groups.setdefault(group, []).append(item)
+    for (code, _, _), items in groups.items():
+        old = _common([item.old for item in items])
+        new = _common([item.new for item in items])
+        logs = chain.from_iterable(item.logs for item in items)
+        yield _Changed(f"note {code}", old, new, _dives_of(logs, comparison))
+
+
+def _common(texts: Iterable[str | None]) -> str:
+    """Return the text that all dives have, empty for none of them, else that they differ."""
+    first, *others = dict.fromkeys(texts)
+    if others:
+        return "differs"
+    return first or ""
+
+
+def _what_else_changed(comparison: Comparison, *, every_row: bool) -> Iterator[Part]:
+    """Yield a table of the settings that the title lacks, of other differences and of notes, if there are any."""
+    rows = list(_changed_settings(comparison))[1:]
+    for item in comparison.differences:
+        if item.block not in ("config", "notes") and not _is_of_other_logs(item):
+            rows.append(_changed(item, f"{item.block} {item.key}", comparison))
+    rows += _changed_notes(comparison)
+    shown_rows = rows
+    footnote = ""
+    if not every_row and len(rows) > _MOST_DIFFERENCES:
+        shown_rows = rows[:_MOST_DIFFERENCES]
+        footnote = f"{len(rows) - _MOST_DIFFERENCES} more: --all"
+    if shown_rows:
+        columns = _ELSE_COLUMNS
+        if not any(row.dives for row in shown_rows):
+            columns = columns[:-1]
+        yield table_of("What else changed", shown_rows, columns, footnote)
+
+
+_ELSE_COLUMNS: Final[tuple[ShownColumn, ...]] = (
+    ("", "l", "what"),
+    ("old", "l", lambda row: cut_value(row.old or MISSING)),
+    ("new", "l", lambda row: cut_value(row.new or MISSING)),
+    ("dives", "l", lambda row: row.dives or "all"),
+)
 
 
 def _is_of_other_logs(item: Difference) -> bool:

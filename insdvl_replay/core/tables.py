@@ -600,7 +600,7 @@ class OutageRow(Struct, frozen=True):
         Number,
         Col(
             "Drift in percent of the distance travelled, median over windows; NaN if the vehicle hardly moved.",
-            head="of\ndistance\n[%]",
+            head="share of\ndistance\n[%]",
             form="2",
             better="lower",
         ),
@@ -814,7 +814,7 @@ class PooledRow(Struct, frozen=True):
             "Dives with a ratio, and those of them in which the candidate is better.", head="dives"
         ),
     ]
-    dives_won: Annotated[int, Col(head="won")]
+    dives_won: Annotated[int, Col(head="smaller\non")]
     scatter: Annotated[
         Number,
         Col(
@@ -828,7 +828,7 @@ class PooledRow(Struct, frozen=True):
         Col(
             "Probability of such data with a true difference of at most 5 %, by Student's t; empty without interval.",
             head="p",
-            form="4",
+            form="probability",
         ),
     ]
     moves: Annotated[

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MISSING: Final = "-"
+SMALLEST_SHOWN: Final = 0.0001  # of a probability
 TENFOLD: Final = 10.0  # A larger ratio has as many digits as other numbers.
 
 
@@ -52,6 +53,13 @@ def decimal(value: float | None, digits: int) -> str:
     if value is None or math.isnan(value):
         return MISSING
     return f"{value:.{digits}f}"
+
+
+def probability(value: float | None) -> str:
+    """Write a probability with four decimals, one that would be zero by its bound."""
+    if value is not None and 0.0 <= value < SMALLEST_SHOWN / 2.0:
+        return f"< {SMALLEST_SHOWN}"
+    return decimal(value, 4)
 
 
 def significant(value: float | None, digits: int = 2) -> str:
@@ -111,6 +119,7 @@ FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
     "words": lambda value: value.replace("_", " "),
     "percent": percent,
     "ratio": ratio,
+    "probability": probability,
     "significant": significant,
     "value": partial(significant, digits=3),
     "signed_percent": signed_percent,

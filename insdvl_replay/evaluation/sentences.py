@@ -352,7 +352,7 @@ def _confirmed(answer: CandidateAnswer) -> str:
         return f"{NOT_CONFIRMED}: no error was measured"
     name = label(primary.quantity)
     if answer.prediction == Prediction.CONFIRMED:
-        return f"{CONFIRMED}: {changed(primary)}"
+        return f"{CONFIRMED}: {_shown_change(primary)}"
     if finite(primary.ratio) >= 1.0 or answer.verdict == Verdict.NO_EFFECT:
         return f"{NOT_CONFIRMED}: {name} is not smaller"
     if answer.prediction == Prediction.NOT_CONFIRMED:
@@ -360,6 +360,13 @@ def _confirmed(answer: CandidateAnswer) -> str:
     if answer.evaluated < FEWEST_DIVES:
         return f"{NOT_CONFIRMED}: it takes {FEWEST_DIVES} dives"
     return f"{NOT_CONFIRMED}: the interval of {name} is too wide to tell"
+
+
+def _shown_change(row: PooledRow) -> str:
+    """Write the ratio of a row with its interval, a change in percent where there is no interval."""
+    if interval_text(row) == "-":
+        return changed(row)
+    return ratio_with_interval(row)
 
 
 def plan_line(answer: Answer) -> str:

@@ -81,7 +81,7 @@ NO_REFERENCE: Final = (
 )
 # The meaning of the columns of the headline.
 SPECIFIED: Final = (
-    "of distance: final horizontal error. CEP50, CEP95: 50 % and 95 % of the horizontal errors of this run are "
+    "share of distance: final horizontal error. CEP50, CEP95: 50 % and 95 % of the horizontal errors of this run are "
     "smaller. outage: median drift in the DVL outage test, measured by the held-out velocities."
 )
 
@@ -102,7 +102,7 @@ def headline_table(report: Report, title: str = "", footnote: str = "") -> Itera
     windows_s = _headline_windows(drifts_m)
     header = ["this run"]
     if positions:
-        header += ["of distance", "CEP50", "CEP95", "end"]
+        header += ["share of distance", "CEP50", "CEP95", "end"]
     heads = [f"{window_s} s" for window_s in windows_s]
     if heads:
         heads[0] = f"outage {heads[0]}: p50"

@@ -51,6 +51,8 @@ AXES: Final = {
 }
 _MOST_BEYOND: Final = 0.5  # Share of the ratios that may be beyond the axis, as arrows.
 _LONGEST_LABEL: Final = 20
+_ARROW: Final = "\N{RIGHTWARDS ARROW}"
+OLD_TO_NEW: Final = f"old {_ARROW} new"  # above values of both sides
 _RAISED: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -75,9 +77,9 @@ class ForestRow:
         return self.interval
 
 
-def forest(title: str, rows: Sequence[ForestRow]) -> str:
-    """Draw ratios, a row each, in a section of their own."""
-    return _section_of_plots([_plot(title, rows)])
+def forest(title: str, rows: Sequence[ForestRow], head: str = "") -> str:
+    """Draw ratios, a row each, in a section of their own; ``head`` says above the texts what they are."""
+    return _section_of_plots([_plot(title, rows, head)])
 
 
 def _section_of_plots(plots: Sequence[str]) -> str:
@@ -85,7 +87,7 @@ def _section_of_plots(plots: Sequence[str]) -> str:
     return f'<section class="forest">{"".join(plots)}</section>'
 
 
-def _plot(title: str, rows: Sequence[ForestRow]) -> str:
+def _plot(title: str, rows: Sequence[ForestRow], head: str = "") -> str:
     """Draw ratios, a row each; the mark of a row's reason, a footnote, is behind its text."""
     marks: dict[str, str] = {}
     notes = []
@@ -98,10 +100,15 @@ def _plot(title: str, rows: Sequence[ForestRow]) -> str:
     if notes:
         footnote = f'<p class="footnote">{". ".join(notes)}.</p>'
     end = axis_end(rows)
-    bottom = TOP + ROW * len(rows)
+    top = TOP
+    if head:
+        top += ROW
+    bottom = top + ROW * len(rows)
     lines = [f'<svg width="100%" height="{bottom + BOTTOM}">', *_axis(end, bottom)]
+    if head:
+        lines.append(f'<text class="tick" x="{TEXT}%" y="{ROW - _BASELINE}">{escape(head)}</text>')
     for number, row in enumerate(rows):
-        middle = TOP + ROW * number + ROW / 2.0
+        middle = top + ROW * number + ROW / 2.0
         lines += _row(row, middle, end, marks.get(row.why, ""))
     svg = "".join([*lines, "</svg>"])
     return f"<h3>{escape(title)}</h3>{svg}{footnote}"
@@ -180,7 +187,7 @@ def axis_end(rows: Sequence[ForestRow]) -> float:
 
 def change_of_value(old: Number, new: Number, unit: str) -> str:
     """Write two values, such as ``0.107 → 0.092 m``."""
-    return f"{significant(old, 3)} \N{RIGHTWARDS ARROW} {significant(new, 3)} {unit}"
+    return f"{significant(old, 3)} {_ARROW} {significant(new, 3)} {unit}"
 
 
 def unbroken(text: str) -> str:
@@ -265,13 +272,22 @@ def first_screen(
     return Html(opening, explains_figures=explains_figures)
 
 
-def section(answer: Answer, sentences: Sequence[str], plots: Sequence[str] = ()) -> str:
+def section(
+    answer: Answer,
+    sentences: Sequence[str],
+    plots: Sequence[str] = (),
+    footnote: str = "",  # why the last sentence is so
+) -> str:
     """Return the section of a candidate: the word, sentences that do not repeat it, and plots next to them."""
     name = answer.filter
     baseline = answer.baseline
     said = ""
     for sentence in sentences:
         said += f"<p>{_stressed(begun_with_capital(sentence, answer))}</p>"
+    if footnote:
+        mark = "1".translate(_RAISED)
+        said = said.removesuffix("</p>") + f" {mark}</p>"
+        said += f'<p class="footnote">{mark}&nbsp;{unbroken(footnote)}.</p>'
     against = (
         f"<p><b>{escape(visible_lines(name))}</b> against {escape(visible_lines(baseline))}</p>"
     )
@@ -297,7 +313,10 @@ def evidence_forest(title: str, answer: Answer, most: int, where: Sequence[Where
     Below them is the drift by what the vehicle does, where it is known.
     """
     drawn = [_evidence_row(row) for row in chosen_rows(answer.known, most)]
-    plots = [_plot(title, drawn)]
+    head = ""
+    if answer.dives > 1:
+        head = "ratio, smaller on"
+    plots = [_plot(title, drawn, head)]
     if where:
         plots.append(_where_plot(where))
     return _section_of_plots(plots)
@@ -345,7 +364,8 @@ def dives_forest(answer: Answer, reports: Iterable[Report], *, linked: bool) -> 
         if answer.filter in report.filters:
             link = f"{quote(report.log.name)}/{DIVE_PAGE}" if linked else ""
             rows.append(_dive_row(answer, report, link))
-    return by_dive_forest(answer.primary, rows)
+    head = f"{_shortened(answer.baseline)} {_ARROW} {_shortened(answer.filter)}"
+    return by_dive_forest(answer.primary, rows, head)
 
 
 def _dive_row(answer: Answer, report: Report, link: str) -> ForestRow:
@@ -365,14 +385,14 @@ def _dive_row(answer: Answer, report: Report, link: str) -> ForestRow:
     return ForestRow(name, None, text="no value", link=link)
 
 
-def by_dive_forest(quantity: str, rows: Sequence[ForestRow]) -> str:
+def by_dive_forest(quantity: str, rows: Sequence[ForestRow], head: str = "") -> str:
     """Draw the dives one by one, the smallest ratio first; of many those with the largest effects."""
     name = label(quantity) or "evidence"
     title = f"{name[:1].upper()}{name[1:]}, dive by dive"
     if len(rows) > MOST_DIVES:
         title += f": the {MOST_DIVES} largest effects of {len(rows)}"
     largest = sorted(rows, key=_effect, reverse=True)[:MOST_DIVES]
-    return forest(title, sorted(largest, key=_smallest_first))
+    return forest(title, sorted(largest, key=_smallest_first), head)
 
 
 def _smallest_first(row: ForestRow) -> float:

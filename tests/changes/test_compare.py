@@ -355,7 +355,7 @@ def test_another_log_is_reported_before_all_settings(tmp_path: Path) -> None:
     new = content(sha256="other")
     new["config"] |= {f"key{number}": number for number in range(20)}
     shown = told(compared(tmp_path, content(), new))
-    assert re.search(r"\(SHA-256\).*\s+key1 none -> 1", shown)
+    assert re.search(r"\(SHA-256\).*\| key1 \| - \| 1 \|", shown, re.DOTALL)
     assert re.search(r"^11 .*--all$", shown, re.MULTILINE)
     assert "(SHA-256)" not in told(compared(tmp_path / "same", content(), content(window=5)))
     assert "(SHA-256)" not in told(compared(tmp_path / "memory", content(sha256=""), new))
@@ -461,7 +461,8 @@ def test_dives_in_which_nothing_moved_are_not_named(tmp_path: Path) -> None:
     old, new = two_sets(tmp_path)
     write(new / "four", content("four"))
     text = told(only_changed(compare_results(old, new)), values=True)
-    assert text.startswith("## filters.aided.window 3 -> 5 (in 3 of 4): 4 dives, ")
+    question = "## filters.aided.window 3 -> 5 (in 3 of 4): did it help?"
+    assert text.startswith(f"{question}\n\n4 dives, new: ")
     assert "four" not in text
 
 
@@ -694,7 +695,7 @@ def test_changed_verdicts_are_said_after_the_answers(tmp_path: Path) -> None:
         content(filter_verdict="better", prediction="confirmed"),
     )
     lines = told(compared(tmp_path, old, new)).split("\n\n")
-    assert lines[3:5] == [
+    assert lines[4:6] == [
         "aided against the baseline is now better, was undecided",
         "the predicted improvement of aided is now confirmed, was undecided",
     ]
@@ -742,9 +743,10 @@ def test_in_brief_settings_come_first_then_answers_and_then_verdicts_that_change
     old["filters"]["aided"]["verdict"], new["filters"]["aided"]["verdict"] = "undecided", "worse"
     comparison = only_changed(compared(tmp_path, old, new))
     lines = told(comparison).split("\n\n")
-    assert lines[0].startswith("## filters.aided.window 3 -> 5: dive, ")
-    assert [line.split()[0] for line in lines[1:3]] == ["baseline", "aided"]
-    assert re.fullmatch(r"aided .*worse.* undecided", lines[3])
+    assert lines[0] == "## filters.aided.window 3 -> 5: did it help?"
+    assert lines[1].startswith("dive, new: ")
+    assert [line.split()[0] for line in lines[2:4]] == ["baseline", "aided"]
+    assert re.fullmatch(r"aided .*worse.* undecided", lines[4])
 
 
 def test_the_settings_of_a_filter_on_one_side_are_its_name(tmp_path: Path) -> None:
@@ -755,7 +757,8 @@ def test_the_settings_of_a_filter_on_one_side_are_its_name(tmp_path: Path) -> No
         "window": 3,
     }
     comparison = only_changed(compared(tmp_path, content(), new))
-    assert told(comparison).startswith("## filters.aided.window 3 -> 5 and 1 more setting: dive, ")
+    question = "## filters.aided.window 3 -> 5 and 1 more setting: did they help?"
+    assert told(comparison).startswith(question)
     assert "filter tuned only in the new results" in told(comparison)
     assert "gate_probability" not in told(comparison)
 
@@ -763,7 +766,9 @@ def test_the_settings_of_a_filter_on_one_side_are_its_name(tmp_path: Path) -> No
 def test_in_brief_the_same_is_left_out_and_the_rest_counted(tmp_path: Path) -> None:
     text = in_brief(tmp_path)
     assert "gone: four" in text
-    assert "1 better, 2 worse; " in text
+    assert "1 better, 2 worse; " not in text, "counts of values tell nothing of the change"
+    old, new = tmp_path / "old", tmp_path / "new"
+    assert "1 better, 2 worse; " in told(compare_results(old, new), values=True)
     assert len(text.strip().split("\n")) <= 40
 
 

@@ -242,7 +242,14 @@ def test_screen_has_the_track_fit_and_leaves_its_table_to_the_page() -> None:
 
 def test_headline_has_a_line_for_each_filter_with_what_is_known() -> None:
     [table] = headline_table(report())
-    assert table.header == ("this run", "of distance", "CEP50", "CEP95", "end", "outage 30 s: p50")
+    assert table.header == (
+        "this run",
+        "share of distance",
+        "CEP50",
+        "CEP95",
+        "end",
+        "outage 30 s: p50",
+    )
     assert table.rows[0] == ("baseline", "0.20 % of 1000 m", "1 m", "2 m", "2 m", "0.5 m")
     assert table.rows[1][1] == "0.25 % of 1000 m"
     [alone] = headline_table(report(used=unreferenced(tables())))

@@ -10,6 +10,7 @@ from insdvl_replay.document.looks import style_sheet
 from insdvl_replay.show.first_screen import (
     LEFT,
     RIGHT,
+    ROW,
     ForestRow,
     axis_end,
     forest,
@@ -155,3 +156,12 @@ def test_ends_that_are_not_finite_leave_no_broken_places() -> None:
     assert svg.count('class="interval"') == 1, "from one end of the axis to the other"
     assert "infx ▶" in svg
     assert "nan" not in svg, "where the pointer rests"
+
+
+def test_a_heading_above_the_texts_says_what_they_are_and_moves_the_rows_down() -> None:
+    rows = [ForestRow("drift", 1.0, text="1.00 4/4")]
+    bare = forest("", rows)
+    headed = forest("", rows, "ratio, smaller on")
+    assert ">ratio, smaller on</text>" in headed
+    middles = [float(re.search(r'cy="([\d.]+)"', svg)[1]) for svg in (bare, headed)]  # type: ignore[index]
+    assert middles[1] - middles[0] == ROW
