@@ -262,7 +262,7 @@ _ANSWER_COLUMNS: Final[tuple[ShownColumn, ...]] = (
     ("new", "r", "value:value"),
     ("ratio", "r", lambda row: ratio_text(row.ratio)),
     ("interval", "r", interval_text),
-    ("smaller\non", "r", lambda row: f"{row.dives_won}/{row.dives}"),
+    ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
     ("", "l", verdict_in_table),
 )
 

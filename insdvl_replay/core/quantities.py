@@ -225,7 +225,7 @@ _LABELS: Final = {
     DRAWN_HEADING: "position, drawn heading",
     "position_end": "position at the end",
     "position_pct": "share of distance",
-    "position_end_pct": "share of distance, end",
+    "position_end_pct": "share at the end",
     "convergence_velocity": "velocity settled",
     "convergence_level": "level settled",
     "convergence_heading": "heading settled",

@@ -814,7 +814,7 @@ class PooledRow(Struct, frozen=True):
             "Dives with a ratio, and those of them in which the candidate is better.", head="dives"
         ),
     ]
-    dives_won: Annotated[int, Col(head="smaller\non")]
+    dives_won: Annotated[int, Col(head="won")]
     scatter: Annotated[
         Number,
         Col(

@@ -144,8 +144,19 @@ def settings_details(settings: str) -> Html:
 
 def pictures(panels: Sequence[Panel]) -> str:
     """Return panels one below the other, as HTML."""
-    texts = [_zoomed(panel, f"first-{number}") for number, panel in enumerate(panels, 1)]
+    texts = []
+    for number, panel in enumerate(panels, 1):
+        text = _zoomed(panel, f"first-{number}")
+        if panel.folded:
+            name, _, _ = panel.title.partition(":")  # without its axis
+            text = folded(name, text)
+        texts.append(text)
     return "".join(texts)
+
+
+def folded(title: str, content: str) -> str:
+    """Return a part of a page, as HTML, that is folded under its title; on paper it is unfolded."""
+    return f'<details class="fold"><summary>{escape(title)}</summary>{content}</details>'
 
 
 # --- Parts as HTML.
@@ -188,8 +199,7 @@ def _html(part: Part) -> str:
         case Sentences(lines):
             return "\n".join(map(_html, lines))
         case DisplayTable(title, folded=True):
-            content = f'<div class="tables">{table_html(part)}</div>'
-            return f'<details class="fold"><summary>{escape(title)}</summary>{content}</details>'
+            return folded(title, f'<div class="tables">{table_html(part)}</div>')
         case DisplayTable():
             return table_html(part)
         case Figure():

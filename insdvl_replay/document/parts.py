@@ -95,6 +95,7 @@ class Panel:
     x_limits: tuple[float, float] | None = None  # None: fits the curves
     shades: tuple[Shade, ...] = ()
     low: bool = False  # usual height although `equal`
+    folded: bool = False  # on the first screen of a page folded under its title
 
     @property
     def is_tall(self) -> bool:

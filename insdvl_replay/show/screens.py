@@ -251,7 +251,7 @@ def _evidence_over_dives(
     columns = [
         *_columns_of_values(answer, title),
         ("interval", "r", interval_text),
-        ("smaller\non", "r", lambda row: f"{row.dives_won}/{row.dives}"),
+        ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
         _ACTS,
         ("", "l", verdict_in_table),
         ("", "l", _role_text),

@@ -530,7 +530,7 @@ def place(tmp_path: Path) -> Path:
         (["old", "a" * 5000], 2, "a: "),
         (["old", "empty"], 2, "empty: "),
         (["old", "study"], 2, "study: "),
-        (["old"], 2, "'NEW'"),
+        (["old"], 2, "'NEW"),
         (["old", "broken"], 3, "broken/report.json: "),
         (["old", "bytes"], 3, "bytes/report.json: "),
         (["old", "list"], 3, "list/report.json: "),

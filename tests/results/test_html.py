@@ -33,7 +33,7 @@ from insdvl_replay.preparation.replay import Replay, replay_dive, replay_log
 from insdvl_replay.show.dive import NO_REFERENCE, changed_settings, dive_document
 from insdvl_replay.show.plots.all_plots import error_panel, replay_figures
 from insdvl_replay.show.plots.coverage import covered_shares
-from insdvl_replay.show.plots.motion import track_panel
+from insdvl_replay.show.plots.motion import error_vectors_panel, track_panel
 from insdvl_replay.show.plots.shades import shades_of
 from insdvl_replay.show.result_files import save_replay
 from insdvl_replay.sim.dive import simulate_dive
@@ -54,13 +54,14 @@ def saved(replay: Replay, folder: Path) -> tuple[Document, Report, bytes]:
 
 
 def pictures(document: Document) -> tuple[list[str], list[str]]:
-    """Titles of the panels on the first screen, and of the others."""
+    """Titles of the panels on the first screen, but for the folded one, and of the others."""
     titles = [
         attributes["aria-label"]
         for tag, attributes in document.elements
         if "aria-label" in attributes
     ]
-    return titles[:2], titles[2:]
+    others = [title for title in titles[2:] if not title.startswith("position errors as vectors")]
+    return titles[:2], others
 
 
 def page_tables(report: Report) -> list[DisplayTable]:
@@ -217,17 +218,29 @@ def test_errors_fill_their_panels_and_all_panels_over_time_have_one_axis() -> No
     assert {"Innovation consistency (NIS)", "Convergence"} <= set(figures)
 
 
-def test_errors_of_a_track_are_magnified_so_that_they_are_seen(replay: Replay) -> None:
+def test_the_track_has_its_true_size(replay: Replay) -> None:
     panel = track_panel(replay)
-    times = float(re.findall(r"errors (\S+) times", panel.title)[0])
-    reference = {curve.label: curve for curve in panel.curves}["reference"]
+    assert "times" not in panel.title
+    drawn = {curve.label: curve for curve in panel.curves}
+    for name, found in replay.errors.items():
+        end_m = drawn[name].x[-1] - drawn["reference"].x[-1]
+        assert end_m == pytest.approx(found.position_error_ned_m[-1, 1], abs=0.05)
+
+
+def test_errors_of_a_track_are_vectors_magnified_so_that_they_are_seen(replay: Replay) -> None:
+    (panel,) = error_vectors_panel(replay)
+    assert panel.folded
+    times = float(re.findall(r"(\S+) times as large", panel.title)[0])
+    drawn = {curve.label: curve for curve in panel.curves}
+    reference = drawn["reference"]
     size = max(np.ptp(reference.x), np.ptp(reference.y))
-    drawn = {curve.label: curve for curve in panel.curves}["aided"]
-    errors = replay.errors["aided"]
-    largest = np.abs(errors.position_error_ned_m[:, :2]).max()
+    errors = replay.errors["aided"].position_error_ned_m
+    largest = np.abs(errors[:, :2]).max()
     assert 0.02 * size < times * largest <= 0.08 * size * 1.0001
-    end_m = errors.position_error_ned_m[-1, 1]
-    assert drawn.x[-1] - reference.x[-1] == pytest.approx(times * end_m, abs=1e-6)
+    feet, tips, apart = drawn["aided"].x.reshape(-1, 3).T
+    assert np.isnan(apart).all()
+    assert tips[-1] - feet[-1] == pytest.approx(times * errors[-1, 1], abs=1e-6)
+    assert feet[-1] == pytest.approx(reference.x[-1])
 
 
 def test_page_asks_nobody_for_anything_and_runs_only_its_own_script(

@@ -31,6 +31,7 @@ from insdvl_replay.show.plots.evidence import (
 )
 from insdvl_replay.show.plots.motion import (
     acceleration_figure,
+    error_vectors_panel,
     motion_figure,
     track_for_paper,
     track_panel,
@@ -80,8 +81,8 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
 
 
 def first_panels(replay: Replay) -> list[Panel]:
-    """Draw the first two panels: the horizontal error over time, or the drift without DVL; and the track."""
-    return [*error_panel(replay), track_panel(replay)]
+    """Draw the horizontal error over time, or the drift without DVL; the track; and, folded, its error vectors."""
+    return [*error_panel(replay), track_panel(replay), *error_vectors_panel(replay)]
 
 
 def error_panel(replay: Replay) -> Iterator[Panel]:

@@ -37,11 +37,12 @@ from insdvl_replay.show.plots.curves import (
 DERIVED: Final = "derived"
 # Added to the style of a filter: its places are not read at the cursor.
 MAGNIFIED: Final = "magnified"
-# Share of the size of a track that its largest error is drawn as, at least half of it.
+# Share of the size of a track that its largest error is drawn as; a round factor makes it 40 % of that or more.
 SEEN: Final = 0.08
 _EAST: Final = "east [m]"
 _TRACK: Final = "track: north [m] over east [m]"
 _MOST_ENLARGED: Final = 5e6
+_VECTORS: Final = 60  # number of vectors of each filter
 
 
 # --- The track.
@@ -83,40 +84,52 @@ def _tracks(replay: Replay) -> list[_Track]:
 
 
 def track_panel(replay: Replay) -> Panel:
-    """Draw the tracks from above; with a reference, their errors magnified so that they are seen."""
-    tracks = _tracks(replay)
+    """Draw the tracks from above in their true size."""
+    drawn = [track.from_above() for track in _tracks(replay)]
+    return Panel(_TRACK, _EAST, dashes_on_top(drawn), equal=True, low=True)
+
+
+def error_vectors_panel(replay: Replay) -> Iterator[Panel]:
+    """Draw the position errors as vectors beside the track of the reference, magnified so that they are seen.
+
+    Without errors there is no such panel. It is folded, since its vectors end where the vehicle never was.
+    """
     errors = {}
     for name, found in replay.errors.items():
         if np.isfinite(found.position_error_ned_m).any():
             errors[name] = found
-    if errors:
-        return _panel_of_errors(replay, tracks[-1], errors)
-    drawn = [track.from_above() for track in tracks if track.style != REFERENCE]
-    return Panel(_TRACK, _EAST, dashes_on_top(drawn), equal=True, low=True)
-
-
-def _panel_of_errors(
-    replay: Replay, reference: _Track, errors: Mapping[str, ReferenceErrors]
-) -> Panel:
-    """Draw the track of the reference, and beside it those of the filters, with their errors magnified."""
+    if not errors:
+        return
+    reference = _tracks(replay)[-1]
     times = _magnification(reference, errors)
     drawn = []
     for number, history in enumerate(replay.histories):
-        if history.filter not in errors:
-            continue
-        found = errors[history.filter]
-        last = len(reference.time_ns) - 1
-        rows = np.clip(np.searchsorted(reference.time_ns, found.time_ns), 0, last)
-        moved_m = reference.ned_m[rows] + times * found.position_error_ned_m
-        style = filter_style(number)
-        if times > 1.0:
-            style += f" {MAGNIFIED}"
-        time_s = seconds(found.time_ns, replay.start_ns)
-        moved = _Track(history.filter, style, found.time_ns, moved_m, time_s)
-        drawn.append(moved.from_above())
-    drawn.append(reference.from_above())
-    much = f", errors {times:g} times as large" if times > 1.0 else ""
-    return Panel(f"track{much}: north [m]", _EAST, dashes_on_top(drawn), equal=True, low=True)
+        if history.filter in errors:
+            style = f"{filter_style(number)} {MAGNIFIED} solid"
+            drawn.append(_vectors(history.filter, style, reference, errors[history.filter], times))
+    size = f", {times:g} times as large" if times > 1.0 else ""
+    title = f"position errors as vectors{size}: north [m]"
+    curves = (reference.from_above(), *drawn)
+    yield Panel(title, _EAST, curves, equal=True, low=True, folded=True)
+
+
+def _vectors(
+    name: str,
+    style: str,
+    reference: _Track,
+    errors: ReferenceErrors,
+    times: float,  # as large as they are
+) -> Curve:
+    """Return the errors of a filter as vectors from the track of the reference, evenly over time."""
+    known = np.flatnonzero(np.isfinite(errors.position_error_ned_m[:, :2]).all(axis=1))
+    picked = known[np.linspace(0, len(known) - 1, _VECTORS).astype(np.int64)]
+    last = len(reference.time_ns) - 1
+    rows = np.clip(np.searchsorted(reference.time_ns, errors.time_ns[picked]), 0, last)
+    feet_m = reference.ned_m[rows, :2]
+    tips_m = feet_m + times * errors.position_error_ned_m[picked, :2]
+    apart = np.full_like(feet_m, np.nan)  # interrupts the line behind each vector
+    north_m, east_m = np.stack([feet_m, tips_m, apart], axis=1).reshape(-1, 2).T
+    return Curve(east_m, north_m, style, label=name)
 
 
 def _magnification(reference: _Track, errors: Mapping[str, ReferenceErrors]) -> float:
