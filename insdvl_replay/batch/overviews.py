@@ -8,6 +8,7 @@ from insdvl_replay.batch.jobs import ReplayJob
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.report import Report
 from insdvl_replay.results.folder import require_replaceable_file, result_file
+from insdvl_replay.results.stored_results import dives_of_run
 from insdvl_replay.show.answers import Failure
 from insdvl_replay.show.dives import OVERVIEWS
 
@@ -34,6 +35,20 @@ def require_overviews(output: Path, *, force: bool) -> None:
             raise ConfigError(text, f"rm {path}")
         is_ours = beginning in path.read_bytes()[:_BEGINNING]
         require_replaceable_file(path, force=force or is_ours)
+
+
+def renew_overviews(report: Report, output: Path, *, is_new: bool) -> list[Path]:
+    """Write the overviews of a run of one dive over those of an earlier run, and return their paths.
+
+    A run of one dive has none of its own. Where an earlier run into the folder has left some, they would show its dives
+    as those of the last run. They stay if the dive is one of theirs and has not been replayed again.
+    """
+    dives = dives_of_run(output)
+    if dives is None:
+        return []
+    if report.log.name in dives and not is_new:
+        return []
+    return write_overviews([report], output)
 
 
 def write_overviews(reports: Sequence[Report | Failure], output: Path) -> list[Path]:

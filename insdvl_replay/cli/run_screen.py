@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from insdvl_replay.batch.overviews import write_overviews
+from insdvl_replay.batch.overviews import renew_overviews, write_overviews
 from insdvl_replay.cli.messages import (
     log_failure,
     log_findings,
@@ -18,7 +18,7 @@ from insdvl_replay.core.errors import LogError, Note, visible
 from insdvl_replay.core.report import Report
 from insdvl_replay.document.parts import Heading, Part
 from insdvl_replay.results.folder import PAGE, VEHICLE_FILE
-from insdvl_replay.results.stored_results import earlier_results
+from insdvl_replay.results.stored_results import dives_of_run, earlier_results
 from insdvl_replay.show.answers import Failure
 from insdvl_replay.show.dive import TOGETHER, dive_document, replay_result, tables_named
 from insdvl_replay.show.dives import INDEX, named_result, overview_parts
@@ -187,7 +187,9 @@ class RunScreen:
             write_stdout("".join(f"{visible(line)}\n" for line in quiet_lines(self._reports)))
         elif wanted.tables:
             write_stdout(self._tables_of_all())
-        if not self._is_alone:
+        if self._is_alone:
+            self._finish_alone()
+        else:
             self._finish_several()
         return max(self._codes.values())
 
@@ -197,12 +199,26 @@ class RunScreen:
         self._tell_failures()
         return max(self._codes.values(), default=0)
 
+    def _finish_alone(self) -> None:
+        """Let no overview of an earlier run pass for one of this run."""
+        for report in self._done():
+            for path in renew_overviews(report, self.output, is_new=not self._unchanged):
+                if self.wanted.talks:
+                    log_to_stderr(f"wrote {path}")
+            if dives_of_run(self.output) == {report.log.name}:
+                self._tell_earlier_results()
+
+    def _tell_earlier_results(self) -> None:
+        """Say which results in the folder are not of this run, also those of dives that failed in it."""
+        done = {report.log.name for report in self._done()}
+        log_notes(earlier_results(self.output, done), verbose=False)
+
     def _finish_several(self) -> None:
         wanted = self.wanted
         for path in write_overviews(self._reports, self.output):
             if wanted.talks:
                 log_to_stderr(f"wrote {path}")
-        log_notes(earlier_results(self.output, self._codes), verbose=False)
+        self._tell_earlier_results()
         if self._unchanged and not (wanted.quiet or wanted.talks):
             log_to_stderr(f"unchanged: {self._unchanged} of {len(self.targets)} dives")
         if not wanted.tables and (not wanted.quiet or wanted.format in WHOLE):

@@ -14,6 +14,7 @@ from insdvl_replay.core.path_kinds import SUMMARY, looks_like_log, replay_hint
 from insdvl_replay.core.report import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES
 from insdvl_replay.core.version import __version__
+from insdvl_replay.core.words import GateStatus
 from insdvl_replay.results.folder import COMPLETE, LABELS, NOT_JSON, Label, read_file
 
 _Kind = TypeVar("_Kind")
@@ -51,10 +52,14 @@ def read_one_result(root: Path, kind: type[_Kind]) -> tuple[Path, _Kind]:
 def read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind]], list[Note]]:
     """Read the reports of all dives in a place, of which there must be one, and note what is left out.
 
-    Where a run of several dives has written its summary, the dives in it count, as on its page. Results beside them are
-    of earlier runs, with other logs or settings.
+    Where a run has written its summary, the dives count that it replayed, as on its page. Results beside them are of
+    earlier runs, with other logs or settings.
     """
-    files, notes = _of_last_runs(sorted(_report_files(root)))
+    found = sorted(_report_files(root))
+    files, notes = _of_last_runs(found)
+    if found and not files:
+        hint = f"run it again, or name a result of an earlier run, such as {found[0].parent}"
+        raise ConfigError(f"{root}: the last run into it has replayed no dive", hint)
     reports = []
     studies = 0
     for file in files:
@@ -64,9 +69,9 @@ def read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind]
         else:
             reports.append((file, report))
     if not reports:
-        found = "holds only results of studies" if studies else "holds no result"
+        what = "holds only results of studies" if studies else "holds no result"
         raise ConfigError(
-            f"{root}: {found}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote"
+            f"{root}: {what}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote"
         )
     if studies:
         notes.append(note("studies_left_out", studies).about(root))
@@ -104,25 +109,34 @@ def _of_last_runs(files: Sequence[Path]) -> tuple[list[Path], list[Note]]:
     for file in files:
         by_folder.setdefault(file.parent.parent, []).append(file)
     for folder, inside in by_folder.items():
-        dives = _dives_of_run(folder / SUMMARY)
-        of_run = [file for file in inside if file.parent.name in dives]
-        if not of_run:
+        dives = dives_of_run(folder)
+        if dives is None:
             kept += inside
             continue
-        kept += of_run
+        kept += [file for file in inside if file.parent.name in dives]
         others = [file.parent.name for file in inside if file.parent.name not in dives]
         if others:
             notes.append(_earlier(folder, others))
     return sorted(kept), notes
 
 
-def _dives_of_run(summary: Path) -> set[str]:
-    """Read the names of a run's dives; none where it has no summary."""
+def dives_of_run(folder: Path) -> set[str] | None:
+    """Read the names of the dives that the last run into a folder has replayed; None without its summary.
+
+    A dive that failed may have a result of an earlier run, which is not this run's.
+    """
     try:
-        text = read_file(summary).decode()
+        text = read_file(folder / SUMMARY).decode()
     except (OSError, UnicodeDecodeError):
-        return set()
-    return {row["log"] for row in csv.DictReader(text.splitlines()) if row.get("log")}
+        return None
+    table = csv.DictReader(text.splitlines())
+    if not set(table.fieldnames or ()) >= {"log", "filter"}:
+        return None
+    dives = set()
+    for row in table:
+        if row.get("log") and row.get("status") != GateStatus.FAILED:
+            dives.add(row["log"])
+    return dives
 
 
 def _report_files(root: Path) -> Iterator[Path]:

@@ -99,14 +99,19 @@ def test_results_beside_those_of_the_last_run_are_left_out_and_named(tmp_path: P
     for name in ("one", "two", "three", "four"):
         write(run / name, content(name))
     summary = run / "summary.csv"
-    summary.write_text("log,filter\none,aided\none,other\nthree,aided\nfailed,\n")
+    summary.write_text(
+        "log,filter,status\none,aided,done\none,other,done\nthree,aided,done\nfour,,failed\n"
+    )
     results, (note,) = read_results(run)
     assert [result.name for result in results] == ["one", "three"]
     assert (note.code, note.count, note.severity) == ("earlier_results", 2, "warning")
     assert note.text.endswith("2 results of earlier runs are left out: four, two")
-    assert earlier_results(run, {"one", "three", "failed"}) == [note]
+    assert earlier_results(run, {"one", "three"}) == [note]
     assert earlier_results(run, {"one", "two", "three", "four"}) == []
     # From above, each folder of a run counts for itself; another table of that name says nothing of results.
     assert len(read_results(tmp_path)[0]) == 2
+    summary.write_text("log,filter,status\none,,failed\n")
+    with pytest.raises(ConfigError, match="last run into it has replayed no dive"):
+        read_results(run)
     summary.write_text("time,log\n1.0,2.0\n")
     assert len(read_results(run)[0]) == 4

@@ -190,6 +190,11 @@ def of_files(folder: Path) -> Cases:
         yield f"a result in {name}", refusal(write_folder, folder / name)
     for name in ("study", "form", "nameless", "broken", "empty", "nowhere"):
         yield f"the result {name}", refusal(read_results, folder / name)
+    later = folder / "later"
+    (later / "one").mkdir(parents=True)
+    (later / "one" / "report.json").touch()
+    (later / "summary.csv").write_text("log,filter,status\none,,failed\n")
+    yield "results of a run that failed", refusal(read_results, later)
 
 
 def write_text(path: Path) -> None:
