@@ -400,12 +400,13 @@ def classes_run_here() -> Iterator[None]:
     def run(
         processes: UserProcesses,
         _: str,
-        dive_file: Path,
+        dive: str,
         start: CandidateStart,
         *,
         new_process: bool = False,
     ) -> Solution:
-        return solution_of_class(processes.settings.candidate or "", dive_file, start)
+        candidate = processes.settings.candidate or ""
+        return solution_of_class(candidate, processes.file(dive), start)
 
     with patch.object(UserProcesses, "run", run):
         yield

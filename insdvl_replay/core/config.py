@@ -562,7 +562,9 @@ class Filter(Section, frozen=True):
     ] = None
     program: Annotated[
         tuple[str, ...] | None,
-        Comment("your filter: a program and its arguments, with {dive}, {start} and {solution}"),
+        Comment(
+            "your filter: a program and its arguments, with {dive} or {imu_csv} and {dvl_csv}, {start} and {solution}"
+        ),
     ] = None
     timeout_s: Annotated[
         Positive | None, Comment("longest time of one run of your filter; left out: 600")

@@ -32,6 +32,8 @@ _MEASURED_BY: Final = {
     "heading_bias": ("heading",),
 }
 _PROGRAM: Final = 'program = ["./my_filter", "{dive}", "{start}", "{solution}"]'
+# What a program may read a dive from: the one as MCAP, or the other as CSV.
+_INPUTS: Final = ("{dive}", "{imu_csv}")
 
 
 def problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
@@ -48,8 +50,13 @@ def problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
     for name, filter_ in config.filters.items():
         yield from _filter_problems(name, filter_, config)
     if not allow_code:
-        for name, filter_ in config.filters.items():
-            yield from _code_problems(name, filter_)
+        yield from code_problems(config)
+
+
+def code_problems(config: Config) -> Iterator[Problem]:
+    """Yield each place where filters name code of the user."""
+    for name, filter_ in config.filters.items():
+        yield from _code_problems(name, filter_)
 
 
 def dotted(*keys: str | int) -> str:
@@ -166,7 +173,7 @@ def _candidate_remarks(filter_: Filter, key: str, *, is_baseline: bool) -> Itera
     if kind == "solution":
         yield from _solution_remarks(filter_, key)
     elif kind == "program":
-        yield from _program_remarks(filter_.program or (), key)
+        yield from _program_remarks(filter_, key)
     elif not _is_class(filter_.candidate):
         yield (
             f"{key}.candidate '{filter_.candidate}' is not of the form module:Class",
@@ -191,16 +198,21 @@ def _solution_remarks(filter_: Filter, key: str) -> Iterator[Remark]:
             )
 
 
-def _program_remarks(program: Sequence[str], key: str) -> Iterator[Remark]:
+def _program_remarks(filter_: Filter, key: str) -> Iterator[Remark]:
+    program = filter_.program
     if not program:
         yield f"{key}.program is empty", _PROGRAM
         return
+    arguments = " ".join(program)
     lacking = []
-    for place in ("{dive}", "{solution}"):
-        if not any(place in word for word in program):
-            lacking.append(place)
+    if not any(word in arguments for word in _INPUTS):
+        lacking.append(" or ".join(_INPUTS))
+    if "{solution}" not in arguments:
+        lacking.append("{solution}")
     if lacking:
         yield f"{key}.program has no argument with {' and '.join(lacking)}", _PROGRAM
+    if filter_.input is not None and "{dive}" not in arguments:
+        yield f"{key}.input has no use without {{dive}}, since CSV has clean readings", _PROGRAM
 
 
 def _filter_remarks(filter_: Filter, held_out: HeldOut, key: str) -> Iterator[Remark]:

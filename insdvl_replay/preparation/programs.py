@@ -22,6 +22,7 @@ from typing import Any, Final
 
 from insdvl_replay.core.config import Filter
 from insdvl_replay.core.errors import visible
+from insdvl_replay.logs.readings_csv import READING_FILES
 from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution
 from insdvl_replay.preparation.solution_files import LONGEST_LINE, read_solution
 from insdvl_replay.preparation.user_process import HEADER, MARK, children_s, run_class
@@ -56,32 +57,55 @@ class UserProcesses:
         self._idle: queue.SimpleQueue[Process] = queue.SimpleQueue()
         folder.mkdir()
 
+    def file(self, dive: str) -> Path:
+        """Return the file of a dive, by the name of the dive."""
+        return self.folder / DIVE_FILES[self.input].format(dive)
+
+    def reading_files(self, dive: str) -> dict[str, Path]:
+        """Return the CSV files of a dive that its arguments ask for, by their words without braces."""
+        files = {}
+        for word in READING_FILES:
+            if self._asks_for(word):
+                files[word] = self.folder / f"{dive}_{word.removesuffix('_csv')}.csv"
+        return files
+
+    @property
+    def reads_dive(self) -> bool:
+        """Whether it reads the file of a dive, and not only CSV files."""
+        return self.input == "class" or self._asks_for("dive")
+
+    def _asks_for(self, word: str) -> bool:
+        """Return whether an argument of the program has a word in braces."""
+        return any(f"{{{word}}}" in argument for argument in self.settings.program or ())
+
     def run(
         self,
         run: str,
-        dive_file: Path,
+        dive: str,
         start: CandidateStart,
         *,
         new_process: bool = False,
     ) -> Solution:
-        """Run the filter over a dive, from a start; the name of the run names its files.
+        """Run the filter over a dive, which is named, from a start; the name of the run names its files.
 
         A run in a ``new_process`` is in one that no other run of a class was in.
         """
         if self.settings.candidate is not None:
             return self._run_class(
-                self.settings.candidate, dive_file, start, new_process=new_process
+                self.settings.candidate, self.file(dive), start, new_process=new_process
             )
         folder = self.folder / run
         folder.mkdir()
         start_file = folder / "start.json"
         solution_file = folder / "solution"
         start_file.write_bytes(start.to_json())
-        words = []
-        for word in self.settings.program or ():
-            word = word.replace("{dive}", str(dive_file))
-            word = word.replace("{start}", str(start_file))
-            words.append(word.replace("{solution}", str(solution_file)))
+        files = {
+            "dive": self.file(dive),
+            "start": start_file,
+            "solution": solution_file,
+            **self.reading_files(dive),
+        }
+        words = [_with_files(word, files) for word in self.settings.program or ()]
         try:
             begun_s = children_s()
             process = self._started(words, f"{run}: ")
@@ -240,6 +264,13 @@ class UserProcesses:
                 texts.append(f"--- {path.name}\n")
             texts.append(text)
         return "".join(texts)
+
+
+def _with_files(argument: str, files: Mapping[str, Path]) -> str:
+    """Return an argument of a program with the paths of files in place of words in braces."""
+    for word, file in files.items():
+        argument = argument.replace(f"{{{word}}}", str(file))
+    return argument
 
 
 def _ended(code: int) -> str:

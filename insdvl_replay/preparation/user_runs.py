@@ -54,12 +54,13 @@ from insdvl_replay.evaluation.repeats import (
 )
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.logs import copy_log, held_back_messages, write_dive
+from insdvl_replay.logs.readings_csv import write_readings
 from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution
 from insdvl_replay.preparation.candidates import failed_history, history_of_candidate
 from insdvl_replay.preparation.plugins import Outage, given_dive
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
-from insdvl_replay.preparation.programs import DIVE_FILES, UserProcesses
+from insdvl_replay.preparation.programs import UserProcesses
 from insdvl_replay.preparation.run import RunPlan, Runs, drawn_part, prepared_timeline, run_one
 from insdvl_replay.preparation.solutions import interpolated, interpolated_attitude
 
@@ -252,13 +253,18 @@ class _Candidate:
         finally:
             self.processes.stop()
 
-    def file(self, test: GivenDive) -> Path:
-        """Return the file of a dive that it is given."""
-        return self.folder / DIVE_FILES[self.processes.input].format(test.name)
+    def files(self, test: GivenDive) -> list[Path]:
+        """Return the files of a dive that it is given."""
+        files = list(self.processes.reading_files(test.name).values())
+        return [self.processes.file(test.name), *files]
 
     def give(self, test: GivenDive) -> None:
-        """Write the file of a test, in the form that it reads."""
-        file = self.file(test)
+        """Write the files of a test, in the form that it reads."""
+        for word, csv_file in self.processes.reading_files(test.name).items():
+            write_readings(csv_file, word, test.dive)
+        if not self.processes.reads_dive:
+            return
+        file = self.processes.file(test.name)
         paths = self.dive.paths
         if self.processes.input == "clean":
             write_dive(file, test.dive, is_compressed=False)
@@ -281,11 +287,10 @@ class _Candidate:
         The stamps that it is given may be late. Those of its solution are taken back.
         """
         alignment = test.prepared.alignment
-        dive_file = self.file(test)
-        if not dive_file.exists():
+        if self.processes.reads_dive and not self.processes.file(test.name).exists():
             raise CandidateError("cannot be run: its input is the log, and the dive has no file")
         given = _given_start(test.prepared, start, late_ns)
-        solution = self.processes.run(run, dive_file, given, new_process=new_process)
+        solution = self.processes.run(run, test.name, given, new_process=new_process)
         solution = _earlier(solution, late_ns)
         history, notes = history_of_candidate(
             self.name,
@@ -485,7 +490,8 @@ class _Candidate:
             except CandidateError as error:
                 return error
             finally:
-                self.file(changed_test).unlink(missing_ok=True)
+                for file in self.files(changed_test):
+                    file.unlink(missing_ok=True)
 
         answers = dict[Change, _Answer]()
         failures = dict[Change, str]()

@@ -478,13 +478,83 @@ def test_a_class_cannot_change_the_dive_of_others(dive: Dive) -> None:
     assert re.findall(r"given \S+", first) == re.findall(r"given \S+", second) != []
 
 
+# --- Readings as CSV.
+
+PLAIN = """
+import csv, pathlib, sys
+for name in sys.argv[3:]:
+    pathlib.Path(sys.argv[2], pathlib.Path(name).name).write_bytes(pathlib.Path(name).read_bytes())
+assert {pathlib.Path(name).suffix for name in sys.argv[3:]} == {".csv"}
+assert not list(pathlib.Path(sys.argv[3]).parent.glob("*.mcap")), "nobody reads it"
+"""
+
+
+def numbers_in(path: Path) -> dict[str, list[float]]:
+    """Read a table of readings by its titles: whole numbers of the time, and NaN of an empty cell."""
+    titles, *rows = (line.split(",") for line in path.read_text().splitlines())
+    columns: dict[str, list[float]] = {title: [] for title in titles}
+    for row in rows:
+        for title, cell in zip(titles, row, strict=True):
+            columns[title].append(int(cell) if title == "time_ns" else float(cell or "nan"))
+    return columns
+
+
+def test_a_program_may_read_csv_with_the_numbers_of_the_dive(
+    dive: Dive, written: Path, tmp_path: Path
+) -> None:
+    """The files hold all digits of what filters get, and a sensor that the dive lacks is a header alone."""
+    keep = tmp_path / "kept"
+    keep.mkdir()
+    script = tmp_path / "mine.py"
+    script.write_text(PLAIN + f"solution = pathlib.Path(sys.argv[1])\n{copying(written)}")
+    files = ("{imu_csv}", "{dvl_csv}", "{depth_csv}", "{heading_csv}", "{position_csv}")
+    words = (sys.executable, "-S", "-E", str(script), "{solution}", str(keep), *files)
+    deep = replace(
+        dive,
+        sensors={
+            "depth": SensorColumns(
+                dive.dvl.time_ns, np.linspace(1, 2, len(dive.dvl.time_ns))[:, None]
+            )
+        },
+    )
+    filters = {"baseline": Filter(aiding=("velocity", "depth")), "mine": Filter(program=words)}
+    replay = replay_dive(deep, settings_of(filters, starts=1))
+    assert replay.verdicts["mine"].verdict != Verdict.NOT_EVALUATED, replay.verdicts["mine"]
+    imu = numbers_in(keep / "dive_imu.csv")
+    inside = np.isin(dive.imu.time_ns, imu["time_ns"])
+    assert inside.sum() == len(imu["time_ns"]) > 0.9 * len(dive.imu.time_ns)
+    for axis, name in enumerate("xyz"):
+        force = dive.imu.specific_force_b[inside, axis]
+        rate = dive.imu.angular_rate_b[inside, axis]
+        assert imu[f"specific_force_{name}_mps2"] == force.tolist()
+        assert imu[f"angular_rate_{name}_radps"] == rate.tolist()
+    velocities = dvl_velocities(deep.dvl)
+    dvl = numbers_in(keep / "dive_dvl.csv")
+    at = np.isin(velocities.time_ns, dvl["time_ns"])
+    for axis, name in enumerate("xyz"):
+        np.testing.assert_allclose(
+            dvl[f"velocity_{name}_mps"], velocities.velocity_b[at, axis], atol=1e-12
+        )
+    depth = numbers_in(keep / "dive_depth.csv")
+    assert depth["depth_m"][0] == pytest.approx(1.0, abs=0.1)
+    assert len(numbers_in(keep / "outage_1_dvl.csv")["time_ns"]) < len(dvl["time_ns"])
+    for name in ("heading", "position"):
+        assert numbers_in(keep / f"dive_{name}.csv")["time_ns"] == []
+    assert {"stamps", "samples"} & {path.name.split("_")[1] for path in keep.iterdir()}
+
+
 # --- Settings.
 
 
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ('filters.mine.program=["./a"]', "no argument with {dive} and {solution}"),
+        ('filters.mine.program=["./a"]', "no argument with {dive} or {imu_csv} and {solution}"),
+        ('filters.mine.program=["./a", "{imu_csv}"]', "no argument with {solution}"),
+        (
+            'filters.mine={program=["./a", "{imu_csv}", "{solution}"], input="log"}',
+            "filters.mine.input has no use without {dive}",
+        ),
         ("filters.mine.program=[]", "program is empty"),
         ("filters.mine.candidate=Mine", "not of the form module:Class"),
         ('filters.mine={candidate="a:B", aiding=["velocity"]}', "filters.mine.aiding has no use"),
