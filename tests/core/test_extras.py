@@ -1,5 +1,7 @@
 """Hints on optional packages name the packages, which are found wherever the project was installed from."""
 
+import re
+import sys
 from importlib import metadata
 from pathlib import Path
 
@@ -30,12 +32,29 @@ def test_without_metadata_the_hint_leads_to_a_checkout(monkeypatch: pytest.Monke
     assert install_hint("figures").endswith("pip install '.[figures]'")
 
 
+@pytest.mark.parametrize(
+    ("file", "begins"),
+    [
+        ("pipx_metadata.json", "pipx inject insdvl-replay 'matplotlib"),
+        ("uv-receipt.toml", f"uv pip install --python {sys.executable} 'matplotlib"),
+    ],
+)
+def test_an_environment_of_a_tool_gets_the_packages(
+    file: str, begins: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What pip installs elsewhere would not be found. test_installation asks both tools themselves."""
+    (tmp_path / file).touch()
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    assert install_hint("figures").startswith(begins)
+
+
 def test_nothing_sends_to_a_package_index_for_the_project_itself() -> None:
-    texts = [
-        *(PROJECT / "insdvl_replay").rglob("*.py"),
-        *(PROJECT / "docs").glob("*.md"),
-        PROJECT / "README.md",
-    ]
-    assert [
-        path.name for path in texts if "install 'insdvl-replay" in path.read_text("utf-8")
-    ] == []
+    """It is on none: what installs it names a checkout, a wheel or an address."""
+    texts = [path for path in PROJECT.glob("*") if path.suffix in (".md", ".yml")]
+    for folder in ("insdvl_replay", "docs", "examples", ".github"):
+        for suffix in ("*.py", "*.md", "*.yml", "*.ipynb", "*.toml", "Dockerfile"):
+            texts += (PROJECT / folder).rglob(suffix)
+    assert len(texts) > 300
+    by_name = re.compile(r"(pip|pipx|tool) install [^\n]*(?<![/\w.-])insdvl-replay\b(?!\.git)")
+    found = [path.name for path in texts if by_name.search(path.read_text("utf-8"))]
+    assert found == []
