@@ -1,4 +1,4 @@
-# `make demo` shows the paper's settings. It and `make test` need nothing but Python 3.11 or newer and make; all installs go to .venv.
+# `make demo` and `make test` need nothing but Python 3.11 or newer and make; all installs go to .venv.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -11,9 +11,14 @@ PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 COMPILE := PYTHONPATH=tests/replay $(BIN)/python tests/compiled_filters.py
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint style bench clocks judge attack lock samples schemas pictures readme inputs reference reproduce benchmark benchmark-settings pull_request claims docs clean
+.PHONY: calibrated calibration coverage demo dist paper test nightly net golden extras lowest quick processors check lint style bench clocks judge attack lock samples schemas pictures readme inputs reference reproduce benchmark benchmark-settings pull_request claims docs clean
 
+# Six simulated dives, and what they say of three changes: one helps, one does harm, one does nothing.
 demo: .venv/run.stamp
+	$(BIN)/insdvl-replay demo
+
+# The two sample dives with the paper's settings: smaller sigma and faster convergence, as published.
+paper: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --preset levy-klein --output replay --force --rerun
 
 # Nine minutes on two cores. Style, types and imports are looked at beside the tests, and told of if they fail.
@@ -107,6 +112,23 @@ judge: .venv/test.stamp
 attack: .venv/test.stamp
 	$(BIN)/python tests/attacks/attack.py all --write
 
+# What share of the lines the tests of a commit run, in build/coverage.md; compiled functions are not counted. With ROOMS="tests/core
+# tests/document", of these tests. It takes twice as long as `make test`.
+ROOMS ?= tests
+coverage: .venv/test.stamp
+	rm -f build/.coverage*
+	$(COMPILE)
+	$(BIN)/python -m coverage run -m pytest --numprocesses 2 --dist worksteal -m "not nightly" $(ROOMS)
+	$(BIN)/python -m coverage combine --quiet
+	$(BIN)/python -m coverage report --format=markdown > build/coverage.md
+	@tail -n 1 build/coverage.md
+
+# Source, wheel, and the list of their packages: what a release publishes.
+dist: .venv/test.stamp
+	rm -rf dist
+	$(BIN)/python -m build --no-isolation --outdir dist .
+	$(BIN)/python docs/generate/sbom.py build/sbom.cdx.json
+
 # The wheels of constraints.txt, with their digests.
 lock: .venv/run.stamp
 	$(BIN)/python docs/generate/lock.py
@@ -182,7 +204,7 @@ calibrated: .venv/run.stamp
 	$(BIN)/insdvl-replay calibrate $(DATA)/ufmil/run_1.mcap $(DATA)/ufmil/run_2.mcap -c examples/ufmil.toml $(UNKNOWN) --mounting unknown --force -o examples/calibrated/ufmil.toml
 
 clean:
-	rm -rf .venv replay checked build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache tests/node/node_modules
+	rm -rf .venv demo replay checked build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache tests/node/node_modules
 
 # What Foxglove reads logs with; where there is no npm, the test that needs it says so and is left out.
 tests/node/node_modules: tests/node/package-lock.json
