@@ -217,6 +217,13 @@ def cache_folder() -> Path:
     return Path(base) / f"compiled-{sources_digest(_COMPILED_SOURCES)}-numba-{version('numba')}"
 
 
+def cache_key() -> str:
+    """Name the compiled code of this Python and processor, for stores that keep it between machines."""
+    from llvmlite.binding import get_host_cpu_name  # numba's compiler, without numba
+
+    return f"{cache_folder().name}-{sys.implementation.cache_tag}-{get_host_cpu_name()}"
+
+
 def cache_problem() -> str:
     """Return why each run has to compile the filter; empty if compiled code is available or can be stored."""
     folder = cache_folder()

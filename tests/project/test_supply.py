@@ -76,13 +76,6 @@ def test_the_base_image_can_be_pinned_by_digest() -> None:
     assert "--build-arg BASE=python:3.12-slim@sha256:" in text
 
 
-def test_the_steps_of_the_example_job_are_pinned_by_commit() -> None:
-    job = (ROOT / "examples" / "ci" / "github.yml").read_text("utf-8")
-    used = re.findall(r"uses: (.+)", job)
-    assert used
-    assert all(re.fullmatch(r"[\w./-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+", one) for one in used)
-
-
 def test_private_parts_of_packages_are_there() -> None:
     for module, names in PRIVATE.items():
         assert not [name for name in names if not hasattr(import_module(module), name)]
