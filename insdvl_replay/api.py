@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from insdvl_replay.batch.found import FoundDive
     from insdvl_replay.batch.jobs import ReplayJob
     from insdvl_replay.preparation.replay import Replay
     from insdvl_replay.results.trajectory import Trajectory
@@ -181,6 +182,29 @@ def _settings(given: Settings | None, name: str = "config") -> SettingsLayers:
     )
 
 
+def _settings_of(given: Settings | None, dives: "Sequence[FoundDive]") -> "_Given":
+    """Return an argument as settings for dives; None means those next to them, as on the command line."""
+    from insdvl_replay.batch.dive_paths import shared_settings
+    from insdvl_replay.batch.local_settings import place_of_settings, with_local_settings
+
+    layers = _settings(given)
+    found = with_local_settings(dives, layers, is_wanted=given is None)
+    own = shared_settings(found, "config")
+    return _Given(layers, own, place_of_settings(found[0]))
+
+
+@dataclass(frozen=True)
+class _Given:
+    """The settings for some dives."""
+
+    layers: SettingsLayers
+    own: Path | None  # the file next to the dives or above them, if it is used
+    place: str  # where it is, seen from the first dive
+
+    def load(self) -> Config:
+        return self.layers.load(self.own)
+
+
 # --- What a command does.
 
 
@@ -199,7 +223,8 @@ def replay_log(
     log : str, Path or sequence of them
         An MCAP file or a bag folder, or several of one dive.
     config : Config, str, Path or sequence of them, optional
-        From `load_config`, or TOML files as for it. Default: the default settings. Noise that they do not
+        From `load_config`, or TOML files as for it. Default: an ``insdvl-replay.toml`` in the folder of the log or
+        above it, which a note names, or else the default settings, which are ``load_config()``. Noise that they do not
         give is fitted to the dive, and a note says so.
     allow_damaged : bool
         Use the readable part of a damaged log.
@@ -215,17 +240,18 @@ def replay_log(
     ConfigError
         There is no log, it is a result, or the settings do not fit it.
     """
+    from insdvl_replay.batch.found import FoundDive
     from insdvl_replay.batch.in_memory import replay_in_memory
     from insdvl_replay.batch.jobs import ReplayOptions
     from insdvl_replay.batch.search import with_search
     from insdvl_replay.show.result_files import report_of
 
     paths = _logs(log)
-    layers = _settings(config)
-    options = ReplayOptions(layers.load(), allow_damaged=allow_damaged)
-    if auto:
-        options = with_search(options, layers)
-    replay = replay_in_memory(paths, options, name)
+    given = _settings_of(config, [FoundDive(path) for path in paths])
+    options = ReplayOptions(given.load(), allow_damaged=allow_damaged)
+    if auto and given.own is None:
+        options = with_search(options, given.layers)
+    replay = replay_in_memory(paths, options, name, local_settings=given.place)
     return DiveResult(report_of(replay), _replay=replay)
 
 
@@ -251,8 +277,8 @@ def read_result(folder: Text) -> "DiveResult":
 def read_results(folder: Text) -> "DiveResults":
     """Return the results of all dives in a folder, with their pooled evidence.
 
-    Where a run of several dives has written its summary, the dives in it count, as on its page. Results of earlier runs
-    beside them are left out, and named in `content.notes`.
+    Where a run of several dives has written its summary, the dives of the last run count: those that it replayed, or
+    the one of a later run of one dive. Results of earlier runs beside them are left out, and named in `content.notes`.
 
     Parameters
     ----------
@@ -262,7 +288,7 @@ def read_results(folder: Text) -> "DiveResults":
     Raises
     ------
     ConfigError
-        The folder holds no result.
+        The folder holds no result, or the last run into it has replayed no dive.
     ResultError
         A result cannot be read, or is of a version that cannot be read.
     """
@@ -307,7 +333,8 @@ def run_shard(
     folder : str or Path
         The folder of the results. Those that are up to date are used again.
     config : Config, str, Path or sequence of them, optional
-        From `load_config`, or TOML files as for it. Noise that they do not give is that of a run over all dives.
+        From `load_config`, or TOML files as for it. Default: as for `replay_log`. Noise that they do not give is that
+        of a run over all dives.
     auto : bool
         Refuse a dive whose settings a run over all dives would find. Nothing is searched for.
     allow_damaged : bool
@@ -321,18 +348,22 @@ def run_shard(
         No dive is named, the shard is not of the form ``1/4``, settings are not valid, or other results are in the
         folder. A log that cannot be used raises nothing: its row says why.
     """
+    from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.batch.jobs import ReplayOptions
+    from insdvl_replay.batch.local_settings import with_local_settings
     from insdvl_replay.batch.manifest import fetch_dives
     from insdvl_replay.batch.parts import plan_shard_run, replay_shard, shard_result
     from insdvl_replay.batch.search import with_search, without_search
 
     layers = _settings(config)
-    options = ReplayOptions(layers.load(), allow_damaged)
+    names = [str(path) for path in _paths(logs, "logs")]
+    dives = with_local_settings(find_dives(names), layers, is_wanted=config is None)
+    loaded = layers.load_each([dive.settings for dive in dives])
+    options = ReplayOptions(loaded.usual, allow_damaged)
     if auto:
         options = without_search(with_search(options, layers))
-    names = [str(path) for path in _paths(logs, "logs")]
     output = _path("folder", folder)
-    run = plan_shard_run(shard, names, output, options, layers.load, fetch_dives)
+    run = plan_shard_run(shard, dives, output, options, loaded.by_file, fetch_dives)
     return CommandResult(shard_result(replay_shard(run, force=force)))
 
 
@@ -442,6 +473,38 @@ def simulate(scenario: str, output: Text, *, force: bool = False, **options: Any
     return Path(output)
 
 
+def demo(folder: Text) -> "dict[str, CommandResult]":
+    """Simulate six dives, and judge three changes of their settings: one helps, one does harm, one does nothing.
+
+    Parameters
+    ----------
+    folder : str or Path
+        For the dives, the results and a page for each answer. It may be that of an earlier demonstration.
+
+    Returns
+    -------
+    dict of str to CommandResult
+        The comparisons, as `compare` returns them, by ``lever_arm``, ``scale`` and ``gate``.
+
+    Raises
+    ------
+    ConfigError
+        There is something else in the folder, or it cannot be written.
+    """
+    from insdvl_replay.batch.demo import demo_answers, make_dives
+    from insdvl_replay.batch.replaying import Replaying, unheard
+    from insdvl_replay.changes.comparison_document import comparison_document, comparison_result
+
+    target = _path("folder", folder)
+    make_dives(target)
+    results = {}
+    for answer in demo_answers(target, Replaying(force=True), unheard):
+        found = answer.found
+        content = comparison_result(found, comparison_document(found))
+        results[answer.question.name] = CommandResult(content)
+    return results
+
+
 def inspect(
     log: Paths,
     config: Settings | None = None,
@@ -458,7 +521,7 @@ def inspect(
     log : str, Path or sequence of them
         A log or a bag folder, or several of one dive.
     config : Config, str, Path or sequence of them, optional
-        The settings that a replay would have. Default: the default settings.
+        The settings that a replay would have. Default: as for `replay_log`.
     deep : bool
         Read all messages of each role, not only the first.
     allow_damaged : bool
@@ -476,7 +539,7 @@ def inspect(
     from insdvl_replay.inspection.inventory import inspection_result
 
     files = [FoundDive(path) for path in _logs(log)]
-    settings = _settings(config).load()
+    settings = _settings_of(config, files).load()
     look = Look(deep=deep, one_dive=True, allow_damaged=allow_damaged)
     inventory = inspect_dive(files, settings, look)
     return CommandResult(inspection_result(inventory, " ".join(str(file.path) for file in files)))
@@ -494,7 +557,7 @@ def propose(
     logs : str, Path or sequence of them
         A log for each dive.
     config : Config, str, Path or sequence of them, optional
-        Settings that are known, and stay as they are.
+        Settings that are known, and stay as they are. Default: as for `replay_log`.
     allow_damaged : bool
         Use the readable part of damaged logs.
 
@@ -505,13 +568,14 @@ def propose(
     ConfigError
         There is no log, one is a result, or settings are not valid.
     """
+    from insdvl_replay.batch.found import FoundDive
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.inspection.automatic import settings_file
 
-    dives = [[path] for path in _logs(logs, "logs")]
-    layers = _settings(config)
-    given = Given(layers.load().without_code(), layers.keys())
-    found = settings_file(dives, given, allow_damaged=allow_damaged)
+    paths = _logs(logs, "logs")
+    settings = _settings_of(config, [FoundDive(path) for path in paths])
+    given = Given(settings.load().without_code(), settings.layers.keys(settings.own))
+    found = settings_file([[path] for path in paths], given, allow_damaged=allow_damaged)
     sentences = [note.finding for note in found.notes]
     if found.failure is not None:
         sentences.append(f"blocker: {found.failure.message}; hint: {found.failure.hint}")
@@ -543,7 +607,7 @@ def calibrate(
     logs : str, Path or sequence of them
         A log for each dive.
     config : Config, str, Path or sequence of them, optional
-        Settings to begin with. Default: the default settings.
+        Settings to begin with. Default: as for `replay_log`.
     only : str or sequence of str, optional
         Some of ``arm``, ``mounting``, ``delay``, ``scale`` and ``noise``. Default: all.
     reference : bool
@@ -581,8 +645,9 @@ def calibrate(
         one_delay,
         mounting_unknown,
     )
-    settings = _settings(config).load()
-    dives = [[FoundDive(path)] for path in _logs(logs, "logs")]
+    files = [FoundDive(path) for path in _logs(logs, "logs")]
+    settings = _settings_of(config, files).load()
+    dives = [[file] for file in files]
     calibrated = calibrate_logs(dives, settings, asked, failed, allow_damaged=allow_damaged)
     assert calibrated is not None
     found = calibrated.dives
@@ -780,7 +845,8 @@ def check(
     dives : str, Path or sequence of them
         Logs or result folders. Default: those named in ``gates``.
     config : Config, str, Path or sequence of them, optional
-        Settings for logs, as files above the preset that ``gates`` names. Default: those named in ``gates``.
+        Settings for logs, as files above the preset that ``gates`` names. Default: those named in ``gates``, or else as
+        for `replay_log`.
     results : str or Path
         Folder for the results of logs, which are replayed if something has changed.
     update : bool
@@ -808,7 +874,7 @@ def check(
     if layers.ready is None:
         files = layers.files or settings_of(found)
         layers = SettingsLayers(found.content.preset, files)
-    planned = plan_check(found, named, layers.load)
+    planned = plan_check(found, named, layers, local_settings=config is None)
     outcome = checked_dives(
         planned, _path("results", results), Replaying(force=True), fetch_dives, update=update
     )

@@ -10,6 +10,7 @@ from insdvl_replay.calibration.division import Division
 from insdvl_replay.calibration.innovations import ReadDive, read_dive
 from insdvl_replay.calibration.output import calibration_figures, calibration_toml
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import SCHEMA_LINE
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.document.parts import Figure
@@ -59,7 +60,7 @@ class CalibratedLogs:
         if not even_if_worse:
             found = answer_of(found).applied(found)
         starts_ns = [dive.prepared.alignment.start_ns for dive in self.dives.innovations]
-        return calibration_toml(found, starts_ns)
+        return SCHEMA_LINE + calibration_toml(found, starts_ns)
 
 
 def calibrate_logs(

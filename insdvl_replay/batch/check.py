@@ -9,6 +9,7 @@ from pathlib import Path
 from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.batch.found import Fetch, FoundDive
 from insdvl_replay.batch.jobs import Outcome, ReplayJob, ReplayOptions, plan_jobs
+from insdvl_replay.batch.local_settings import with_local_settings
 from insdvl_replay.batch.replaying import Replaying, unheard
 from insdvl_replay.batch.search import outcomes_of_shard
 from insdvl_replay.batch.shards import ALL_DIVES, Shard, plan_share, with_noise_of_all
@@ -19,10 +20,9 @@ from insdvl_replay.changes.gate_file import Gates, require_known_filters
 from insdvl_replay.changes.gates import checked_results, compare_with_expected, evaluate_gates
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.settings_layers import SettingsLayers
 from insdvl_replay.results.folder import COMPLETE, result_file
 
-Load = Callable[[Path | None], Config]
-"""Loads settings, with a dive's own file of them if it has one."""
 Changed = tuple[str, Finding]
 """The name of a dive, and a cell of it with the value that was expected before."""
 
@@ -57,11 +57,13 @@ class Listener:
 def plan_check(
     gates: Gates,
     names: Sequence[str],  # paths and patterns of dives, from the working directory
-    load: Load,
+    layers: SettingsLayers,
     *,
+    local_settings: bool = True,  # those next to the dives, where the layers name no file
     shard: Shard = ALL_DIVES,
     allow_damaged: bool = False,
     histories: bool = False,
+    report: Callable[[str], None] = unheard,  # is told of filters that a file replaces
 ) -> Check:
     """Find the dives of a check, and load their settings.
 
@@ -80,15 +82,26 @@ def plan_check(
     if not names:
         hint = f'`insdvl-replay check {gates.path} DIVE...`, or dives = ["*.mcap"]'
         raise ConfigError(f"{gates.path}: names no dives", hint)
-    dives = find_dives(names, folder, results=True)
-    options = ReplayOptions(
-        load(None), allow_damaged=allow_damaged or content.allow_damaged, histories=histories
+    dives = _with_settings_of_logs(
+        find_dives(names, folder, results=True), layers, is_wanted=local_settings
     )
-    configs: dict[Path | None, Config] = {}
+    loaded = layers.load_each([dive.settings for dive in dives], report=report)
+    options = ReplayOptions(
+        loaded.usual,
+        allow_damaged=allow_damaged or content.allow_damaged,
+        histories=histories,
+    )
+    return Check(gates, dives, shard, options, loaded.by_file)
+
+
+def _with_settings_of_logs(
+    dives: Sequence[FoundDive], layers: SettingsLayers, *, is_wanted: bool
+) -> list[FoundDive]:
+    """Give the logs among the dives the settings next to them; results are not replayed."""
+    found = []
     for dive in dives:
-        if dive.settings is not None and dive.settings not in configs:
-            configs[dive.settings] = load(dive.settings)
-    return Check(gates, dives, shard, options, configs)
+        found += with_local_settings([dive], layers, is_wanted=is_wanted and not _is_result(dive))
+    return found
 
 
 def checked_dives(

@@ -57,7 +57,7 @@ def shared_settings(dives: Sequence[FoundDive], command: str) -> Path | None:
     """Return the settings that all dives have by their manifest; those of several vehicles are a ConfigError."""
     files = {dive.settings for dive in dives}
     if len(files) > 1:
-        hint = "choose dives of one vehicle: dives.toml#TAG"
+        hint = "name one file with -c, or choose dives of one vehicle: a folder, or dives.toml#TAG"
         raise ConfigError(f"{command}: the dives have different settings", hint)
     if files:
         return files.pop()

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
 
-from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, UserError
 from insdvl_replay.core.urls import FETCHED, shown_url, url_parts
 
@@ -38,18 +37,6 @@ class DivePart:
 
     name: str  # in the folder of the dive; a table is a topic of this name
     file: FoundDive
-
-
-def own_configs(
-    dives: Sequence[FoundDive],
-    load: Callable[[Path | None], Config],
-) -> dict[Path | None, Config]:
-    """Load the settings of dives, by the file of those that a dive has of its own."""
-    configs: dict[Path | None, Config] = {}
-    for dive in dives:
-        if dive.settings not in configs:
-            configs[dive.settings] = load(dive.settings)
-    return configs
 
 
 Fetch = Callable[[Sequence[FoundDive]], Sequence[FoundDive]]

@@ -22,6 +22,8 @@ def replay_in_memory(
     logs: Sequence[Path],  # of one dive
     options: ReplayOptions,
     name: str | None = None,  # of the dive; by default that of its log
+    *,
+    local_settings: str = "",  # the file of settings that nobody has named, seen from the folder of the dive
 ) -> "Replay":
     """Replay a dive; the error of a dive that cannot be replayed is raised."""
     from insdvl_replay.logs import name_giver
@@ -33,7 +35,9 @@ def replay_in_memory(
         kept.append(replayed(job, name))
         return as_json(report_of(kept[-1]))
 
-    job = ReplayJob(tuple(logs), name_giver(logs), _NOWHERE, options)
+    job = ReplayJob(
+        tuple(logs), name_giver(logs), _NOWHERE, options, local_settings=local_settings
+    )
     (outcome,) = outcomes([job], Replaying(work=keep))
     if isinstance(outcome.result, Exception):
         raise outcome.result

@@ -17,6 +17,7 @@ import msgspec
 
 from insdvl_replay.batch.dive_paths import shared_settings
 from insdvl_replay.batch.found import FoundDive
+from insdvl_replay.batch.local_settings import place_of_settings
 from insdvl_replay.core.config import FREE, Config, flattened
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
@@ -85,6 +86,9 @@ class ReplayJob:
     found_sha256: str = ""  # of the logs as they were when settings or noise were found by them
     error: UserError | None = None  # why the dive cannot be had
     vehicle: str = ""  # that its manifest names
+    local_settings: str = (
+        ""  # the file of settings that nobody has named, seen from the folder of the dive
+    )
 
     @property
     def config(self) -> Config:
@@ -130,6 +134,7 @@ def plan_jobs(
             replaces=os.path.lexists(target),
             error=one.error,
             vehicle=one.vehicle,
+            local_settings=one.local_settings,
         )
         jobs.append(job)
     return jobs
@@ -145,12 +150,19 @@ class _Meant:
     settings: Path | None
     error: UserError | None
     vehicle: str
+    local_settings: str
 
 
 def _alone(dive: FoundDive) -> _Meant:
     """Return a log that is a dive."""
     return _Meant(
-        (dive.path,), dive.path, dive.name_giver, dive.settings, dive.error, dive.vehicle
+        (dive.path,),
+        dive.path,
+        dive.name_giver,
+        dive.settings,
+        dive.error,
+        dive.vehicle,
+        place_of_settings(dive),
     )
 
 
@@ -171,6 +183,7 @@ def _together(dives: Sequence[FoundDive]) -> _Meant:
         shared_settings(dives, "--one-dive"),
         error,
         vehicle,
+        place_of_settings(dives[0]),
     )
 
 

@@ -1,7 +1,7 @@
 """What a shard leaves for the merge: a file beside its results, which says what was asked for and what became of it."""
 
 import hashlib
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,8 +11,7 @@ from typing import Final
 import msgspec
 from msgspec import Struct
 
-from insdvl_replay.batch.dive_paths import find_dives
-from insdvl_replay.batch.found import Fetch, own_configs
+from insdvl_replay.batch.found import Fetch, FoundDive
 from insdvl_replay.batch.jobs import Outcome, ReplayJob, ReplayOptions, plan_jobs
 from insdvl_replay.batch.overviews import require_own_names
 from insdvl_replay.batch.replaying import Replaying
@@ -77,22 +76,20 @@ class PartFile(Struct, frozen=True, kw_only=True):
 
 def plan_shard_run(
     shard: str,  # such as ``2/4``
-    names: Sequence[str],  # of all dives
+    found: Sequence[FoundDive],  # all dives
     output: Path,
     options: ReplayOptions,
-    load: Callable[[Path | None], Config],  # settings, by the file of a dive's own
+    configs: Mapping[Path | None, Config],  # by the file of a dive's own settings
     fetch: Fetch,
 ) -> "ShardRun":
-    """Find the dives of a run, and plan the replays of those that are of a shard.
+    """Plan the replays of those dives of a run that are of a shard.
 
     Raises
     ------
     ConfigError
-        The shard is not of the form ``2/4``, a name fits no dive, or settings are not valid.
+        The shard is not of the form ``2/4``.
     """
     meant = parse_shard(shard)
-    found = find_dives(names)
-    configs = own_configs(found, load)
     plan = partial(plan_jobs, output=output, options=options, configs=configs)
     share = plan_share(meant, found, frozenset(meant.places(found)), fetch, plan)
     return ShardRun(share, output)

@@ -16,7 +16,9 @@ from insdvl_replay.batch.fitted_noise import with_own_noise
 from insdvl_replay.batch.jobs import Outcome, ReplayJob, known_report, log_digest
 from insdvl_replay.batch.workers import Pool, WorkerLostError, do_each
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import SCHEMA_LINE
 from insdvl_replay.core.errors import ConfigError, LogError, UserError, listed
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.report import Report, decode_report
 from insdvl_replay.core.report import as_json as encode_report
 from insdvl_replay.core.runtime import parallel_map, sources_digest, track_progress
@@ -25,6 +27,8 @@ from insdvl_replay.results.folder import COMPLETE, VEHICLE_FILE, read_file, resu
 
 if TYPE_CHECKING:
     from insdvl_replay.preparation.replay import Replay
+
+SETTINGS_NOTE = "local_settings"
 
 
 def replay_jobs(
@@ -123,8 +127,11 @@ def replayed(job: ReplayJob, name: str | None) -> "Replay":
     replay = run(job.logs, job.config, allow_damaged=options.allow_damaged, name=name)
     if options.assay:
         replay = _with_assay(job, replay)
-    if options.found:
-        replay = replace(replay, notes=(*options.found, *replay.notes))
+    notes = options.found
+    if job.local_settings:
+        notes = (note(SETTINGS_NOTE, file=job.local_settings), *notes)
+    if notes:
+        replay = replace(replay, notes=(*notes, *replay.notes))
     return replay
 
 
@@ -172,8 +179,10 @@ def replay_into(job: ReplayJob) -> bytes:
     _require_same_log(job, replay)
     with result_folder(job.target, force=job.replaces) as folder:
         save_replay(replay, folder, histories=options.histories)
-        vehicle = options.vehicle.encode()
-        if not vehicle and _has_settings(job.target / VEHICLE_FILE, options.config):
+        vehicle = b""
+        if options.vehicle:
+            vehicle = f"{SCHEMA_LINE}{options.vehicle}".encode()
+        elif _has_settings(job.target / VEHICLE_FILE, options.config):
             vehicle = read_file(job.target / VEHICLE_FILE)
         if vehicle:
             (folder / VEHICLE_FILE).write_bytes(vehicle)

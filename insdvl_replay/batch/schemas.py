@@ -42,6 +42,28 @@ def schema_text(name: str | None = None) -> str:
         raise ConfigError(f"schema '{name}' is not known", hint) from error
 
 
+def lines_for_editors(name: str | None) -> str:
+    """Return the first lines of a file of settings, by which editors find its schema, with what they need.
+
+    Raises
+    ------
+    ConfigError
+        It is asked for another schema than that of the settings.
+    """
+    from insdvl_replay.core.config_file import SCHEMA_FILE, SCHEMA_LINE
+
+    if name != "config":
+        text = "--toml: only files of settings are TOML with a schema"
+        raise ConfigError(text, "`insdvl-replay schema config --toml`")
+    return (
+        f"{SCHEMA_LINE}"
+        "# With this first line, editors complete the keys of a file, show their units and mark mistakes.\n"
+        "# VS Code does it with the extension Even Better TOML, other editors with the server Taplo.\n"
+        "# They need the schema in the same folder:\n"
+        f"#   insdvl-replay schema config > {SCHEMA_FILE}\n"
+    )
+
+
 def json_schema(name: str) -> bytes:
     """Return the JSON schema (draft 2020-12) of one of `SCHEMAS`."""
     import msgspec

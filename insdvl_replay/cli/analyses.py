@@ -46,6 +46,7 @@ def inspect(
         ),
     ] = None,
     config: opt.ConfigFiles = [],
+    no_config: opt.NoConfig = False,
     preset: opt.Preset = None,
     settings: opt.Settings = [],
     format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
@@ -80,8 +81,9 @@ def inspect(
     """
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings
     from insdvl_replay.batch.inspect_logs import Look, inspect_dive
+    from insdvl_replay.batch.local_settings import with_local_settings
     from insdvl_replay.calibration.found import Given
-    from insdvl_replay.cli.screen import fetch_with_progress, progress, written
+    from insdvl_replay.cli.screen import fetch_with_progress, log_settings, progress, written
     from insdvl_replay.core.settings_layers import SettingsLayers
     from insdvl_replay.inspection.inventory import inspection_result
     from insdvl_replay.results.folder import require_replaceable_file
@@ -95,7 +97,8 @@ def inspect(
         offline=offline,
         allow_damaged=allow_damaged,
     )
-    found = find_dives(logs)
+    found = with_local_settings(find_dives(logs), layers, is_wanted=not no_config)
+    log_settings(found)
     configs = _settings_without_code(layers, found)
     if format_ == "html" and len(found) > 1 and not one_dive:
         text = f"--format html: is a page of one dive, found {len(found)}"
@@ -159,8 +162,8 @@ def _settings_without_code(
 ) -> "dict[Path | None, Config]":
     """Load the settings by the files of dives' own; say which of them are left out, since they name code."""
     configs = {}
-    for file in {None, *(dive.settings for dive in found)}:
-        given = layers.load(file, report=log_info)
+    loaded = layers.load_each([dive.settings for dive in found], report=log_info)
+    for file, given in loaded.by_file.items():
         if given.code:
             names = ", ".join(given.code)
             log_to_stderr(f"info: inspect runs no code from the settings; ignored: {names}")
@@ -258,6 +261,7 @@ def calibrate(
         ),
     ] = None,
     config: opt.ConfigFiles = [],
+    no_config: opt.NoConfig = False,
     preset: opt.Preset = None,
     settings: opt.Settings = [],
     only: Annotated[
@@ -322,12 +326,14 @@ def calibrate(
     """
     from insdvl_replay.batch.calibrate import Asked, calibrate_logs
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings
+    from insdvl_replay.batch.local_settings import with_local_settings
     from insdvl_replay.calibration.dives import require_groups
     from insdvl_replay.calibration.output import calibration_result
     from insdvl_replay.cli.screen import (
         CALIBRATION,
         compiling,
         fetch_with_progress,
+        log_settings,
         progress,
         written,
     )
@@ -335,9 +341,10 @@ def calibrate(
     from insdvl_replay.document.render import render
     from insdvl_replay.results.folder import require_replaceable_file, result_file
 
-    logs_found = find_dives(logs)
-    own = shared_settings(logs_found, "calibrate")
     layers = SettingsLayers(preset, config, settings, allow_code)
+    logs_found = with_local_settings(find_dives(logs), layers, is_wanted=not no_config)
+    own = shared_settings(logs_found, "calibrate")
+    log_settings(logs_found)
     resolved = layers.load(own, report=log_info)
     names = None if only is None else only.split(",")
     asked = Asked(
@@ -501,6 +508,7 @@ def window(
     output: StudyOutput = Path("study"),
     png: Png = False,
     config: opt.ConfigFiles = [],
+    no_config: opt.NoConfig = False,
     preset: opt.Preset = None,
     settings: opt.Settings = [],
     format_: opt.PrintedAs = "table",
@@ -521,14 +529,16 @@ def window(
       insdvl-replay study window dive.mcap --longest 20
     """
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings
+    from insdvl_replay.batch.local_settings import with_local_settings
     from insdvl_replay.batch.studies import window_study
-    from insdvl_replay.cli.screen import fetch_with_progress
+    from insdvl_replay.cli.screen import fetch_with_progress, log_settings
     from insdvl_replay.core.settings_layers import SettingsLayers
 
-    found = find_dives(logs)
-    own = shared_settings(found, "study window")
     given = [*settings, *opt.span_settings(start, end)]
     layers = SettingsLayers(preset, config, given, allow_code=True)
+    found = with_local_settings(find_dives(logs), layers, is_wanted=not no_config)
+    own = shared_settings(found, "study window")
+    log_settings(found)
     resolved = layers.load(own).without_code()
     found = fetch_with_progress(found, offline=offline)
     folder = _study_folder(output / "window", "comparing accelerations", force=force, png=png)
@@ -559,6 +569,7 @@ def observability(
     output: StudyOutput = Path("study"),
     png: Png = False,
     config: opt.ConfigFiles = [],
+    no_config: opt.NoConfig = False,
     preset: opt.Preset = None,
     settings: opt.Settings = [],
     format_: opt.PrintedAs = "table",
@@ -576,13 +587,21 @@ def observability(
       insdvl-replay study observability straight --no-earth-rate
       insdvl-replay study observability dive.mcap --start 60 --end 180
     """
-    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.batch.found import FoundDive
+    from insdvl_replay.batch.local_settings import with_local_settings
+    from insdvl_replay.cli.screen import log_settings
     from insdvl_replay.core.dive_record import dive_name
+    from insdvl_replay.core.settings_layers import SettingsLayers
     from insdvl_replay.studies.observability import study_observability
 
-    resolved = load_config(
-        preset, config, [*settings, *opt.span_settings(start, end)], allow_code=True
-    ).without_code()
+    given = [*settings, *opt.span_settings(start, end)]
+    layers = SettingsLayers(preset, config, given, allow_code=True)
+    is_log = Path(dive).exists()  # else the name of a scenario
+    [found] = with_local_settings(
+        [FoundDive(Path(dive))], layers, is_wanted=is_log and not no_config
+    )
+    log_settings([found])
+    resolved = layers.load(found.settings).without_code()
     target = output / f"observability-{dive_name(Path(dive))}"
     folder = _study_folder(target, "stacking the measurements", force=force, png=png)
     result = folder.keep(lambda: study_observability(dive, resolved, earth_rate=not no_earth_rate))

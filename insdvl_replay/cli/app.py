@@ -7,6 +7,7 @@ import typer
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.analyses import calibrate, inspect, study
 from insdvl_replay.cli.changes import check, compare, plan
+from insdvl_replay.cli.demo import demo
 from insdvl_replay.cli.lake import history, lake
 from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.run import run
@@ -22,6 +23,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for command in (
+    demo,
     run,
     merge,
     compare,
@@ -64,6 +66,6 @@ def insdvl_replay(
 
     \b
     Example:
-      insdvl-replay simulate straight -o dive.mcap
+      insdvl-replay demo
       insdvl-replay run dive.mcap
     """

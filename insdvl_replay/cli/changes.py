@@ -327,6 +327,7 @@ def check(
             help="Settings that replace those named in GATES. May be repeated.",
         ),
     ] = [],
+    no_config: opt.NoConfig = False,
     preset: opt.Preset = None,
     settings: opt.Settings = [],
     allow_damaged: opt.AllowDamaged = False,
@@ -395,7 +396,7 @@ def check(
     from insdvl_replay.batch.shards import ALL_DIVES, parse_shard
     from insdvl_replay.changes.formats import check_sentence, update_text
     from insdvl_replay.changes.gate_file import chosen_gates, load_gates, settings_of
-    from insdvl_replay.cli.screen import fetch_with_progress, replaying
+    from insdvl_replay.cli.screen import fetch_with_progress, log_settings, replaying
     from insdvl_replay.core.settings_layers import SettingsLayers
 
     meant = parse_shard(shard or str(ALL_DIVES))
@@ -406,11 +407,15 @@ def check(
     planned = plan_check(
         chosen,
         dives,
-        partial(layers.load, report=log_info),
+        layers,
+        local_settings=not no_config,
         shard=meant,
         allow_damaged=allow_damaged,
         histories=histories,
+        report=log_info,
     )
+    if not quiet:
+        log_settings(planned.dives)
     files = {"--output": output, "--summary-file": summary, "--badge": badge}
     for option, file in files.items():
         if file is not None:

@@ -154,6 +154,13 @@ ConfigFiles = Annotated[
         help="TOML settings that override the preset. Later files override earlier ones; the filters of all are kept.",
     ),
 ]
+NoConfig = Annotated[
+    bool,
+    typer.Option(
+        "--no-config",
+        help="Ignore insdvl-replay.toml in the folder of a dive and above it. With -c it is ignored, too.",
+    ),
+]
 Outages = Annotated[
     list[str],
     typer.Option(

@@ -31,6 +31,7 @@ def run(
         ),
     ] = Path("replay"),
     config: opt.ConfigFiles = [],
+    no_config: opt.NoConfig = False,
     preset: opt.Preset = None,
     start: opt.Start = None,
     end: opt.End = None,
@@ -139,6 +140,9 @@ def run(
     and calibrated; what --set or --preset gives stays. stderr says what was found or assumed. vehicle.toml in the
     result holds these settings for -c.
 
+    If -c is left out, insdvl-replay.toml in the folder of a dive, or the nearest above it, is used as with -c, and a
+    line says so. --no-config ignores it.
+
     Noise that neither --preset nor -c nor --set gives is fitted to the dives together, by the class of their IMU and
     the innovations. A line says which noise it is. `--preset levy-klein` is the paper's.
 
@@ -164,15 +168,16 @@ def run(
     """
     from insdvl_replay.batch.against import plan_against
     from insdvl_replay.batch.dive_paths import find_dives
-    from insdvl_replay.batch.found import own_configs
     from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
+    from insdvl_replay.batch.local_settings import with_local_settings
     from insdvl_replay.batch.overviews import require_overviews, require_own_names
     from insdvl_replay.batch.search import outcomes, with_search, without_search
     from insdvl_replay.cli.against import answer_against
     from insdvl_replay.cli.run_screen import RunScreen, Wanted
-    from insdvl_replay.cli.screen import fetch_with_progress, replaying
+    from insdvl_replay.cli.screen import fetch_with_progress, log_settings, replaying
     from insdvl_replay.core.settings_layers import SettingsLayers
     from insdvl_replay.results.folder import require_parquet
+    from insdvl_replay.results.stored_results import dives_of_run
     from insdvl_replay.show.dive import require_tables
 
     if history == "parquet":
@@ -184,8 +189,12 @@ def run(
     added = _lake_writer(lake, revision, against)
     given = [*settings, *opt.span_settings(start, end, starts)]
     layers = SettingsLayers(preset, config, given, allow_code)
+    found = with_local_settings(find_dives(logs), layers, is_wanted=not no_config)
+    if not quiet:
+        log_settings(found)
+    loaded = layers.load_each([dive.settings for dive in found], report=log_info)
     options = ReplayOptions(
-        layers.load(report=log_info),
+        loaded.usual,
         allow_damaged=allow_damaged,
         control=control,
         assay=assay,
@@ -202,9 +211,8 @@ def run(
         from insdvl_replay.cli.shards import replay_shard
 
         refusing = without_search(options)
-        planned = plan_shard_run(shard, logs, output, refusing, layers.load, fetch)
+        planned = plan_shard_run(shard, found, output, refusing, loaded.by_file, fetch)
         return replay_shard(planned, how, wanted, added)
-    found = find_dives(logs)
     if against:
         from insdvl_replay.changes.comparison import parse_limit  # needs scipy
 
@@ -214,12 +222,11 @@ def run(
         )
         replays = outcomes(sides.jobs, how, added)
         return answer_against(sides, replays, limit, format_, verbose, quiet=quiet)
-    configs = own_configs(found, layers.load)
-    dives = plan_jobs(fetch(found), output, options, configs, one_dive=one_dive)
-    if len(dives) > 1:
+    dives = plan_jobs(fetch(found), output, options, loaded.by_file, one_dive=one_dive)
+    if len(dives) > 1 or dives_of_run(output) is not None:
         require_own_names(dives)
         require_overviews(output, force=force)
-    else:
+    if len(dives) == 1:
         opt.require_no_table_over_dives(tables, str(dives[0].name))
     screen = RunScreen([dive.target for dive in dives], output, wanted)
     # An interrupt may come here, and the workers must end before this process.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from rich.console import Console, RenderableType
 from rich.text import Text
 
-from insdvl_replay.cli.messages import log_notes, log_to_stderr
+from insdvl_replay.cli.messages import log_info, log_notes, log_to_stderr
 from insdvl_replay.core.errors import Note, visible
 from insdvl_replay.core.runtime import (
     LEAST_TO_COMPILE_BYTES,
@@ -189,6 +189,14 @@ def progress(
         progress_listener(show),
     ):
         yield paused
+
+
+def log_settings(dives: "Sequence[FoundDive]") -> None:
+    """Say which files of settings are used that nobody has named."""
+    from insdvl_replay.batch.local_settings import settings_sentences
+
+    for sentence in settings_sentences(dives):
+        log_info(sentence)
 
 
 def fetch_with_progress(

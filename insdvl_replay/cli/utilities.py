@@ -199,11 +199,10 @@ def config(
       insdvl-replay config --preset fog > vehicle.toml
       insdvl-replay config -c vehicle.toml --set dvl.scale=1.01
     """
-    from insdvl_replay.core.config_file import load_config, render_toml
+    from insdvl_replay.core.config_file import SCHEMA_LINE, load_config, render_toml
 
-    write_stdout(
-        render_toml(load_config(preset, file, settings, allow_code=True, report=log_info))
-    )
+    resolved = load_config(preset, file, settings, allow_code=True, report=log_info)
+    write_stdout(SCHEMA_LINE + render_toml(resolved))
 
 
 def schema(
@@ -215,6 +214,12 @@ def schema(
             "(default: all).",
         ),
     ] = None,
+    toml: Annotated[
+        bool,
+        typer.Option(
+            "--toml", help="With config: print the first lines of a file of settings, for editors."
+        ),
+    ] = False,
     verbose: opt.Verbose = 0,
 ) -> None:
     """Print a JSON schema, or the definition of a ROS 2 message.
@@ -222,10 +227,15 @@ def schema(
     \b
     Example:
       insdvl-replay schema report
+      insdvl-replay schema config > insdvl-replay.schema.json
+      insdvl-replay schema config --toml
       insdvl-replay schema insdvl_msgs/msg/NavSolution
     """
-    from insdvl_replay.batch.schemas import schema_text
+    from insdvl_replay.batch.schemas import lines_for_editors, schema_text
 
+    if toml:
+        write_stdout(lines_for_editors(name))
+        return
     write_stdout(schema_text(name))
 
 
@@ -265,7 +275,17 @@ def explain(
     write_stdout(f"* stands for a source: {', '.join(SOURCES)}\n")
 
 
-def compile_(verbose: opt.Verbose = 0) -> None:
+def compile_(
+    key: Annotated[
+        bool,
+        typer.Option(
+            "--key",
+            help="Compile nothing, and print a name of the compiled code for the cache of a job. It changes with "
+            "sources, versions and processor.",
+        ),
+    ] = False,
+    verbose: opt.Verbose = 0,
+) -> None:
     """Compile the filter now, instead of in the first run.
 
     The compiled code is stored in ~/.cache/insdvl-replay, or in the folder INSDVL_REPLAY_CACHE. Runs with the same
@@ -276,16 +296,21 @@ def compile_(verbose: opt.Verbose = 0) -> None:
       insdvl-replay compile -v
       insdvl-replay compile
       INSDVL_REPLAY_CACHE=/opt/insdvl-replay insdvl-replay compile
+      insdvl-replay compile --key
     """
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.runtime import (
         LEAST_TO_COMPILE_BYTES,
         cache_folder,
+        cache_key,
         cache_problem,
         is_warm,
         require_memory,
     )
 
+    if key:
+        write_stdout(f"{cache_key()}\n")
+        return
     folder = cache_folder()
     start_s = time.perf_counter()
     was_warm = is_warm()

@@ -6,6 +6,8 @@ Precedence: defaults, then preset, then files in their order, then command line.
 import hashlib
 import math
 import re
+import shlex
+import stat
 import tomllib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -31,7 +33,13 @@ from insdvl_replay.core.config import (
     flattened,
     key_of,
 )
-from insdvl_replay.core.config_checks import KeyPath, candidate_keys, dotted, problems
+from insdvl_replay.core.config_checks import (
+    KeyPath,
+    candidate_keys,
+    code_problems,
+    dotted,
+    problems,
+)
 from insdvl_replay.core.errors import (
     LISTED,
     ConfigError,
@@ -56,10 +64,16 @@ PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
 FITTED_LIKE: Final = "fog"
 FOUND: Final = "found"  # the table of a file of found settings that sets nothing
 SECTIONS: Final = frozenset(ConfigFile.__struct_fields__)
+SCHEMA_FILE: Final = (
+    "insdvl-replay.schema.json"  # that editors look for, next to a file of settings
+)
+SCHEMA_LINE: Final = f"#:schema ./{SCHEMA_FILE}\n"
+"""First line of each file of settings that is written for people. Editors know by it which keys there are."""
 LARGEST: Final = 1e30  # No measured value is larger, and powers of smaller values do not overflow.
 _HINT: Final = "`insdvl-replay config` prints all keys with type and unit"
 _IF_UNREADABLE: Final = "check the path given to -c"
 _IF_INVALID: Final = "`insdvl-replay config` prints a valid one"
+_IF_UNNAMED: Final = "mend it, name other settings with -c, or use none with --no-config"
 _LONGEST_SHOWN: Final = 80  # letters of a wrong value
 # Similarity from which a name is surely a misspelling, whatever other names share words with it.
 _MISSPELLED: Final = 0.85
@@ -378,6 +392,7 @@ def load_config(
     *,
     against: Sequence[str] = (),
     allow_code: bool = False,
+    unnamed: Path | None = None,
     report: Callable[[str], None] = lambda _: None,
 ) -> Config:
     """Resolve the settings: defaults < preset < file < overrides < against.
@@ -394,6 +409,8 @@ def load_config(
         filter out.
     allow_code : bool
         The settings may name code, as ``module:Class``. Nothing is imported here.
+    unnamed : Path, optional
+        The one of the files that nobody has named. Code in it is never allowed.
     report : callable
         Is called with a sentence for each filter that a file replaces.
 
@@ -403,13 +420,7 @@ def load_config(
         Unknown preset, unreadable file, unknown key (with the nearest known one), value of the wrong kind or range,
         code that is not allowed.
     """
-    files = [file] if isinstance(file, Path) else file or ()
-    if preset is not None and preset not in PRESETS:
-        raise ConfigError(f"preset '{preset}' is not known", f"use one of: {', '.join(PRESETS)}")
-    layers = [] if preset is None else [_preset(preset)]
-    for path in files:
-        source = _file(path)
-        layers.append(replace(source, content=_with_whole_paths(source.content, path.parent)))
+    layers = _preset_and_files(preset, [file] if isinstance(file, Path) else file or (), unnamed)
     changes = [
         *(_parse_override("--set", override) for override in overrides),
         *(_parse_override("--against", override) for override in against),
@@ -423,6 +434,8 @@ def load_config(
         settings = _overridden(_with_place_for(layer, settings, owners, report), layer)
         _resolved(settings, layer)
     config = _changed(settings, changes)
+    if unnamed is not None:
+        _require_no_code_in(str(unnamed), config, [*layers, *changes])
     _require_possible(config, [*layers, *changes], allow_code=allow_code)
     if not any(layer.has("noise", "fit") for layer in (*layers, *changes)):
         noise = msgspec.structs.replace(
@@ -430,6 +443,19 @@ def load_config(
         )
         config = msgspec.structs.replace(config, noise=noise)
     return _with_digests(config)
+
+
+def _preset_and_files(
+    preset: str | None, files: Sequence[Path], unnamed: Path | None
+) -> list[TomlSource]:
+    """Read the layers below single settings."""
+    if preset is not None and preset not in PRESETS:
+        raise ConfigError(f"preset '{preset}' is not known", f"use one of: {', '.join(PRESETS)}")
+    layers = [] if preset is None else [_preset(preset)]
+    for path in files:
+        source = _file(path, is_named=path != unnamed)
+        layers.append(replace(source, content=_with_whole_paths(source.content, path.parent)))
+    return layers
 
 
 def changed_by(config: Config, against: Sequence[str], *, allow_code: bool = False) -> Config:
@@ -505,6 +531,15 @@ def _require_possible(config: Config, layers: Sequence[TomlSource], *, allow_cod
         raise ConfigError(what, hint, places[-1] if places else "the configuration")
 
 
+def _require_no_code_in(file: str, config: Config, layers: Sequence[TomlSource]) -> None:
+    """Raise a ConfigError if the settings name code that they have from a file which nobody has named."""
+    for key, what, _ in code_problems(config):
+        places = [layer.name for layer in layers if layer.has(*key)]
+        if places[-1:] == [file]:
+            hint = f"read it; to run it, name the file: -c {shlex.quote(file)} --allow-code"
+            raise ConfigError(f"{what}, which does not run unless -c names the file", hint, file)
+
+
 def given_keys(
     preset: str | None, files: Sequence[Path], overrides: Sequence[str]
 ) -> frozenset[str]:
@@ -536,8 +571,15 @@ def _preset(name: str) -> TomlSource:
     return TomlSource(f"preset {name}", content=parse_toml(text))
 
 
-def _file(path: Path) -> TomlSource:
-    source = read_toml(path, _HINT, if_unreadable=_IF_UNREADABLE, if_invalid=_IF_INVALID)
+def _file(path: Path, *, is_named: bool = True) -> TomlSource:
+    """Read a file of settings; one that nobody has named may be anything, and is not waited for."""
+    hints = {"if_unreadable": _IF_UNREADABLE, "if_invalid": _IF_INVALID}
+    if not is_named:
+        hints = {"if_unreadable": _IF_UNNAMED, "if_invalid": _IF_UNNAMED}
+        with suppress(OSError):  # which reading it raises
+            if not stat.S_ISREG(path.stat().st_mode):
+                raise ConfigError(f"{path}: is no regular file", _IF_UNNAMED)
+    source = read_toml(path, _HINT, **hints)
     require_kind_of_toml(path, source.content, "settings", SECTIONS)
     converted(source.content.get(FOUND, {}), Found, source, FOUND)
     settings = {name: table for name, table in source.content.items() if name != FOUND}

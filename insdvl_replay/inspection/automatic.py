@@ -35,7 +35,7 @@ from insdvl_replay.checks.reference_delay import (
     with_reference_delay,
 )
 from insdvl_replay.core.config import Config, Filter, Initial, Solution
-from insdvl_replay.core.config_file import given_keys_in, load_config, render_toml
+from insdvl_replay.core.config_file import SCHEMA_LINE, given_keys_in, load_config, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ReferenceColumns, nanoseconds
 from insdvl_replay.core.errors import LogError, Note, UserError, counted, listed
 from insdvl_replay.core.notes import note
@@ -377,7 +377,7 @@ def settings_file(
     """
     try:
         found = find_settings(dives, given, allow_damaged=allow_damaged)
-        return SettingsFile(found.text, found.notes)
+        return SettingsFile(SCHEMA_LINE + found.text, found.notes)
     except UserError as failure:
         return _proposed_file(dives[0], given, failure, allow_damaged=allow_damaged)
 
@@ -398,7 +398,8 @@ def _proposed_file(
             section, name = key.split(".")
             settings.append(Setting(key, getattr(getattr(config, section), name)))
     comments = comment_lines(f"blocker: {failure.message}; {failure.hint}")
-    text = "".join(f"{line}\n" for line in comments) + f"\n{settings_toml(settings)}"
+    text = SCHEMA_LINE + "".join(f"{line}\n" for line in comments)
+    text += f"\n{settings_toml(settings)}"
     if given.has("filters", "topics"):
         kept = Config(filters=config.filters, topics=config.topics)
         text += f"\n{render_toml(kept, changed_only=True)}"

@@ -14,8 +14,10 @@ from insdvl_replay.cli import run_command_line
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs" / "straight.mcap"
 DOCUMENTED = {
+    "demo": ["-o, --output DIR", "--jobs N", "-v, --verbose", "--color <auto|always|never>", "-h, --help"],
     "run": [
-        "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
+        "LOG...", "-o, --output DIR", "-c, --config FILE", "--no-config", "--preset NAME", "--start T", "--end T",
+        "--set KEY=VALUE",
         "--starts K", "--format <table|json|csv|md|latex|html>", "--table NAME",
         "--allow-damaged", "--offline", "--allow-code", "--one-dive", "--assay", "--control",
         "--tum", "--kml", "--geojson",
@@ -37,7 +39,7 @@ DOCUMENTED = {
         "--color <auto|always|never>", "-h, --help",
     ],
     "check": [
-        "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--preset NAME",
+        "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--no-config", "--preset NAME",
         "--set KEY=VALUE", "--allow-damaged", "--offline", "--allow-code",
         "--format <text|md|json|junit|github|html>", "--output FILE", "--summary-file FILE", "--badge FILE",
         "--only GATE", "--skip GATE", "--shard I/N", "--keep-histories", "--jobs N", "--scheduler ADDR",
@@ -52,12 +54,13 @@ DOCUMENTED = {
         "--color <auto|always|never>", "-h, --help",
     ],
     "inspect": [
-        "LOG...", "--deep", "--propose FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
+        "LOG...", "--deep", "--propose FILE", "-c, --config FILE", "--no-config", "--preset NAME", "--set KEY=VALUE",
         "--format <table|json|csv|md|latex|html>", "--allow-damaged", "--offline", "--one-dive", "--force",
         "-v, --verbose", "--color <auto|always|never>", "-h, --help",
     ],
     "calibrate": [
-        "LOG...", "-o, --output FILE", "--page FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
+        "LOG...", "-o, --output FILE", "--page FILE", "-c, --config FILE", "--no-config", "--preset NAME",
+        "--set KEY=VALUE",
         "--only NAMES", "--reference", "--delays <each|one>", "--mounting <known|unknown>", "--hold-out SHARE|DIVE",
         "--even-if-worse", "--format <table|json|csv|md|latex>", "--allow-damaged", "--offline", "--allow-code",
         "--one-dive", "--force",
@@ -73,9 +76,9 @@ DOCUMENTED = {
         "--dvl-scale TIMES", "--force", "-v, --verbose", "-h, --help",
     ],
     "config": ["--preset NAME", "-c, --config, --from FILE", "--set KEY=VALUE", "-v, --verbose", "-h, --help"],
-    "schema": ["NAME", "-v, --verbose", "-h, --help"],
+    "schema": ["NAME", "--toml", "-v, --verbose", "-h, --help"],
     "explain": ["CODE", "-v, --verbose", "-h, --help"],
-    "compile": ["-v, --verbose", "-h, --help"],
+    "compile": ["--key", "-v, --verbose", "-h, --help"],
     "study montecarlo": [
         "SCENARIO", "--runs N", "--seed N", "--run K", "--duration S", "--imu GRADE", "--outage START:END", "--jobs N",
         "-o, --output DIR", "--png", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",

@@ -21,7 +21,7 @@ from insdvl_replay.batch.inspect_logs import Look, inspect_dive
 from insdvl_replay.batch.manifest import fetch_dives
 from insdvl_replay.batch.schemas import SCHEMAS, schema_text
 from insdvl_replay.batch.studies import StudyFolder, WindowStudy, window_study
-from insdvl_replay.core.config_file import render_toml
+from insdvl_replay.core.config_file import SCHEMA_LINE, render_toml
 from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.report import as_json
 from insdvl_replay.document.parts import Result
@@ -167,6 +167,39 @@ def test_a_missing_shard_is_the_same_error(logs: Path, tmp_path: Path) -> None:
     done = done_here("merge", "part", "-o", "merged", cwd=tmp_path)
     found = refused(lambda: insdvl_replay.merge("part", "merged"), tmp_path)
     assert found == (done.returncode, done.stderr.strip())
+
+
+# --- Results of the last run.
+
+
+def test_a_later_run_of_one_dive_is_the_last_run(logs: Path, tmp_path: Path) -> None:
+    """Two dives, one of them with another setting, then a third: each time the results are those of that run."""
+    first = tmp_path / "first.mcap"
+    second = tmp_path / "second.mcap"
+    for log in (first, second):
+        shutil.copy(logs / "dive.mcap", log)
+    (tmp_path / "vehicle.toml").write_text(VEHICLE, "utf-8")
+    given = ("-o", "out", "-c", "vehicle.toml")
+
+    def last_run(*command: str | Path) -> tuple[list[str], str]:
+        done = done_here("run", *command, *given, cwd=tmp_path)
+        assert done.returncode in (0, 3)
+        results = insdvl_replay.read_results(tmp_path / "out")
+        notes = " ".join(note.code for note in results.content.notes)
+        assert notes == " ".join(
+            {"earlier_results"} & set(done.stderr.replace("[", "]").split("]"))
+        )
+        return list(results.dives), notes
+
+    assert last_run(second) == (["second"], "")
+    assert last_run(first) == (["first", "second"], ""), "without a summary all count"
+    assert last_run(first, second) == (["first", "second"], "")
+    assert last_run(first) == (["first", "second"], ""), "nothing was replayed"
+    changed = last_run(first, "--set", "dvl.scale=1.1", "--force")
+    assert changed == (["first"], "earlier_results")
+    shutil.copy(logs / "broken.mcap", second)
+    assert last_run(first, second, "--force") == (["first"], "earlier_results")
+    assert 'href="second' not in (tmp_path / "out" / "index.html").read_text("utf-8")
 
 
 # --- run --against
@@ -508,7 +541,7 @@ def test_resolved_settings(team: Path) -> None:
     words = ["--preset", "fog", "-c", "vehicle.toml", "--set", "dvl.scale=1.01"]
     done = done_here("config", *words, cwd=team)
     found = load_config(team / "vehicle.toml", preset="fog", settings={"dvl.scale": 1.01})
-    assert (done.returncode, done.stdout) == (0, render_toml(found))
+    assert (done.returncode, done.stdout) == (0, SCHEMA_LINE + render_toml(found))
 
 
 # --- Errors

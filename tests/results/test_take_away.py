@@ -429,7 +429,10 @@ def test_public_names_are_these() -> None:
     commands = {
         "calibrate",
         "check",
+        "compact_lake",
         "compare",
+        "demo",
+        "history",
         "inspect",
         "plan",
         "propose",

@@ -5,7 +5,12 @@ from pathlib import Path
 from as_text import Cases, refusal
 
 import insdvl_replay
+from insdvl_replay.batch.demo import make_dives
+from insdvl_replay.batch.dive_paths import shared_settings
+from insdvl_replay.batch.found import FoundDive
+from insdvl_replay.batch.schemas import lines_for_editors
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.settings_layers import LOCAL_SETTINGS
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import LostBeam
 from insdvl_replay.studies.montecarlo import make_setup
@@ -51,6 +56,11 @@ IN_A_FILE = (
     f"[dvl]\nscale = {'[' * 5000}",
 )
 OWN = '"own_sensors:Speed"'
+PROGRAM = f'{RUN}program = ["./mine", "{{dive}}", "{{solution}}"]'
+PROGRAMS = (
+    'filters.mine.program=["./mine", "{dvl_csv}"]',
+    'filters.mine={program=["./mine", "{imu_csv}", "{solution}"], input="log"}',
+)
 ON_THE_COMMAND_LINE = (
     "dvl.scale",
     "scale=3",
@@ -102,6 +112,20 @@ def said_of_settings(folder: Path) -> Cases:
     (folder / "image.toml").write_bytes(b"\x89PNG\xff")
     for name in ("absent.toml", "image.toml"):
         yield name, refusal(load_config, file=folder / name)
+    local = folder / LOCAL_SETTINGS
+    for text in ("[dvl", PROGRAM):
+        local.write_text(text, "utf-8")
+        yield f"next to a dive: {text!r}", refusal(load_config, file=local, unnamed=local)
+    local.unlink()
+    local.mkdir()
+    yield "next to a dive: a folder", refusal(load_config, file=local, unnamed=local)
+    dives = [FoundDive(folder / name, settings=folder / name) for name in ("one", "two")]
+    yield "dives of two vehicles", refusal(shared_settings, dives, "calibrate")
+    for override in PROGRAMS:
+        said = refusal(load_config, overrides=[override], allow_code=True)
+        yield f"--set {override!r}, with --allow-code", said
+    yield "schema report --toml", refusal(lines_for_editors, "report")
+    yield "a demonstration in another folder", refusal(make_dives, folder)
     for override in ON_THE_COMMAND_LINE:
         yield f"--set {override!r}", refusal(load_config, overrides=[override])
     yield "None in Python", refusal(insdvl_replay.load_config, settings={"dvl.lever_arm_m": None})
