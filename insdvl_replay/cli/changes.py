@@ -414,8 +414,7 @@ def check(
         histories=histories,
         report=log_info,
     )
-    if not quiet:
-        log_settings(planned.dives)
+    log_settings(planned.dives, quiet=quiet)
     files = {"--output": output, "--summary-file": summary, "--badge": badge}
     for option, file in files.items():
         if file is not None:

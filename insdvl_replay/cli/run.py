@@ -190,8 +190,7 @@ def run(
     given = [*settings, *opt.span_settings(start, end, starts)]
     layers = SettingsLayers(preset, config, given, allow_code)
     found = with_local_settings(find_dives(logs), layers, is_wanted=not no_config)
-    if not quiet:
-        log_settings(found)
+    log_settings(found, quiet=quiet)
     loaded = layers.load_each([dive.settings for dive in found], report=log_info)
     options = ReplayOptions(
         loaded.usual,

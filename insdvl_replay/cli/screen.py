@@ -191,8 +191,10 @@ def progress(
         yield paused
 
 
-def log_settings(dives: "Sequence[FoundDive]") -> None:
+def log_settings(dives: "Sequence[FoundDive]", *, quiet: bool = False) -> None:
     """Say which files of settings are used that nobody has named."""
+    if quiet:
+        return
     from insdvl_replay.batch.local_settings import settings_sentences
 
     for sentence in settings_sentences(dives):

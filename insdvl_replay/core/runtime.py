@@ -21,7 +21,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar, cast
 
-from insdvl_replay.core.processor import compile_common_code, use_common_code
+from insdvl_replay.core.processor import (
+    LEVEL,
+    compile_common_code,
+    has_common_code,
+    use_common_code,
+)
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -219,9 +224,12 @@ def cache_folder() -> Path:
 
 def cache_key() -> str:
     """Name the compiled code of this Python and processor, for stores that keep it between machines."""
-    from llvmlite.binding import get_host_cpu_name  # numba's compiler, without numba
+    processor = LEVEL
+    if not has_common_code():
+        from llvmlite.binding import get_host_cpu_name  # numba's compiler, without numba
 
-    return f"{cache_folder().name}-{sys.implementation.cache_tag}-{get_host_cpu_name()}"
+        processor = get_host_cpu_name()
+    return f"{cache_folder().name}-{sys.implementation.cache_tag}-{processor}"
 
 
 def cache_problem() -> str:
