@@ -49,6 +49,7 @@ from insdvl_replay.show.first_screen import (
     change_of_value,
     evidence_forest,
     first_screen,
+    is_where_drawn,
     section,
 )
 
@@ -294,8 +295,10 @@ def _answer_screen(comparison: Comparison) -> list[Part]:
     lines = answer_lines(answers)
     for answer in answers:
         where = [row for row in comparison.where if row.filter == answer.filter]
-        sections.append(_answer_section(answer, where))
         line = where_line(notable(where))
+        if not is_where_drawn(where, len(answers)):
+            where = []
+        sections.append(_answer_section(answer, where))
         if line:
             lines.append(Callout(f"{answer.filter}: {line}"))
     caption = ""

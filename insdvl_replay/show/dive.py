@@ -20,6 +20,7 @@ from insdvl_replay.core.tables import (
     Number,
     ReferenceErrorRow,
     TableLayout,
+    WhereRow,
     each_table,
     finite,
 )
@@ -433,7 +434,8 @@ def tables_named(report: Report, *names: str) -> list[DisplayTable]:
 # --- The page, and the same document in other formats.
 
 MEANING: Final = "Background of panels over time: grey where the vehicle turns, ochre where the DVL has no velocity."
-# Rows of a forest plot, by the number of candidates; with more candidates the fewest rows.
+# Rows of a forest plot, by the number of candidates; with more candidates the fewest rows, and no plot by what the
+# vehicle does.
 _MOST_ROWS: Final = {1: 14, 2: 10}
 _FEWEST_ROWS: Final = 8
 
@@ -533,8 +535,10 @@ def dive_section(report: Report, name: str, title: str = "Evidence") -> str:
     lines = answer_lines(answer, initial_text(report.config), start_text([report]))
     sentences = [grounds(answer), *lines, trust_sentence(report.tables, name, report.baseline)]
     most = _MOST_ROWS.get(len(report.filters), _FEWEST_ROWS)
-    compared = [row for row in of_filter(name, report.tables.where) if row.ratio is not None]
-    return section(answer, sentences, [evidence_forest(title, answer, most, compared)])
+    where: list[WhereRow] = []
+    if len(report.filters) in _MOST_ROWS:
+        where = [row for row in of_filter(name, report.tables.where) if row.ratio is not None]
+    return section(answer, sentences, [evidence_forest(title, answer, most, where)])
 
 
 def dive_page(

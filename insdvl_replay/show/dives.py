@@ -70,6 +70,7 @@ from insdvl_replay.show.first_screen import (
     dives_forest,
     evidence_forest,
     first_screen,
+    is_where_drawn,
     section,
 )
 
@@ -380,7 +381,8 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     sections = []
     for answer in answers:
         rows = where.get(answer.filter, [])
-        sections.append(_section_of(answer, reports, rows, linked=linked))
+        drawn = rows if is_where_drawn(rows, len(answers)) else []
+        sections.append(_section_of(answer, reports, drawn, linked=linked))
     if sections:
         caption = (
             "All dives: each is one sample. Dive by dive: one dive has no interval and no verdict."

@@ -28,6 +28,7 @@ from insdvl_replay.evaluation.sentences import (
     ratio_text,
     word_of,
 )
+from insdvl_replay.evaluation.where import notable
 from insdvl_replay.show.answers import chosen_rows, verdict_in_table
 
 # --- Forest plots as SVG.
@@ -247,6 +248,7 @@ READING: Final = (
     "of a factor 1.05. An interval wholly left of it is better, wholly right worse, wholly inside equivalent. Bold: it "
     "decides."
 )
+MOST_PLOTS: Final = 2  # candidates whose drift by what the vehicle does is drawn, whatever it is
 MOST_DIVES: Final = 20  # With more dives, those with the largest effects are drawn.
 DIVE_PAGE: Final = "report.html"  # The page of a dive, in its folder.
 
@@ -331,6 +333,11 @@ def _evidence_row(row: PooledRow) -> ForestRow:
     decides = row.role == Role.PRIMARY
     ends = interval_ends(row)
     return ForestRow(label(row.quantity), row.ratio, ends, tone, text, decides=decides)
+
+
+def is_where_drawn(rows: Sequence[WhereRow], candidates: int) -> bool:
+    """Return whether there is room for the drift by what the vehicle does: of many candidates only what is notable."""
+    return candidates <= MOST_PLOTS or bool(notable(rows))
 
 
 def _where_plot(rows: Iterable[WhereRow]) -> str:

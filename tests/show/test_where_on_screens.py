@@ -171,6 +171,27 @@ def test_with_many_candidates_the_sentence_has_the_name() -> None:
     assert second != f"second: {SAID}"
 
 
+def test_with_many_candidates_the_page_draws_only_what_is_notable() -> None:
+    names = ("aided", "second", "third")
+    for count, plots in ((2, 2), (3, 1)):
+        reports = []
+        for found in archive():
+            evidence = found.tables.evidence
+            where = [row for row in found.tables.where if row.filter == "aided"]
+            others = [replace(row, ratio=1.0, to_rest=1.0) for row in where]
+            own = {"aided": where} | dict.fromkeys(names[1:count], others)
+            many = replace(
+                found.tables,
+                evidence=[replace(row, filter=name) for name in own for row in evidence],
+                where=[replace(row, filter=name) for name, rows in own.items() for row in rows],
+            )
+            filters = dict.fromkeys(own, found.filters["aided"])
+            reports.append(replace(found, tables=many, filters=filters))
+        assert index_page(reports).decode().count(f"<h3>{TITLE}") == plots
+        one = page(dive_document(reports[0])).decode()
+        assert one.count(f"<h3>{TITLE}") == (2 if count == 2 else 0)
+
+
 # --- A comparison.
 
 
