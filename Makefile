@@ -102,7 +102,7 @@ clocks: .venv/test.stamp
 	PYTHONPATH=tests $(BIN)/python benchmarks/clock_worlds.py
 
 # How often the words on filters are right, in worlds whose truth is known; takes twenty minutes on two cores.
-JUDGES := rule_worlds misfit_worlds scatter_judge judge onboard foreign noise trajectory_worlds where_worlds history_worlds
+JUDGES := rule_worlds misfit_worlds scatter_judge judge onboard foreign noise trajectory_worlds where_worlds history_worlds steps
 judge: .venv/test.stamp
 	@failed=0; for part in $(JUDGES); do \
 		PYTHONPATH=tests $(BIN)/python benchmarks/$$part.py || { echo "$$part: a rate is not as asked"; failed=1; }; \

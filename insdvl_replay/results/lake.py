@@ -73,6 +73,7 @@ def require_lake(lake: Path, outputs: Collection[Path]) -> None:
             pass
     except OSError as error:
         raise ConfigError(f"{lake}: cannot be written: {error.strerror}", _OF_ITS_OWN) from error
+    _require_link(lake)
     for name in names:
         if name != ROWS or not _is_lake(lake):
             raise ConfigError(f"{lake}: holds {name}, which is not a file of a lake", _OF_ITS_OWN)
@@ -84,6 +85,15 @@ def require_lake(lake: Path, outputs: Collection[Path]) -> None:
 def _is_lake(lake: Path) -> bool:
     link = lake / ROWS
     return link.is_symlink() and bool(_FOLDER.fullmatch(str(link.readlink())))
+
+
+def _require_link(lake: Path) -> None:
+    """Raise a ConfigError for a copy of a lake that has a folder in place of the link; it can only be read."""
+    if (lake / ROWS).is_dir() and not (lake / ROWS).is_symlink():
+        raise ConfigError(
+            f"{lake}: was copied without its link {ROWS}, and can only be read",
+            "copy it again with `cp -a`, which keeps links",
+        )
 
 
 # --- Adding replays
@@ -193,6 +203,7 @@ def compact_lake(lake: Path) -> Compacted:
         It is no lake, or cannot be written, or pyarrow is not installed.
     """
     require_existing(lake)
+    _require_link(lake)
     with _writing(lake), _locked(lake):
         before = len(list(_rows_folder(lake).glob("*.parquet")))
         joined = _join(lake, [])
@@ -206,7 +217,7 @@ def require_existing(lake: Path) -> None:
     require_parquet("a lake", "use the CSV tables of the results")
     if not lake.is_dir():
         raise ConfigError(f"{lake}: is not a folder", _NO_LAKE)
-    if not _is_lake(lake):
+    if not (lake / ROWS).is_dir():
         raise ConfigError(f"{lake}: is not a lake", _NO_LAKE)
 
 
@@ -378,7 +389,9 @@ def _writing(lake: Path) -> Iterator[None]:
 
 def _rows_folder(lake: Path) -> Path:
     """Return the folder to which the link leads."""
-    return lake / (lake / ROWS).readlink()
+    if (lake / ROWS).is_symlink():
+        return lake / (lake / ROWS).readlink()
+    return lake / ROWS
 
 
 def _number(folder: Path) -> int:

@@ -93,7 +93,7 @@ def test_example_runs_as_it_is(
     name: str, example: str, workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "here"
-    shutil.copytree(workshop, folder)
+    shutil.copytree(workshop, folder, symlinks=True)
     monkeypatch.chdir(folder)
     words = [EARLIER.get(word, word) for word in shlex.split(example.partition(">")[0])]
     arguments = [

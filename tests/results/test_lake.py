@@ -23,6 +23,7 @@ from made_lakes import digest, named, replayed
 from msgspec.structs import asdict, replace
 
 from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.quantities import ACCURACY
 from insdvl_replay.core.report import CodeFile
 from insdvl_replay.core.tables import EvidenceRow
@@ -230,6 +231,17 @@ def test_many_files_are_joined_without_being_asked(
     after = rows_of(twelve)
     kept = after[after["log"] != "one more"].reset_index(drop=True)
     pd.testing.assert_frame_equal(kept, before)
+
+
+def test_a_copy_without_links_is_read_and_not_written(twelve: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(twelve, copy)
+    assert read_lake(copy, ["log"]).num_rows == 60
+    assert len(pd.read_parquet(copy)) == 60
+    for write in (compact_lake, lambda lake: add_to_lake(lake, named("later"))):
+        with pytest.raises(ConfigError, match="was copied without its link") as error:
+            write(copy)
+        assert error.value.hint.startswith("copy it again with `cp -a`")
 
 
 def test_columns_and_rows_are_read_with_texts_as_dictionaries(twelve: Path) -> None:
