@@ -1,7 +1,7 @@
 """How often `history` names a step that is not there, and one that is, on simulated versions of a filter.
 
 Six versions have the same dives. Their ratios scatter from dive to dive, and a little from version to version. Without
-a step, the archive is looked at after each dive. `make judge` runs it.
+a step, the archive is looked at after each version, and after each dive that all versions replay. `make judge` runs it.
 """
 
 import math
@@ -30,8 +30,10 @@ SEEN_AT = (12, 0.03, 0.2)  # dives, jitter and size that must be seen
 
 
 def is_ever_named(seed: int, changes: Sequence[float], dives: int, jitter: float) -> bool:
-    """Return whether a step is named in any look, after each dive from the third on."""
+    """Return whether a step is named in any look: after each version, and after each dive from the third on."""
     versions = made_versions(seed, changes, dives=dives, jitter=jitter)
+    if history_of(versions).steps:
+        return True
     looks = [first_dives(versions, count) for count in range(3, dives + 1)]
     return any(history_of(look).steps for look in looks)
 

@@ -21,14 +21,16 @@ def made_versions(
     for number, change in enumerate(changes):
         logs = of_dives + change + rng.normal(0.0, jitter, dives)
         ratios = {f"dive {dive}": log for dive, log in enumerate(logs.tolist())}
-        versions.append(Version(f"v{number}", ratios, dict.fromkeys(ratios, "")))
+        started_at = dict.fromkeys(ratios, f"2026-01-{number + 1:02d}")
+        versions.append(Version(f"v{number}", ratios, dict.fromkeys(ratios, ""), started_at))
     return versions
 
 
 def first_dives(versions: Sequence[Version], count: int) -> list[Version]:
-    """Return the versions as they were when the archive had fewer dives."""
+    """Return the versions as they were when the archive had fewer dives, each of which all versions replay at once."""
     earlier = []
     for version in versions:
         ratios = dict(list(version.log_ratios.items())[:count])
-        earlier.append(Version(version.name, ratios, version.vehicles))
+        started_at = {dive: f"2026-01-{number + 1:02d}" for number, dive in enumerate(ratios)}
+        earlier.append(Version(version.name, ratios, version.vehicles, started_at))
     return earlier

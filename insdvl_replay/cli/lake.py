@@ -32,8 +32,8 @@ def history(
 
     A version is what `run --lake DIR --revision NAME` named, such as a commit. Without names it is the version of the
     tool with the settings and your code. Each version is compared with the first one since the last step, on the dives
-    of both. A step is named if the ratio changed by more than 5 %, by an interval that may be looked at after every
-    version and every dive.
+    of both. A step is named if the ratio changed by more than 5 %, by an interval that all versions share. It may be
+    looked at after every version and every dive.
 
     \b
     Example:

@@ -3,9 +3,11 @@
 Each version is compared with the first one since the last step, by the dives that both have. A step is named if the
 interval of this change leaves the band, by the rule of every verdict.
 
-The interval is the one for every look (`interval.quantile_always`), as dives are added while versions are compared. And
-the versions share the error of one: the k-th comparison has 6 / (pi k)^2 of it. These shares sum to one over however
-many versions there will be, so that in at most one of twenty histories without any change a step is ever named.
+The versions share the error of one: the k-th comparison has 6 / (pi k)^2 of it. These shares sum to one over however
+many versions there will be, so that in at most one of twenty histories without any change a step is ever named. Half of
+a share is for looks while dives are still added: the interval for every look (`interval.quantile_always`). The other
+half is for the one look at all dives: Student's interval, once the later version has all dives of the earlier one, and
+none of these came after the later version began.
 """
 
 import math
@@ -33,6 +35,7 @@ class Version:
     name: str
     log_ratios: Mapping[str, float]  # candidate over baseline, by dive
     vehicles: Mapping[str, str]  # by dive; empty: nobody said
+    started_at: Mapping[str, str]  # of the replay, by dive; texts in the order of time
 
     @property
     def interval(self) -> Interval:
@@ -52,7 +55,11 @@ class Change:
     before: Version
     ratio_before: float
     ratio_after: float
-    interval: Interval  # of after over before; its ends for every look and all versions
+    ratio: float  # of after over before
+    low: float  # its interval
+    high: float
+    dives: int
+    is_for_every_look: bool  # dives may still be added to it
     word: EvidenceVerdict
 
     @property
@@ -139,8 +146,11 @@ def _contrast(before: Sequence[float], after: Sequence[float]) -> float:
 
 
 def level_of_comparison(number: int, level: float = LEVEL) -> float:
-    """Return the confidence of a comparison by its number, from 1 on, so that all together err as seldom as one."""
-    return 1.0 - (1.0 - level) / (_SUM_OF_SHARES * number**2)
+    """Return the confidence of a comparison by its number, from 1 on, so that all together err as seldom as one.
+
+    Each has two intervals with this confidence: that for every look, and that for the look at all dives.
+    """
+    return 1.0 - 0.5 * (1.0 - level) / (_SUM_OF_SHARES * number**2)
 
 
 def _most_in_common(versions: Sequence[Version], later: Version) -> Version | None:
@@ -168,15 +178,28 @@ def _change(before: Version, after: Version, level: float) -> Change:
     dives = _common(before, after)
     logs = [after.log_ratios[dive] - before.log_ratios[dive] for dive in dives]
     vehicles = [after.vehicles[dive] for dive in dives]
-    interval = log_ratio_interval(logs, vehicles=vehicles, level_always=level)
-    word = word_of_interval(interval.low_always, interval.high_always)
+    interval = log_ratio_interval(logs, vehicles=vehicles, level=level, level_always=level)
+    is_whole = _has_all_dives(before, after)
+    low = interval.low if is_whole else interval.low_always
+    high = interval.high if is_whole else interval.high_always
     if not any(logs):  # The same numbers: nothing that a dive shows has changed.
-        interval = interval._replace(low_always=1.0, high_always=1.0)
-        word = EvidenceVerdict.EQUIVALENT
+        low = 1.0
+        high = 1.0
     return Change(
         before,
         before.interval_on(dives).ratio,
         after.interval_on(dives).ratio,
-        interval,
-        word,
+        interval.ratio,
+        low,
+        high,
+        interval.dives,
+        not is_whole,
+        word_of_interval(low, high),
     )
+
+
+def _has_all_dives(before: Version, after: Version) -> bool:
+    """Return whether the later version has all dives of the earlier one, which got none since the later one began."""
+    if not before.log_ratios.keys() <= after.log_ratios.keys():
+        return False
+    return max(before.started_at.values()) <= min(after.started_at.values())

@@ -29,7 +29,7 @@ from insdvl_replay.document.parts import (
 )
 from insdvl_replay.document.tables import FORMS, percent, shown
 from insdvl_replay.evaluation.answers import CONTROL, primary_of
-from insdvl_replay.evaluation.interval import BAND, Interval, level_of_candidates
+from insdvl_replay.evaluation.interval import BAND, level_of_candidates
 from insdvl_replay.evaluation.sentences import ratio_text
 from insdvl_replay.evaluation.steps import Change, History, Step, Version, history_of
 from insdvl_replay.results.lake import read_lake
@@ -58,8 +58,8 @@ class VersionRow(Struct, frozen=True):
     title: ClassVar = "Versions of {filter}"
     footnote: ClassVar = (
         "ratio: of the version's own dives, with the 95 % interval for every look. change: of this ratio against the "
-        "first version since the last step, on the dives of both. Its interval holds for every look and all versions "
-        "together. verdict: of the change; a step is better or worse, beyond 5 %."
+        "first version since the last step, on the dives of both. Its interval holds for all versions together. "
+        "verdict: of the change; a step is better or worse, beyond 5 %."
     )
 
     filter: Annotated[str, Col("Candidate, quantity, and the number of the version in time.")]
@@ -130,7 +130,7 @@ class StepRow(Struct, frozen=True):
     change: Annotated[
         Number,
         Col(
-            "The later ratio over the earlier one, with the interval for every look and all versions.",
+            "The later ratio over the earlier one, with the interval for all versions together.",
             head="change",
             form="ratio",
         ),
@@ -265,7 +265,8 @@ def _history(filter_: str, quantity: str, rows: "pd.DataFrame", level: float) ->
             logs = np.log(latest["ratio"].to_numpy(np.float64))
         ratios = dict(zip(dives, logs.tolist(), strict=True))
         vehicles = dict(zip(dives, latest["vehicle"], strict=True))
-        versions.append(Version(str(name), ratios, vehicles))
+        started_at = dict(zip(dives, latest["started_at"], strict=True))
+        versions.append(Version(str(name), ratios, vehicles, started_at))
         identity = {column: _one_of(latest[column]) for column in _IDENTITY}
         known[str(name)] = _Known(number, str(of_version["started_at"].iloc[0]), identity)
     return FilterHistory(filter_, quantity, history_of(versions, level), known)
@@ -316,13 +317,12 @@ def _of_change(change: Change | None) -> dict[str, Any]:
             "change_high": None,
             "verdict": "",
         }
-    interval = change.interval
     return {
         "against": change.before.name,
-        "common": interval.dives,
-        "change": _finite(interval.ratio),
-        "change_low": _finite(interval.low_always),
-        "change_high": _finite(interval.high_always),
+        "common": change.dives,
+        "change": _finite(change.ratio),
+        "change_low": _finite(change.low),
+        "change_high": _finite(change.high),
         "verdict": change.word,
     }
 
@@ -331,24 +331,24 @@ def step_rows(found: FilterHistory) -> Iterator[StepRow]:
     """Yield a row for each step."""
     names = [version.name for version in found.history.versions]
     for step in found.history.steps:
-        interval = step.change.interval
+        change = step.change
         at = found.known[step.version.name]
-        before = found.known[step.change.before.name]
+        before = found.known[change.before.name]
         previous = found.known[names[names.index(step.version.name) - 1]]
         yield StepRow(
             filter=found.filter,
             quantity=found.quantity,
-            verdict=step.change.word,
+            verdict=change.word,
             name=step.version.name,
             started_at=at.started_at,
-            against=step.change.before.name,
+            against=change.before.name,
             against_started_at=before.started_at,
-            ratio_from=_finite(step.change.ratio_before),
-            ratio_to=_finite(step.change.ratio_after),
-            change=_finite(interval.ratio),
-            low=_finite(interval.low_always),
-            high=_finite(interval.high_always),
-            dives=interval.dives,
+            ratio_from=_finite(change.ratio_before),
+            ratio_to=_finite(change.ratio_after),
+            change=_finite(change.ratio),
+            low=_finite(change.low),
+            high=_finite(change.high),
+            dives=change.dives,
             seen_at=step.seen_at.name,
             changed=at.changed_since(previous),
         )
@@ -373,11 +373,9 @@ def _sentences(found: FilterHistory) -> Iterator[Callout]:
 
 def _step_sentence(step: Step, row: StepRow) -> str:
     larger = "larger" if row.verdict == EvidenceVerdict.WORSE else "smaller"
-    ends = sorted(
-        abs(100.0 * (end - 1.0))
-        for end in (step.change.interval.low_always, step.change.interval.high_always)
-    )
-    size = f"{percent(abs(100.0 * (step.change.interval.ratio - 1.0)))} {larger}"
+    change = step.change
+    ends = sorted(abs(100.0 * (end - 1.0)) for end in (change.low, change.high))
+    size = f"{percent(abs(100.0 * (change.ratio - 1.0)))} {larger}"
     text = (
         f"{row.filter}: {row.verdict} since {row.name} ({_day(row.started_at)}): {label(row.quantity)} ratio "
         f"{ratio_text(row.ratio_from)} -> {ratio_text(row.ratio_to)} on {counted(row.dives, 'dive')}, {size} "
@@ -399,14 +397,16 @@ def _no_step(found: FilterHistory) -> str:
     last = changes[-1]
     if last.word == EvidenceVerdict.EQUIVALENT:
         return f"{head}: the last is equivalent to {last.before.name}"
-    return f"{head}: the last against {last.before.name} is undecided, change {_interval_text(last.interval)}"
+    return (
+        f"{head}: the last against {last.before.name} is undecided, change {_interval_text(last)}"
+    )
 
 
-def _interval_text(interval: Interval) -> str:
-    ratio = ratio_text(interval.ratio)
-    if not math.isfinite(interval.high_always):
-        return f"{ratio} (no interval from {counted(interval.dives, 'dive')})"
-    return f"{ratio} ({ratio_text(interval.low_always)} .. {ratio_text(interval.high_always)})"
+def _interval_text(change: Change) -> str:
+    ratio = ratio_text(change.ratio)
+    if not math.isfinite(change.high):
+        return f"{ratio} (no interval from {counted(change.dives, 'dive')})"
+    return f"{ratio} ({ratio_text(change.low)} .. {ratio_text(change.high)})"
 
 
 def _day(started_at: str) -> str:
