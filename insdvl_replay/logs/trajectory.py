@@ -59,7 +59,9 @@ def read_trajectory(
     attitude.
     """
     settings = Solution(axes=axes)
-    if not topic and is_tum(path):
+    if is_tum(path):
+        if topic:
+            raise LogError(f"is a TUM file, which has no topic {topic}", f"name {path}", path)
         return read_tum(path, settings, ROLE)
     log = open_recording(path)
     source, columns = _source_of(log, topic)

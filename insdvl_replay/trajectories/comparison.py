@@ -13,7 +13,14 @@ from msgspec.structs import replace as changed
 from insdvl_replay.checks.fingerprint import imu_fingerprint
 from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.dive_record import ImuFingerprint
-from insdvl_replay.core.errors import ConfigError, LogError, Note, listed, require_known
+from insdvl_replay.core.errors import (
+    ConfigError,
+    LogError,
+    Note,
+    counted,
+    listed,
+    require_known,
+)
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.quantities import (
     ACCURACY,
@@ -63,12 +70,15 @@ from insdvl_replay.trajectories.files import (
     parse_given,
 )
 from insdvl_replay.trajectories.tracks import (
+    Placed,
+    Remark,
     Track,
     as_readings,
     at_times,
     common_times,
+    frame_remarks,
     in_frame_of,
-    moved_notes,
+    lacking,
     read_tracks,
     require_other_than_truth,
 )
@@ -235,7 +245,8 @@ class _Found:
     evidence: dict[str, DiveEvidence] = field(default_factory=dict)  # by candidate
     times: dict[str, int] = field(default_factory=dict)
     pose_errors: list[TrajectoryErrorRow] = field(default_factory=list)
-    notes: list[Note] = field(default_factory=list)
+    notes: list[tuple[str, Note]] = field(default_factory=list)  # of readers, by filter
+    remarks: list[tuple[str, Remark]] = field(default_factory=list)  # by filter
 
 
 def compare_trajectories(
@@ -255,8 +266,7 @@ def compare_trajectories(
     dives, more = match_sides(before, candidates, truth)
     notes += more
     found, same = _distinct(_all_found(_chosen(dives, options.dives), before.name, options, notes))
-    for each in found:
-        notes += each.notes
+    notes += _notes_of_files(found)
     names = [side.name for side in candidates]
     compared = _answers(found, before.name, names, options)
     notes += [*same, *_same_truth_notes(found), *_repeat_notes(found, before.name, names)]
@@ -271,7 +281,7 @@ def compare_trajectories(
         evidence=tuple(_all_rows(found, "rows")),
         trajectory_errors=tuple(row for each in found for row in each.pose_errors),
         credibility=tuple(_all_rows(found, "credibility")),
-        notes=tuple(_counted_once(notes)),
+        notes=tuple(notes),
     )
     # What is not finite is missing, as in JSON.
     return msgspec.json.decode(msgspec.json.encode(result), type=TrajectoryComparison)
@@ -290,7 +300,7 @@ def _all_found(
     """Compare dive by dive; those that cannot be compared are noted, if there are others."""
     found = list[_Found]()
     errors = list[LogError]()
-    for dive in track_progress("comparing dives", dives):
+    for dive in track_progress("dive", dives):
         try:
             found.append(_found_of(dive, baseline, options))
         except LogError as error:
@@ -361,20 +371,21 @@ def _found_of(dive: DiveFiles, baseline: str, options: Options) -> _Found:
     record = _DiveRecord(_Log(dive.name), imu_fingerprint(as_readings(tracks[0], *span)))
     of_truth = imu_fingerprint(as_readings(truth, *span))
     found = _Found(dive, record, of_truth.digests)
-    for track in (truth, *tracks):
-        found.notes += track.notes
+    found.notes += [("reference", each) for each in truth.notes]
     for name, runs in dive.new.items():
         new = [by_file[file] for file in runs]
-        pairing, notes = _pairing(dive.name, (baseline, name), truth, (old, new), options)
-        found.notes += notes
+        pairing, remarks = _pairing(dive.name, (baseline, name), truth, (old, new), options)
+        found.remarks += remarks
         found.evidence[name] = dive_evidence(pairing)
         found.times[name] = len(pairing.time_ns)
     by_filter: dict[str, Sequence[RunFile]] = {baseline: dive.old, **dive.new}
     for name, of_filter in by_filter.items():
         for file in of_filter:
-            rows, notes = _pose_errors(dive.name, name, file, truth, by_file[file], options)
+            track = by_file[file]
+            rows = _pose_errors(dive.name, name, file, truth, track, options)
             found.pose_errors += rows
-            found.notes += notes
+            found.notes += [(name, each) for each in track.notes]
+            found.remarks += [(name, each) for each in _run_remarks(truth, track, rows)]
     return found
 
 
@@ -384,30 +395,34 @@ def _pairing(
     truth: Track,
     sides: tuple[Sequence[Track], Sequence[Track]],
     options: Options,
-) -> tuple[Pairing, list[Note]]:
+) -> tuple[Pairing, list[tuple[str, Remark]]]:
     """Bring the runs of two filters to common times and into the frame of the reference."""
     old, new = sides
     time_ns = common_times(truth, [*old, *new])
     reference = at_times(truth, time_ns)
-    notes = list[Note]()
-    placed = list[list[Any]]()
-    for side in sides:
-        runs = list[Any]()
+    remarks = list[tuple[str, Remark]]()
+    placed = list[list[Placed]]()
+    for name, side in zip(names, sides, strict=True):
+        runs = list[Placed]()
         for track in side:
             run = in_frame_of(reference, at_times(track, time_ns), options.align, options.axes)
-            notes += moved_notes(reference, run, options.align)
-            notes += _coverage_notes(truth, track)
+            remarks += [(name, each) for each in frame_remarks(reference, run, options.align)]
             runs.append(run)
         placed.append(runs)
-    return Pairing(log, names, time_ns, reference, placed[0], placed[1]), notes
+    for name, side, others in ((names[0], old, new), (names[1], new, old)):
+        missing = lacking(side[0], others[0])
+        if missing:
+            remarks.append((name, Remark("trajectory_lacks", " and ".join(missing))))
+    return Pairing(log, names, time_ns, reference, placed[0], placed[1]), remarks
 
 
-def _coverage_notes(truth: Track, run: Track) -> list[Note]:
-    """Note a run that covers less of the reference than of a whole dive."""
+def _run_remarks(truth: Track, run: Track, rows: Sequence[TrajectoryErrorRow]) -> Iterable[Remark]:
+    """Yield what is odd about a run: that it covers too little, or has no pose near one of the reference."""
     share = share_covered(run, int(truth.known_ns[0]), int(truth.known_ns[-1]))
-    if share >= WELL_COVERED:
-        return []
-    return [note("trajectory_coverage", percent=f"{100.0 * share:.0f}").about(run.path)]
+    if share < WELL_COVERED:
+        yield Remark("trajectory_coverage", f"{100.0 * share:.0f} %")
+    if run.has_position and not rows:
+        yield Remark("trajectory_stamps")
 
 
 def _pose_errors(
@@ -417,16 +432,15 @@ def _pose_errors(
     truth: Track,
     run: Track,
     options: Options,
-) -> tuple[list[TrajectoryErrorRow], list[Note]]:
-    """Return the absolute and relative pose errors of a run; a note where no stamps agree."""
+) -> list[TrajectoryErrorRow]:
+    """Return the absolute and relative pose errors of a run; none where no stamps agree."""
     reference, estimate = associated(truth.poses(), run.poses(), options.max_diff_s)
     if not len(estimate.time_ns):
-        found = note("trajectory_stamps", max_diff=options.max_diff_s).about(run.path)
-        return [], [found]
+        return []
     try:
         transform = aligned(estimate.position_m, reference.position_m, options.align)
     except NoAlignmentError:
-        return [], []
+        return []
     moved = transform.moved(estimate.position_m)
     estimate = Poses(estimate.time_ns, moved, transform.mat @ estimate.mat)
     rows = list[TrajectoryErrorRow]()
@@ -451,7 +465,7 @@ def _pose_errors(
         pairs = pairs_of_poses(estimate, delta, all_pairs=options.all_pairs)
         which = "all" if options.all_pairs else "consecutive"
         add("rpe", relative_errors(reference, estimate, pairs), delta.text, which)
-    return rows, []
+    return rows
 
 
 # --- All dives.
@@ -608,9 +622,25 @@ def _dive_rows(
             )
 
 
-def _counted_once(notes: Iterable[Note]) -> list[Note]:
-    """Leave out notes that say the same again, as of a file that two comparisons need."""
-    return list(dict.fromkeys(notes))
+def _notes_of_files(found: Sequence[_Found]) -> Iterable[Note]:
+    """Yield the notes of readers, and those on runs, one for all dives of a filter."""
+    of_readers: dict[tuple[str, str], list[tuple[str, Note]]] = {}
+    of_runs: dict[tuple[str, str], dict[str, str]] = {}
+    for each in found:
+        log = each.files.name
+        for name, said in each.notes:
+            of_readers.setdefault((name, said.code), []).append((log, said))
+        for name, remark in each.remarks:
+            text = f"{log} ({remark.value})" if remark.value else log
+            of_runs.setdefault((name, remark.code), {})[text] = log
+    for (name, _), notes in of_readers.items():
+        log, first = notes[0]
+        place = f"{name}, {log}"
+        if len(notes) > 1:
+            place += f" and {counted(len(notes) - 1, 'other file')}"
+        yield first.about(place)
+    for (name, code), texts in of_runs.items():
+        yield note(code, len(texts), name=name, dives=listed(texts))
 
 
 def find_violation(comparison: TrajectoryComparison, limit: str | None) -> str | None:

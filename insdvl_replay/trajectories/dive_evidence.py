@@ -121,7 +121,7 @@ class _Pair:
 
 def dive_evidence(pairing: Pairing) -> DiveEvidence:
     """Compare the runs of two filters; several runs of one filter stand together for it."""
-    reason = _covers_little(pairing)
+    reason = _lacks_positions(pairing) or _covers_little(pairing)
     if reason:
         return DiveEvidence([], [], reason)
     before, after = pairing.names
@@ -157,6 +157,18 @@ def _in_pairs(old: Sequence[Placed], new: Sequence[Placed]) -> list[tuple[Placed
     if len(old) == len(new):
         return list(zip(old, new, strict=True))
     return list(product(old, new))
+
+
+def _lacks_positions(pairing: Pairing) -> str:
+    """Say which filter has no positions where the other one has; empty if none lacks them."""
+    if not pairing.truth.track.has_position:
+        return ""
+    before = all(run.track.has_position for run in pairing.old)
+    after = all(run.track.has_position for run in pairing.new)
+    if before == after:
+        return ""
+    name = pairing.names[1] if before else pairing.names[0]
+    return f"{name} has no positions"
 
 
 def _covers_little(pairing: Pairing) -> str:

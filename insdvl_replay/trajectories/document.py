@@ -6,7 +6,7 @@ from itertools import chain
 from typing import Any, Final
 
 from insdvl_replay.core.errors import counted
-from insdvl_replay.core.quantities import WITHOUT_VERDICT
+from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
 from insdvl_replay.core.tables import CredibilityRow, EvidenceRow, PooledRow, finite
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.document.parts import (
@@ -23,10 +23,8 @@ from insdvl_replay.document.parts import (
 )
 from insdvl_replay.document.tables import (
     MISSING,
-    ShownColumn,
     header_and_rows,
     significant,
-    table_of,
 )
 from insdvl_replay.evaluation.answers import largest_acts
 from insdvl_replay.evaluation.sentences import (
@@ -34,6 +32,7 @@ from insdvl_replay.evaluation.sentences import (
     begun_with_capital,
     headline,
     plan_line,
+    ratio_text,
     word_of,
 )
 from insdvl_replay.evaluation.track_alignment import Align
@@ -62,7 +61,12 @@ _ALIGNED: Final = {
 }
 _MOST_DRAWN: Final = 8
 _MOST_DIVES: Final = 12  # with more, the dives are in the tables alone
-_SHOWN_ERRORS: Final = ("ape_translation", "ape_angle", "rpe_translation", "rpe_angle")
+_SHOWN_ERRORS: Final = {
+    "ape_translation": "APE translation",
+    "ape_angle": "APE angle",
+    "rpe_translation": "RPE translation",
+    "rpe_angle": "RPE angle",
+}
 
 
 def trajectories_result(comparison: TrajectoryComparison, *, every_row: bool = False) -> Result:
@@ -119,7 +123,7 @@ def _every_quantity(answers: Sequence[TrajectoryAnswer]) -> int:
 def said_of(answer: TrajectoryAnswer) -> str:
     """Return the headline; of equal tracks it says no more."""
     if answer.verdict == Verdict.NO_EFFECT and largest_acts(answer.rows) == 0.0:
-        return f"{word_of(answer)}, the trajectories are identical"
+        return f"{word_of(answer)}, equal wherever both are known"
     return headline(answer)
 
 
@@ -171,56 +175,62 @@ def _section(answer: TrajectoryAnswer, comparison: TrajectoryComparison) -> str:
     return section(answer, said, plots)
 
 
-def _ratio_cell(row: TrajectoryDive) -> str:
-    if row.ratio is None:
-        return MISSING
-    return f"{row.ratio:.3g}"
-
-
-_DIVE_COLUMNS: Final[tuple[ShownColumn, ...]] = (
-    ("dive", "l", "log"),
-    ("filter", "l", "filter"),
-    ("ratio", "r", _ratio_cell),
-    ("times", "r", "times"),
-    ("", "l", "reason"),
-)
-
-
-def _dives_table(comparison: TrajectoryComparison, *, every_row: bool) -> Iterator[DisplayTable]:
-    """Yield the dives one by one, if they are few."""
-    dives = comparison.dives
-    if len(dives) < 2 or (len(dives) > _MOST_DIVES and not every_row):
+def _dives_table(comparison: TrajectoryComparison, *, every_row: bool) -> Iterator[Part]:
+    """Yield the ratio of each dive in the quantity that decides, if the dives are few."""
+    answers = comparison.answers
+    by_dive: dict[str, dict[str, TrajectoryDive]] = {}
+    for dive in comparison.dives:
+        by_dive.setdefault(dive.log, {})[dive.filter] = dive
+    primaries = {answer.primary for answer in answers if answer.primary}
+    is_short = every_row or len(by_dive) <= _MOST_DIVES
+    if len(by_dive) < 2 or not is_short or not primaries:
         return
-    primaries = {answer.primary for answer in comparison.answers}
-    footnote = "ratio: of the quantity that decides. times: at which both are compared"
-    if primaries == {""}:
-        footnote = "times: at which both are compared"
-    yield table_of("Dive by dive", dives, _DIVE_COLUMNS, footnote, spare=(3, 1))
-
-
-def _pose_errors_table(comparison: TrajectoryComparison) -> Iterator[DisplayTable]:
-    """Yield the pose errors of each filter: the mean over runs and dives of rmse, median and the largest error."""
-    names = (comparison.baseline, *(answer.filter for answer in comparison.answers))
+    names = [answer.filter for answer in answers]
     rows = list[tuple[str, ...]]()
-    for name in names:
-        own = [row for row in comparison.trajectory_errors if row.filter == name]
-        keys = dict.fromkeys((row.quantity, row.delta, row.unit) for row in own)
-        for quantity, delta, unit in keys:
-            if quantity not in _SHOWN_ERRORS:
-                continue
-            same = [row for row in own if (row.quantity, row.delta) == (quantity, delta)]
-            shown = quantity.replace("ape_", "APE ").replace("rpe_", "RPE ")
-            rmse = sum(finite(row.rmse) for row in same) / len(same)
-            median = sum(finite(row.median) for row in same) / len(same)
-            most = max(finite(row.max) for row in same)
-            cells = (significant(rmse, 4), significant(median, 4), significant(most, 4))
-            rows.append((name, f"{shown} {delta}".strip(), unit, *cells, str(len(same))))
+    for log, found in by_dive.items():
+        cells = [log]
+        for name in names:
+            cells.append(_ratio_cell(found.get(name)))
+        times = max(each.times for each in found.values())
+        rows.append((*cells, str(times)))
+    decides = " or ".join(label(primary) for primary in primaries)
+    header = (f"{decides}: ratio", *names, "times")
+    yield Sentences(())
+    yield DisplayTable("", header, f"l{'r' * len(names)}r", tuple(rows), spare=(len(names) + 1,))
+
+
+def _ratio_cell(dive: TrajectoryDive | None) -> str:
+    """Write the ratio of a dive, or why there is none."""
+    if dive is None:
+        return MISSING
+    if dive.ratio is None:
+        return dive.reason or MISSING
+    return ratio_text(dive.ratio)
+
+
+def _pose_errors_table(comparison: TrajectoryComparison) -> Iterator[Part]:
+    """Yield the pose errors of all filters: the mean over dives and runs of their root mean squares."""
+    names = (comparison.baseline, *(answer.filter for answer in comparison.answers))
+    values: dict[tuple[str, str, str], dict[str, list[float]]] = {}
+    for row in comparison.trajectory_errors:
+        if row.quantity in _SHOWN_ERRORS:
+            key = (_SHOWN_ERRORS[row.quantity], row.delta, row.unit)
+            values.setdefault(key, {}).setdefault(row.filter, []).append(finite(row.rmse))
+    rows = list[tuple[str, ...]]()
+    for (quantity, delta, unit), by_filter in values.items():
+        cells = [f"{quantity} {delta}".rstrip(), unit]
+        for name in names:
+            own = by_filter.get(name, [math.nan])
+            cells.append(significant(sum(own) / len(own), 4))
+        rows.append(tuple(cells))
     if rows:
-        header = ("filter", "as in evo", "", "rmse", "median", "largest", "runs")
-        footnote = "rmse, median: means over the runs. All numbers: --table trajectory_errors"
-        yield DisplayTable(
-            "Pose errors", header, "lllrrrr", tuple(rows), footnote, spare=(5, 4, 6)
+        header = ("pose errors, rmse", "", *names)
+        alignment = f"ll{'r' * len(names)}"
+        footnote = (
+            "as evo gives them, means over the dives. All numbers: --table trajectory_errors"
         )
+        yield Sentences(())
+        yield DisplayTable("", header, alignment, tuple(rows), footnote)
 
 
 def named_tables(comparison: TrajectoryComparison, names: Sequence[str]) -> Result:

@@ -70,6 +70,8 @@ class DiveFiles:
 
 def parse_given(text: str) -> Given:
     """Read a side: a path, or a path and a topic of logs such as ``dive.mcap:/odom``."""
+    if not text:
+        raise ConfigError("a side is empty", "name a folder or a file with trajectories")
     path = Path(text)
     if _TOPIC in text and not path.exists():
         place, _, topic = text.rpartition(_TOPIC)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -18,9 +18,8 @@ from insdvl_replay.core.dive_columns import (
     in_blocks,
     nothing,
 )
-from insdvl_replay.core.errors import LogError, Note, error_context
+from insdvl_replay.core.errors import LogError, Note, counted
 from insdvl_replay.core.history import History
-from insdvl_replay.core.notes import note
 from insdvl_replay.core.states import BA, POSITION, states_with
 from insdvl_replay.evaluation.pose_errors import Poses
 from insdvl_replay.evaluation.track_alignment import (
@@ -69,6 +68,11 @@ class Track:
         return self.columns.motion.mat_nb
 
     @property
+    def has_position(self) -> bool:
+        """Whether any pose has a position."""
+        return bool(np.isfinite(self.ned_m[:, :2]).all(axis=1).any())
+
+    @property
     def known(self) -> Mask:
         """The poses with a position, (k,), or with an attitude if there is no position."""
         located = np.asarray(np.isfinite(self.ned_m[:, :2]).all(axis=1))
@@ -99,8 +103,7 @@ def read_tracks(files: Sequence[RunFile], axes: Sequence[Axes | None]) -> list[T
     """
     read = list[tuple[RunFile, SolutionColumns, list[Note]]]()
     for file, own_axes in zip(files, axes, strict=True):
-        with error_context(*_place(file)):
-            columns, notes = _read(file, own_axes)
+        columns, notes = read_trajectory(file.path, file.topic, own_axes)
         read.append((file, columns, notes))
     origin = _first_position([columns for _, columns, _ in read])
     tracks = list[Track]()
@@ -109,24 +112,13 @@ def read_tracks(files: Sequence[RunFile], axes: Sequence[Axes | None]) -> list[T
         ned_m = columns.moved_n
         if ned_m is None:
             ned_m = _from_origin(columns.motion.position, origin)
-        about = tuple(found.about(file.path) for found in notes)
-        tracks.append(Track(file.path, columns, ned_m, is_placed, about))
+        tracks.append(Track(file.path, columns, ned_m, is_placed, tuple(notes)))
     for track in tracks:
         if np.count_nonzero(track.known) < FEWEST_POSES:
-            text = (
-                f"has {np.count_nonzero(track.known)} poses, and a comparison needs {FEWEST_POSES}"
-            )
+            poses = counted(int(np.count_nonzero(track.known)), "pose")
+            text = f"has {poses}, and a comparison needs {FEWEST_POSES}"
             raise LogError(text, "check whether the file is whole", track.path)
     return tracks
-
-
-def _place(file: RunFile) -> tuple[str, ...]:
-    """Return what an error is about that does not name its file; none, since readers name it."""
-    return () if file.path.exists() else (str(file.path),)
-
-
-def _read(file: RunFile, axes: Axes | None) -> tuple[SolutionColumns, list[Note]]:
-    return read_trajectory(file.path, file.topic, axes)
 
 
 def _first_position(read: Sequence[SolutionColumns]) -> Floats:
@@ -359,11 +351,23 @@ def as_readings(track: Track, start_ns: int, end_ns: int) -> ImuColumns:
     return ImuColumns(track.time_ns[inside], position_m, turned)
 
 
-def _start_notes(truth: Placed, run: Placed) -> Iterator[Note]:
-    """Note a run from another origin, and one that begins far from the reference."""
-    path = run.track.path
+class Remark(NamedTuple):
+    """What is odd about a run; runs of one filter share a note."""
+
+    code: str  # of the note
+    value: str = ""  # of this run
+
+
+def frame_remarks(truth: Placed, run: Placed, align: Align) -> Iterator[Remark]:
+    """Yield how a run is in the frame of the reference, and what an alignment leaves out."""
+    if align != Align.NONE:
+        if run.track.has_covariance:
+            yield Remark("trajectory_covariance")
+        return
+    if not run.track.has_position or not truth.track.has_position:
+        return
     if run.track.is_placed != truth.track.is_placed:
-        yield note("trajectory_origin").about(path)
+        yield Remark("trajectory_origin")
         return
     off_m = float(np.linalg.norm(_start_shift(truth, run)[:2]))
     located = truth.ned_m[:, :2]
@@ -372,15 +376,16 @@ def _start_notes(truth: Placed, run: Placed) -> Iterator[Note]:
     if len(located):
         size_m = float(np.hypot(*located.std(axis=0)))
     if off_m > _FAR_START * size_m:
-        percent = f"{100.0 * off_m / size_m:.0f}" if size_m > 0.0 else "more than 100"
-        yield note("trajectory_start", off_m=off_m, percent=percent).about(path)
+        yield Remark("trajectory_start", f"{off_m:.4g} m")
 
 
-def moved_notes(truth: Placed, run: Placed, align: Align) -> list[Note]:
-    """Note how a run was brought into the frame of the reference, and what that leaves out."""
-    notes = list[Note]()
-    if align == Align.NONE:
-        notes += _start_notes(truth, run)
-    if run.track.has_covariance and align != Align.NONE:
-        notes.append(note("trajectory_covariance", align=align).about(run.track.path))
-    return notes
+def lacking(run: Track, other: Track) -> list[str]:
+    """Name the quantities that a run has not and another one has."""
+    ours = run.columns.motion.known
+    theirs = other.columns.motion.known
+    found = list[str]()
+    if other.has_position and not run.has_position:
+        found.append("positions")
+    if theirs["attitudes"].any() and not ours["attitudes"].any():
+        found.append("attitudes")
+    return found

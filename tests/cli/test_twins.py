@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from in_process import done_here
+from made_tracks import write_dives
 from small_results import content, write
 
 import insdvl_replay
@@ -669,4 +670,39 @@ def test_a_history_is_shown(tmp_path: Path) -> None:
     assert result.tables["version"]["name"].tolist() == ["v1", "v2"]
     done = done_here("history", "lake", "--quantity", "nothing", cwd=tmp_path)
     said = refused(lambda: insdvl_replay.history("lake", "nothing"), tmp_path)
+    assert (done.returncode, done.stderr.rstrip()) == said
+
+
+# --- compare --reference
+
+
+def test_trajectories_are_compared(tmp_path: Path) -> None:
+    write_dives(tmp_path)
+    words = ["compare", "old", "new", "--reference", "truth", "--align", "yaw", "--rpe", "50m"]
+    done = done_here(*words, "--all-pairs", "--json", cwd=tmp_path)
+    with contextlib.chdir(tmp_path):
+        result = insdvl_replay.compare_trajectories(
+            "old", "new", "truth", align="yaw", rpe="50m", all_pairs=True
+        )
+    assert json.loads(done.stdout) == json.loads(result_json(result.content))
+    assert result.tables["answer"]["verdict"].iloc[0] == "better"
+    assert "BETTER" in str(result)
+
+
+@pytest.mark.parametrize(
+    ("words", "sides", "options"),
+    [
+        ("old nowhere --reference truth", ("old", "nowhere", "truth"), {}),
+        ("old old --reference old", ("old", "old", "old"), {}),
+        ("old new --reference truth --rpe 3km", ("old", "new", "truth"), {"rpe": "3km"}),
+        ("old new --reference truth --dive x", ("old", "new", "truth"), {"dives": "x"}),
+        ("old new --reference truth --primary x", ("old", "new", "truth"), {"primary": "x"}),
+    ],
+)
+def test_a_mistake_in_a_comparison_of_trajectories(
+    words: str, sides: tuple[str, str, str], options: dict[str, Any], tmp_path: Path
+) -> None:
+    write_dives(tmp_path, dives=1)
+    done = done_here("compare", *words.split(), cwd=tmp_path)
+    said = refused(lambda: insdvl_replay.compare_trajectories(*sides, **options), tmp_path)
     assert (done.returncode, done.stderr.rstrip()) == said

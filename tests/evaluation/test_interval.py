@@ -6,19 +6,24 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 from scipy.stats import ttest_1samp, ttest_ind
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.words import EvidenceVerdict
 from insdvl_replay.evaluation.interval import (
     BAND,
+    NO_SPREAD,
     Interval,
+    RunSpread,
     change_found,
     dives_needed,
     holm_levels,
     level_of_candidates,
     log_ratio_interval,
     quantile_always,
+    run_spread,
+    widened,
     word_of_interval,
 )
 
@@ -428,3 +433,31 @@ def test_what_can_be_found_has_edges() -> None:
     )
     assert dives_needed(NAN, 0.9) is None
     assert change_found(0.1, 20) > change_found(0.1, 5) > change_found(0.2, 5)
+
+
+def test_spread_of_runs_is_the_variance_within_dives_of_both_sides() -> None:
+    old = [[0.0, 0.2], [1.0, 1.4]]
+    new = [[0.5], [0.5]]
+    found = run_spread(old, new)
+    assert found.freedom == 2
+    # Squares about the means of 0.1 and of 1.2, over two degrees of freedom.
+    assert found.variance == pytest.approx((2 * 0.1**2 + 2 * 0.2**2) / 2)
+    both = run_spread(old, [[0.0, 0.2, 0.4], [1.0]])
+    assert both.variance == pytest.approx(found.variance + 0.04)
+    assert both.freedom == 2
+
+
+def test_an_interval_is_no_narrower_than_single_runs_differ() -> None:
+    interval = log_ratio_interval(np.log([0.80, 0.81, 0.79, 0.80]))
+    assert widened(interval, NO_SPREAD, 0.95) == interval
+    assert widened(interval, run_spread([[0.0, 0.0]], []), 0.95) == interval
+    wide = widened(interval, RunSpread(0.01, 4), 0.95)
+    half = stdtrit(4, 0.975) * 0.1
+    assert wide.low == pytest.approx(interval.ratio * math.exp(-half))
+    assert wide.high == pytest.approx(interval.ratio * math.exp(half))
+    assert (wide.ratio, wide.dives) == (interval.ratio, interval.dives)
+
+
+def test_few_dives_have_no_interval_that_could_be_widened() -> None:
+    interval = log_ratio_interval([0.1, 0.2])
+    assert math.isnan(widened(interval, RunSpread(0.01, 4), 0.95).low)

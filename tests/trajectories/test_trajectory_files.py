@@ -1,10 +1,12 @@
 """Tables and logs as trajectories."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from made_tracks import RATE_HZ, START_S, error_m, truth_m, write_tum
+from rosbag_messages import header, write_log, xyz
 
 from insdvl_replay import compare_trajectories
 from insdvl_replay.core.dive_columns import Floats
@@ -127,7 +129,8 @@ def test_positions_on_earth_against_metres_begin_at_the_reference(tmp_path: Path
         titles = "time [s],latitude [deg],longitude [deg],height [m]"
         paths.append(write_csv(tmp_path / f"{name}.csv", titles, columns))
     comparison = compared(*paths, truth)
-    assert [note.code for note in comparison.notes].count("trajectory_origin") == 2
+    texts = [note.text for note in comparison.notes if note.code == "trajectory_origin"]
+    assert [text.partition(" ")[0] for text in texts] == ["old", "new"]
     [row] = [row for row in comparison.evidence if row.quantity == "position"]
     # The Earth is no sphere, so that positions are off by up to a percent of the track.
     assert row.baseline is not None
@@ -189,3 +192,52 @@ def test_times_are_exact_however_they_are_written(tmp_path: Path, line: str) -> 
         fraction.ljust(9, "0")
     )
     assert found.motion.time_ns.tolist() == [wanted]
+
+
+# --- Topics of logs.
+
+
+def write_odometry(path: Path, number: int, *, with_covariance: bool = True) -> Path:
+    """Write three topics: the odometry of two filters, and of the reference."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    track = truth_m(number)
+    variance = np.eye(6).ravel() * 0.04 if with_covariance else np.zeros(36)
+    messages = list[Any]()
+    for topic, ratio in (("/odom_old", 1.0), ("/odom_new", 0.5), ("/truth", 0.0)):
+        moved = track + ratio * error_m(number)
+        for row, position in enumerate(moved):
+            time_s = row / RATE_HZ
+            pose = {
+                "position": xyz(position),
+                "orientation": {"x": 0.0, "y": 0.0, "z": 0.1, "w": 0.99498744},
+            }
+            message = {
+                "header": header(time_s),
+                "pose": {"pose": pose, "covariance": variance},
+                "twist": {"twist": {"linear": xyz([1.0, 0.0, 0.0])}, "covariance": np.zeros(36)},
+            }
+            messages.append((topic, "nav_msgs/msg/Odometry", time_s, message))
+    return write_log(path, messages)
+
+
+def test_topics_of_logs_are_compared_dive_by_dive(tmp_path: Path) -> None:
+    for number in range(3):
+        write_odometry(tmp_path / "dives" / f"dive_{number}.mcap", number)
+    dives = tmp_path / "dives"
+    found = compare_trajectories(f"{dives}:/odom_old", f"{dives}:/odom_new", f"{dives}:/truth")
+    comparison: TrajectoryComparison = found.content.data
+    [answer] = comparison.answers
+    row = answer.decisive
+    assert row is not None
+    assert (answer.filter, answer.baseline, answer.dives) == ("odom_new", "odom_old", 3)
+    assert row.ratio == pytest.approx(0.5, rel=1e-9)
+    assert {row.filter for row in comparison.credibility} == {"odom_new", "odom_old"}
+
+
+def test_a_log_with_several_trajectories_needs_a_topic(tmp_path: Path) -> None:
+    path = write_odometry(tmp_path / "dive.mcap", 0)
+    with pytest.raises(LogError, match="several trajectories") as refusal:
+        read_trajectory(path)
+    assert refusal.value.hint.endswith("dive.mcap:/odom_old")
+    with pytest.raises(LogError, match="/odom_ne"):
+        read_trajectory(path, "/odom_ne")
