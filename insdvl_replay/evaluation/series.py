@@ -110,6 +110,21 @@ def _squared_correlation_time(series: Floats) -> float:
     return float(times[-1])
 
 
+def common_noise(first: Floats, second: Floats) -> float:
+    """Return the standard deviation of white noise that two series of errors share, each component, shape (k, d).
+
+    Of two filters that are compared with one reference it is that of the reference. Second differences leave out what
+    changes slowly: those of white noise have six times its variance.
+    """
+    before = np.diff(first, 2, axis=0)
+    after = np.diff(second, 2, axis=0)
+    products = before * after
+    known = np.isfinite(products).all(axis=1)
+    if np.count_nonzero(known) < FEWEST_AVERAGES:
+        return 0.0
+    return float(np.sqrt(max(np.mean(products[known]) / 6.0, 0.0)))
+
+
 def _averages(values: Floats, *, slow: bool = False) -> Floats:
     """Return averages of neighbours, none if there are too few.
 

@@ -35,6 +35,7 @@ from insdvl_replay.core.words import Role, Verdict
 from insdvl_replay.evaluation import answers
 from insdvl_replay.evaluation.answers import (
     BAD,
+    NOISY,
     CandidateAnswer,
     CandidateOnDive,
     answer_over_dives,
@@ -376,7 +377,9 @@ def _found_of(dive: DiveFiles, baseline: str, options: Options) -> _Found:
         new = [by_file[file] for file in runs]
         pairing, remarks = _pairing(dive.name, (baseline, name), truth, (old, new), options)
         found.remarks += remarks
-        found.evidence[name] = dive_evidence(pairing)
+        evidence = dive_evidence(pairing)
+        found.evidence[name] = evidence
+        found.remarks += [(name, each) for each in _noise_remarks(evidence)]
         found.times[name] = len(pairing.time_ns)
     by_filter: dict[str, Sequence[RunFile]] = {baseline: dive.old, **dive.new}
     for name, of_filter in by_filter.items():
@@ -414,6 +417,13 @@ def _pairing(
         if missing:
             remarks.append((name, Remark("trajectory_lacks", " and ".join(missing))))
     return Pairing(log, names, time_ns, reference, placed[0], placed[1]), remarks
+
+
+def _noise_remarks(evidence: DiveEvidence) -> Iterable[Remark]:
+    """Yield that most of the position error is noise of the reference."""
+    for row in evidence.rows:
+        if row.quantity == "position" and finite(row.reference_noise) > NOISY:
+            yield Remark("trajectory_noise", f"{evidence.noise.position_m:.3g} m")
 
 
 def _run_remarks(truth: Track, run: Track, rows: Sequence[TrajectoryErrorRow]) -> Iterable[Remark]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.quantities import TRACK_STRETCHES
-from insdvl_replay.core.states import POSITION
+from insdvl_replay.core.states import DEG, POSITION
 from insdvl_replay.core.tables import CredibilityRow, EvidenceRow, ReferenceErrorRow
 from insdvl_replay.evaluation.credibility import credibility_table, state_errors
 from insdvl_replay.evaluation.evaluate import (
@@ -33,6 +33,7 @@ from insdvl_replay.evaluation.reference_errors import (
     reference_error_table,
     reference_errors,
 )
+from insdvl_replay.evaluation.series import common_noise
 from insdvl_replay.evaluation.verdicts import far_off
 from insdvl_replay.trajectories.tracks import (
     Placed,
@@ -41,8 +42,8 @@ from insdvl_replay.trajectories.tracks import (
     reference_of,
 )
 
-LEAST_COVERED: Final = 0.5  # share of a dive that both filters must cover
 NO_NOISE: Final = ReferenceNoise(0.0, 0.0, 0.0)
+LEAST_COVERED: Final = 0.5  # share of a dive that both filters must cover
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ class DiveEvidence:
     rows: Sequence[EvidenceRow]
     credibility: Sequence[CredibilityRow]
     reason: str = ""  # why the dive says nothing
+    noise: ReferenceNoise = NO_NOISE
     # logarithms of the errors of each run, by quantity
     old_logs: Mapping[str, Sequence[float]] = field(default_factory=dict)
     new_logs: Mapping[str, Sequence[float]] = field(default_factory=dict)
@@ -83,25 +85,39 @@ class _Pair:
                 history, self.reference, self.histories[0]
             )
 
-    def accuracy(self) -> tuple[Series, Series]:
+    def noise(self, truth: Track) -> ReferenceNoise:
+        """Return the noise of the reference: as it states it, or as both errors show it, if that is more."""
+        stated = _stated_noise(truth)
+        before, after = (self.errors[history.filter] for history in self.histories)
+        position_m = common_noise(
+            before.position_error_ned_m[:, :2], after.position_error_ned_m[:, :2]
+        )
+        velocity_mps = common_noise(before.velocity_error_n, after.velocity_error_n)
+        attitude = common_noise(before.attitude_error_rad, after.attitude_error_rad)
+        return ReferenceNoise(
+            max(stated.position_m, position_m),
+            max(stated.velocity_mps, velocity_mps),
+            max(stated.attitude_deg, attitude / DEG),
+        )
+
+    def accuracy(self, noise: ReferenceNoise) -> tuple[Series, Series]:
         """Return the errors of both in velocity, attitude and drift."""
         settled_s = settling_times(self.histories[0], self.histories[0].time_ns[1:])
         found = accuracy_series(
             self.histories,
             self.errors,
             self.reference,
-            NO_NOISE,
+            noise,
             settled_s,
             bridged_gaps=False,
             stretches=TRACK_STRETCHES,
         )
         return self._of_both(found)
 
-    def track(self) -> tuple[Series, Series]:
+    def track(self, noise: ReferenceNoise) -> tuple[Series, Series]:
         """Return the errors of both in position and depth."""
-        return self._of_both(
-            track_series(self.histories, self.errors, NO_NOISE, bridged_gaps=False)
-        )
+        found = track_series(self.histories, self.errors, noise, bridged_gaps=False)
+        return self._of_both(found)
 
     def _of_both(self, found: Mapping[str, Series]) -> tuple[Series, Series]:
         before, after = self.histories
@@ -133,11 +149,12 @@ def dive_evidence(pairing: Pairing) -> DiveEvidence:
     if all(far):
         return DiveEvidence([], [], f"{' and '.join(far)}; other frames? --align yaw")
     credibility = _credibility(pairing.log, first)
-    accuracy = _together([pair.accuracy() for pair in pairs])
-    track = _together([pair.track() for pair in pairs])
+    noise = first.noise(pairing.truth.track)
+    accuracies = [pair.accuracy(noise) for pair in pairs]
+    tracks = [pair.track(noise) for pair in pairs]
     measured = Measured(
-        accuracy={after: accuracy},
-        track={after: track},
+        accuracy={after: _together(accuracies)},
+        track={after: _together(tracks)},
         ends={after: _ends(pairing.log, pairs, after)},
         crps=_crps(pairs, after),
         partial=[after],
@@ -147,9 +164,27 @@ def dive_evidence(pairing: Pairing) -> DiveEvidence:
     return DiveEvidence(
         rows,
         credibility,
-        old_logs=_logs_of_runs(pairs, len(pairing.old), 0, len(pairing.new)),
-        new_logs=_logs_of_runs(pairs, len(pairing.new), 1, len(pairing.old)),
+        noise=noise,
+        old_logs=_logs_of_runs([tracks, accuracies], len(pairing.old), 0, len(pairing.new)),
+        new_logs=_logs_of_runs([tracks, accuracies], len(pairing.new), 1, len(pairing.old)),
     )
+
+
+def _stated_noise(truth: Track) -> ReferenceNoise:
+    """Return the noise that the reference states, root mean square over time and axes; 0 where it states none."""
+    variance = np.diagonal(truth.columns.cov, axis1=1, axis2=2)
+    blocks = (
+        slice(6, 8),
+        slice(0, 3),
+        slice(3, 6),
+    )  # of position, horizontally, velocity, attitude
+    sizes = list[float]()
+    for block in blocks:
+        known = variance[:, block]
+        known = known[np.isfinite(known)]
+        sizes.append(math.sqrt(float(np.mean(known))) if len(known) else 0.0)
+    position_m, velocity_mps, attitude = sizes
+    return ReferenceNoise(position_m, velocity_mps, attitude / DEG)
 
 
 def _in_pairs(old: Sequence[Placed], new: Sequence[Placed]) -> list[tuple[Placed, Placed]]:
@@ -245,19 +280,21 @@ def _credibility(log: str, pair: _Pair) -> list[CredibilityRow]:
 
 
 def _logs_of_runs(
-    pairs: Sequence[_Pair], count: int, side: int, others: int
+    kinds: Sequence[Sequence[tuple[Series, Series]]],  # of each pair of runs
+    count: int,  # of the runs of this side
+    side: int,
+    others: int,  # runs of the other side
 ) -> dict[str, list[float]]:
     """Return the logarithm of the error of each run of one side, by quantity; nothing of a single run."""
-    if count < 2:
-        return {}
-    is_product = len(pairs) > count
-    chosen = list(pairs)
-    if is_product:
-        chosen = list(pairs[::others]) if side == 0 else list(pairs[:count])
     logs: dict[str, list[float]] = {}
-    for pair in chosen:
-        for series in (pair.track()[side], pair.accuracy()[side]):
-            for quantity, found in series.items():
+    if count < 2:
+        return logs
+    for pairs in kinds:
+        chosen = pairs[:count]
+        if side == 0 and len(pairs) > count:
+            chosen = pairs[::others]
+        for pair in chosen:
+            for quantity, found in pair[side].items():
                 logs.setdefault(quantity, []).append(_log_rms(found.errors))
     return logs
 

@@ -42,6 +42,7 @@ _MOST_COVARIANCES: Final = 5_000  # at which NEES is judged, of one run
 _FAR_OFF: Final = 0.5
 _NEAR: Final = 0.2
 _FAR_START: Final = 0.2  # share of the size of the track, its standard deviation
+_FIRST: Final = 10  # poses whose median is the begin of a track
 _SAME_SHARE: Final = 0.5  # more equal poses are no chance
 _FEWEST_SAME: Final = 10
 _OTHER_AXES: Final[dict[Axes, Axes]] = {"enu_flu": "ned_frd", "ned_frd": "enu_flu"}
@@ -186,11 +187,16 @@ def _duration(time_s: float) -> str:
 def require_other_than_truth(truth: Track, run: Track) -> None:
     """Raise a LogError if most poses of a run are those of the reference."""
     _, ours, theirs = np.intersect1d(run.time_ns, truth.time_ns, return_indices=True)
-    position = run.ned_m[ours]
-    same = (position == truth.ned_m[theirs]).all(axis=1)
-    if not np.isfinite(position).any():
-        same = (run.mat_nb[ours] == truth.mat_nb[theirs]).all(axis=(1, 2))
-    count = int(np.count_nonzero(same))
+    own = run.ned_m[ours]
+    others = truth.ned_m[theirs]
+    if not run.has_position:
+        own = run.mat_nb[ours].reshape(-1, 9)
+        others = truth.mat_nb[theirs].reshape(-1, 9)
+    same = (own == others).all(axis=1)
+    count = 0
+    if same.any() and np.ptp(own[same], axis=0).any():
+        # Of a vehicle at rest, both say the same.
+        count = int(np.count_nonzero(same))
     if count >= _FEWEST_SAME and count > _SAME_SHARE * len(run.time_ns):
         text = f"has the poses of the reference {truth.path} in {count} of {len(run.time_ns)} rows"
         raise LogError(f"{text}: its error would be 0", "name another reference", run.path)
@@ -369,7 +375,11 @@ def frame_remarks(truth: Placed, run: Placed, align: Align) -> Iterator[Remark]:
     if run.track.is_placed != truth.track.is_placed:
         yield Remark("trajectory_origin")
         return
-    off_m = float(np.linalg.norm(_start_shift(truth, run)[:2]))
+    first_m = truth.ned_m[:, :2] - run.ned_m[:, :2]
+    first_m = first_m[np.isfinite(first_m).all(axis=1)][:_FIRST]
+    off_m = 0.0
+    if len(first_m):
+        off_m = float(np.linalg.norm(np.median(first_m, axis=0)))
     located = truth.ned_m[:, :2]
     located = located[np.isfinite(located).all(axis=1)]
     size_m = 0.0

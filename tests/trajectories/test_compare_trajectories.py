@@ -342,3 +342,39 @@ def test_the_page_shows_the_verdict_and_each_dive(sides: Path) -> None:
     text = command(sides, "--format", "html").stdout
     assert "BETTER" in text
     assert all(f"dive_{number}" in text for number in range(4))
+
+
+# --- Noise of the reference.
+
+
+def test_noise_of_the_reference_is_no_equality(sides: Path) -> None:
+    rng = np.random.default_rng(5)
+    for number in range(4):
+        track = truth_m(number) + rng.normal(0.0, 3.0, (400, 3))
+        write_tum(sides / "truth" / f"dive_{number}.tum", track, number)
+    comparison = compared(sides)
+    answer = answer_of(comparison)
+    assert (answer.verdict, answer.undecided) == (Verdict.UNDECIDED, "noise of the reference")
+    [found] = [note for note in comparison.notes if note.code == "trajectory_noise"]
+    sizes = [
+        float(part.split("(")[1].split(" ")[0]) for part in found.text.split(": ")[1].split(", ")
+    ]
+    assert sizes == pytest.approx([3.0] * 4, rel=0.15)
+
+
+def test_without_noise_equal_errors_are_equivalent(sides: Path) -> None:
+    for number in range(4):
+        track = truth_m(number) + error_m(number)[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
+        write_tum(sides / "new" / f"dive_{number}.tum", track, number)
+    assert answer_of(compared(sides)).verdict == Verdict.EQUIVALENT
+
+
+def test_a_filter_without_positions_is_not_evaluated(sides: Path) -> None:
+    for path in (sides / "new").iterdir():
+        lines = [line.split() for line in path.read_text("utf-8").splitlines()]
+        texts = [" ".join([words[0], "nan", "nan", "nan", *words[4:]]) for words in lines]
+        path.write_text("\n".join(texts) + "\n", "utf-8")
+    comparison = compared(sides)
+    answer = answer_of(comparison)
+    assert (answer.verdict, answer.reason) == (Verdict.NOT_EVALUATED, "new has no positions")
+    assert "trajectory_lacks" in codes(comparison)
