@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, cast
 
@@ -24,6 +24,7 @@ from insdvl_replay.core.errors import (
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.quantities import (
     ACCURACY,
+    STRETCHES,
     TRACK,
     TRACK_STRETCHES,
     WITHOUT_VERDICT,
@@ -85,10 +86,14 @@ from insdvl_replay.trajectories.tracks import (
 )
 
 WELL_COVERED: Final = 0.9
+_MOST_LOG: Final = 50.0  # of a factor that is written
 ONE_FRAME: Final = Delta(1.0, "f")
 # What may be named to decide.
-DECIDERS: Final = tuple(dict.fromkeys((*TRACK, *ACCURACY, *TRACK_STRETCHES)))
-_REPEAT_NOTED: Final = 1.0 + 1e-9
+DECIDERS: Final = (
+    *TRACK,
+    *TRACK_STRETCHES,
+    *(name for name in ACCURACY if name not in STRETCHES),
+)
 
 
 class TrajectoryErrorRow(Struct, frozen=True):
@@ -134,6 +139,13 @@ class TrajectoryAnswer(answers.Answer, frozen=True, kw_only=True):
         Verdict, Meta(description="by intervals that may be looked at after every dive")
     ]
     sentence: str
+    run_factor: Annotated[
+        Number,
+        Meta(
+            description="95 % of the ratios of single runs are within this factor, in the quantity that decides, and "
+            "no interval is narrower; null without repeated runs"
+        ),
+    ] = None
 
     @property
     def is_harm(self) -> bool:
@@ -270,7 +282,7 @@ def compare_trajectories(
     notes += _notes_of_files(found)
     names = [side.name for side in candidates]
     compared = _answers(found, before.name, names, options)
-    notes += [*same, *_same_truth_notes(found), *_repeat_notes(found, before.name, names)]
+    notes += [*same, *_same_truth_notes(found)]
     result = TrajectoryComparison(
         old=before.given.text,
         new=tuple(side.given.text for side in candidates),
@@ -490,7 +502,7 @@ def _answers(
         return _answer(found, baseline, name, level, options)
 
     together = answers_together(names, answer_at)
-    return [_with_sentence(answer) for answer in together.values()]
+    return [_with_sentence(answer, _spreads(found, name)) for name, answer in together.items()]
 
 
 def _answer(
@@ -548,10 +560,17 @@ def _spreads(found: Sequence[_Found], name: str) -> dict[str, RunSpread]:
         old = [each.old_logs.get(quantity, ()) for each in evidence]
         new = [each.new_logs.get(quantity, ()) for each in evidence]
         spreads[quantity] = run_spread(old, new)
+    if "position" in spreads:
+        for quantity in TRACK:
+            spreads.setdefault(quantity, spreads["position"])
     return spreads
 
 
-def _with_sentence(answer: CandidateAnswer) -> TrajectoryAnswer:
+def _with_sentence(answer: CandidateAnswer, spreads: Mapping[str, RunSpread]) -> TrajectoryAnswer:
+    spread = spreads.get(answer.primary)
+    factor = None
+    if spread is not None:
+        factor = math.exp(min(spread.half_width(LEVEL), _MOST_LOG))
     return TrajectoryAnswer(
         filter=answer.filter,
         baseline=answer.baseline,
@@ -565,6 +584,7 @@ def _with_sentence(answer: CandidateAnswer) -> TrajectoryAnswer:
         undecided=answer.undecided,
         reason=answer.reason,
         sentence=f"{answer.filter} against {answer.baseline}: {headline(answer)}.",
+        run_factor=factor,
     )
 
 
@@ -576,23 +596,6 @@ def _same_truth_notes(found: Sequence[_Found]) -> Iterable[Note]:
     for digests, names in groups.items():
         if digests and len(names) > 1:
             yield note("trajectory_same_truth", len(names), names=listed(names))
-
-
-def _repeat_notes(found: Sequence[_Found], baseline: str, names: Sequence[str]) -> Iterable[Note]:
-    """Note repeated runs, and how far they differ in the position."""
-    for name in names:
-        spread = _spreads(found, name).get("position")
-        if spread is None:
-            continue
-        factor = math.exp(min(spread.half_width(LEVEL), 50.0))
-        runs = f"{baseline} and {name}"
-        count = 0
-        for each in found:
-            count += len(each.files.old) + len(each.files.new.get(name, ()))
-        if factor > _REPEAT_NOTED:
-            yield note("trajectory_repeats", count, runs=runs, factor=f"{factor:.3g}")
-        else:
-            yield note("trajectory_repeats equal", count, runs=runs)
 
 
 def _all_rows(found: Iterable[_Found], name: str) -> Iterable[Any]:

@@ -27,6 +27,7 @@ from insdvl_replay.document.tables import (
     significant,
 )
 from insdvl_replay.evaluation.answers import largest_acts
+from insdvl_replay.evaluation.interval import BAND
 from insdvl_replay.evaluation.sentences import (
     acts_line,
     begun_with_capital,
@@ -149,9 +150,16 @@ def _verdicts(answers: Sequence[TrajectoryAnswer]) -> Iterator[Part]:
 def _lines_below(answer: TrajectoryAnswer) -> list[str]:
     if answer.verdict in WITHOUT_VERDICT:
         return [f"{begun_with_capital(answer.reason, answer)}. Settle this first."]
-    lines = [plan_line(answer)]
+    lines = list[str]()
     if answer.verdict != Verdict.NO_EFFECT:
-        lines.insert(0, acts_line(answer))
+        lines.append(acts_line(answer))
+    factor = answer.run_factor
+    if factor is not None:
+        name = label(answer.primary)
+        said = f"repeated runs: 95 % of their ratios of {name} are within a factor {factor:.3g}"
+        lines.append(f"{said}, and no interval is narrower")
+    if factor is None or factor < BAND:
+        lines.append(plan_line(answer))
     return [line for line in lines if line]
 
 

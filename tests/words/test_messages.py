@@ -20,6 +20,7 @@ from said_of_own_code import said_of_own_code
 from said_of_results import said_of_results
 from said_of_settings import said_of_settings
 from said_of_shards import said_of_shards
+from said_of_trajectories import said_of_trajectories
 
 GOLDEN = Path(__file__).parent / "golden"
 AREAS: dict[str, Callable[[Path], Cases]] = {
@@ -32,6 +33,7 @@ AREAS: dict[str, Callable[[Path], Cases]] = {
     "results": said_of_results,
     "settings": said_of_settings,
     "shards": said_of_shards,
+    "trajectories": said_of_trajectories,
 }
 
 
