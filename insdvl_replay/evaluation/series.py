@@ -9,6 +9,7 @@ Bartlett, "On the theoretical specification and sampling properties of autocorre
 mean of squares); Sokal, "Monte Carlo methods in statistical mechanics", 1997 (where to stop the sum).
 """
 
+import math
 from typing import Final
 
 import numpy as np
@@ -122,7 +123,8 @@ def common_noise(first: Floats, second: Floats) -> float:
     known = np.isfinite(products).all(axis=1)
     if np.count_nonzero(known) < FEWEST_AVERAGES:
         return 0.0
-    return float(np.sqrt(max(np.mean(products[known]) / 6.0, 0.0)))
+    variance = float(np.mean(products[known])) / 6.0
+    return math.sqrt(max(variance, 0.0))
 
 
 def _averages(values: Floats, *, slow: bool = False) -> Floats:
