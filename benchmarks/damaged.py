@@ -22,13 +22,13 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, ImuColumns
 from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.misfit import LEAST_NIS, MOST_NIS, MisfitError
 from insdvl_replay.core.states import DEG, STANDARD_GRAVITY_MPS2
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.automatic import FoundSettings, find_settings
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.columns.imu import in_frd
 from insdvl_replay.preparation.replay import Replay, replay_log
-from insdvl_replay.preparation.run import LEAST_NIS, MOST_NIS, MisfitError
 from insdvl_replay.sim.dive import simulate_dive
 
 Damage = Callable[[Dive], Dive]

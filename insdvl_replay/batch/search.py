@@ -16,6 +16,7 @@ from insdvl_replay.batch.runs import replay_jobs
 from insdvl_replay.batch.workers import Pool, WorkerLostError, cluster_pool, local_pool
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note, TargetError, UserError
+from insdvl_replay.core.misfit import MISREAD, MOST_NIS, MisfitError
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.settings_layers import SettingsLayers
@@ -203,7 +204,7 @@ def outcomes_without_settings(
 
 def _earlier_search(dive: ReplayJob, given: "Given") -> _Earlier:
     """Return what an earlier search has left in the folder of a dive."""
-    from insdvl_replay.inspection.automatic import stored_settings
+    from insdvl_replay.calibration.found import stored_settings
 
     config = stored_settings(dive.target, given)
     if config is None:
@@ -306,8 +307,6 @@ def _outcomes_without_search(
     Where those of the job only do not fit, they are used, with a warning. A dive that cannot be replayed at all has the
     error of the search, and the others are tried without it.
     """
-    from insdvl_replay.preparation.run import MisfitError
-
     if isinstance(first.result, MisfitError):
         notes = (
             note(
@@ -372,8 +371,6 @@ def _settings_may_help(outcome: Outcome) -> bool:
 
 def _contradicts(outcome: Outcome, first: Outcome) -> bool:
     """Return whether the settings that fit the first dive of a vehicle do not fit another one."""
-    from insdvl_replay.preparation.run import MOST_NIS
-
     if not isinstance(first.result, Report):
         return False
     if not isinstance(outcome.result, Report):
@@ -385,8 +382,6 @@ def _contradicts(outcome: Outcome, first: Outcome) -> bool:
 
 def _misread(report: Report) -> frozenset[str]:
     """Return the codes of notes that settings misread a dive."""
-    from insdvl_replay.preparation.run import MISREAD
-
     return MISREAD.intersection(note.code for note in report.notes)
 
 
@@ -436,8 +431,6 @@ def _may_misfit(report: Report) -> bool:
 
     As for `require_fit_of`, nobody has chosen the noise of the sensors of a dive that is not simulated.
     """
-    from insdvl_replay.preparation.run import MOST_NIS
-
     is_simulated = any(channel.role == "truth" for channel in report.log.channels)
     return not is_simulated or bool(_misread(report)) or _nis_per_dof(report) > MOST_NIS
 

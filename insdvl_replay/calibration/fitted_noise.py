@@ -22,11 +22,12 @@ from insdvl_replay.core.config import FREE, Config, Initial, flattened
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError, Note, UserError
+from insdvl_replay.core.misfit import LEAST_NIS, MOST_NIS
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter
 from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
-from insdvl_replay.preparation.run import LEAST_NIS, MOST_NIS, baseline_fit, require_described
+from insdvl_replay.preparation.run import baseline_fit, require_described
 
 MOST_DIVES: Final = 5  # dives from which noise, and all settings of unknown logs, are found
 MOST_ROUNDS: Final = 4  # in which the noise is scaled

@@ -10,8 +10,15 @@ from typing import Any
 import msgspec
 
 from insdvl_replay.core.config import FREE, Config, flattened
-from insdvl_replay.core.config_file import FOUND, load_config, render_toml, toml_value
-from insdvl_replay.core.errors import Note, visible
+from insdvl_replay.core.config_file import (
+    FOUND,
+    given_keys_in,
+    load_config,
+    render_toml,
+    toml_value,
+)
+from insdvl_replay.core.errors import Note, UserError, visible
+from insdvl_replay.results.folder import VEHICLE_FILE
 
 
 @dataclass(frozen=True)
@@ -107,3 +114,24 @@ def as_given(found: Config, given: Given) -> Config:
         for name in found.solutions:
             filters[name] = found.filters[name]
     return msgspec.structs.replace(found, filters=filters)
+
+
+def stored_settings(folder: Path, given: Given) -> Config | None:
+    """Return the settings that an earlier run found for the result in a folder, with the same span and evaluation.
+
+    Those that were found beside other given ones are found again.
+    """
+    file = folder / VEHICLE_FILE
+    if not file.is_file():
+        return None
+    try:
+        found = load_config(file=file)
+        given_before = given_keys_in(file)
+    except UserError:
+        return None
+    config = given.config
+    is_as_given = as_given(found, given) == found and found.topics == config.topics
+    is_of_span = (found.span, found.evaluation) == (config.span, config.evaluation)
+    if given_before == tuple(given.keys) and is_as_given and is_of_span:
+        return found
+    return None

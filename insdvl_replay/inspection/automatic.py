@@ -35,9 +35,10 @@ from insdvl_replay.checks.reference_delay import (
     with_reference_delay,
 )
 from insdvl_replay.core.config import Config, Filter, Initial, Solution
-from insdvl_replay.core.config_file import SCHEMA_LINE, given_keys_in, load_config, render_toml
+from insdvl_replay.core.config_file import SCHEMA_LINE, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ReferenceColumns, nanoseconds
 from insdvl_replay.core.errors import LogError, Note, UserError, counted, listed
+from insdvl_replay.core.misfit import MISREAD
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG
@@ -56,8 +57,7 @@ from insdvl_replay.preparation.prepared import (
     read_checked_dive,
     with_reference_at_imu,
 )
-from insdvl_replay.preparation.run import FIT, MISREAD, fitted_start
-from insdvl_replay.results.folder import VEHICLE_FILE
+from insdvl_replay.preparation.run import FIT, fitted_start
 
 # Notes on a reference that does not move as DVL and gyros say.
 CONTRADICTIONS: Final = frozenset(
@@ -436,27 +436,6 @@ def _differences(own: Config, others: Config) -> list[str]:
     if angle_between(turn, of_others) > CALIBRATED_RAD:
         words.append(f"dvl.mounting_rpy_deg = {list(own.dvl.mounting_rpy_deg)}")
     return words[:MOST_DIFFERENCES]
-
-
-def stored_settings(folder: Path, given: Given) -> Config | None:
-    """Return the settings that an earlier run found for the result in a folder, with the same span and evaluation.
-
-    Those that were found beside other given ones are found again.
-    """
-    file = folder / VEHICLE_FILE
-    if not file.is_file():
-        return None
-    try:
-        found = load_config(file=file)
-        given_before = given_keys_in(file)
-    except UserError:
-        return None
-    config = given.config
-    is_as_given = as_given(found, given) == found and found.topics == config.topics
-    is_of_span = (found.span, found.evaluation) == (config.span, config.evaluation)
-    if given_before == tuple(given.keys) and is_as_given and is_of_span:
-        return found
-    return None
 
 
 # --- The start.

@@ -31,7 +31,9 @@ def clock_words(clock: Clock) -> str:
     if abs(ahead_s) > 2.0 * _DAY_S:
         size = f"{abs(ahead_s) / _DAY_S:.1f} days"
     guess = _guess(ahead_s)
-    why = f" ({guess})" if guess else ""
+    why = ""
+    if guess:
+        why = f" ({guess})"
     return f"the {_NAMES.get(clock.role, clock.role)}'s clock is {size} {'ahead' if ahead_s > 0.0 else 'behind'}{why}"
 
 

@@ -29,6 +29,7 @@ from insdvl_replay.core.dive_columns import (
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.held_out import NOTHING
 from insdvl_replay.core.history import History
+from insdvl_replay.core.misfit import MISREAD, MOST_NIS, MisfitError
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR
@@ -565,31 +566,6 @@ def _started(initial: Initial, heading_deg: float, bias_degph: float, **others: 
 
 
 # --- Whether the settings fit a dive.
-
-# mean NIS/dof of a baseline whose settings fit the dive
-LEAST_NIS = 0.4
-MOST_NIS = 2.5
-# Warnings that name a unit, axes, a sign or a scale that is wrong.
-MISREAD: Final = frozenset(
-    {
-        "imu_gravity",
-        "imu_upside_down",
-        "imu_gyro_sign",
-        "imu_gyro_scale",
-        "imu_gyro_contradiction",
-        "imu_gyro_axis",
-        "imu_turned",
-        "dvl_direction",
-        "dvl_axes",
-        "dvl_scale",
-        "dvl_contradiction",
-        "track_contradiction",
-    }
-)
-
-
-class MisfitError(LogError):
-    """The settings do not fit the dive, so that its filters would say nothing."""
 
 
 def require_described(dive: Dive) -> None:

@@ -600,6 +600,19 @@ def test_only_what_changed_is_replayed(archive: Path, results: Path, tmp_path: P
     assert before.items() <= bytes_of(tmp_path / "out").items()
 
 
+def test_results_that_are_up_to_date_are_known_without_the_compiled_filter(
+    archive: Path, results: Path
+) -> None:
+    """It takes half a second to load, also where the workers of a cluster do the work."""
+    command = ["run", "--preset", "levy-klein", str(archive), "-o", str(results)]
+    code = "import sys; from insdvl_replay.cli import run_command_line as run; "
+    code += "print(run(sys.argv[1:]), 'numba' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *command], capture_output=True, text=True, check=False
+    )
+    assert done.stdout.splitlines()[-1] == "0 False", done.stderr
+
+
 def test_a_changed_result_needs_force_before_any_work_is_done(
     archive: Path, results: Path, tmp_path: Path
 ) -> None:

@@ -12,8 +12,8 @@ from insdvl_replay.calibration import fitted_noise
 from insdvl_replay.calibration.found import FoundSettings
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Noise
+from insdvl_replay.core.misfit import LEAST_NIS, MOST_NIS
 from insdvl_replay.logs import write_dive
-from insdvl_replay.preparation.run import LEAST_NIS, MOST_NIS
 from insdvl_replay.sim.dive import simulate_dive
 
 EIGHT = Path("sample_logs/figure_eight.mcap").absolute()

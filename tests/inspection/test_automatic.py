@@ -16,10 +16,10 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, nanoseconds
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.misfit import LEAST_NIS, MOST_NIS
 from insdvl_replay.inspection.automatic import find_settings
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.replay import replay_log as replayed
-from insdvl_replay.preparation.run import LEAST_NIS, MOST_NIS
 from insdvl_replay.sim.dive import simulate_dive
 
 

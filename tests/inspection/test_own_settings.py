@@ -7,13 +7,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from insdvl_replay.calibration.found import FoundSettings, Given
+from insdvl_replay.calibration.found import FoundSettings, Given, stored_settings
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import Note
-from insdvl_replay.inspection.automatic import settings_of_one, stored_settings
+from insdvl_replay.inspection.automatic import settings_of_one
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.run import fitted_start
 from insdvl_replay.sim.dive import simulate_dive
