@@ -18,7 +18,6 @@ README = PROJECT / "README.md"
 SAMPLES = ("straight", "figure_eight")
 
 
-HEAD = 8
 BAG = PROJECT.parent / "shared" / "data" / "ros1" / "rexrov2_simulated.bag"
 """Of a vehicle that others simulated. It has no licence, so it is not in the project."""
 BLUEYE = PROJECT.parent / "shared" / "data" / "blueye_x3" / "auto_square.mcap"
@@ -36,18 +35,12 @@ def printed(folder: Path, *arguments: str) -> str:
     return done.stdout.strip()
 
 
-def archive() -> str:
-    """What is printed for the dives of the example archive."""
+def demo() -> str:
+    """What is printed for the three questions of the demonstration."""
     with TemporaryDirectory() as folder:
-        shutil.copytree(
-            PROJECT / "examples" / "archive" / "dives",
-            Path(folder) / "examples" / "archive" / "dives",
-        )
-        command = "run", "examples/archive/dives"
-        first = printed(Path(folder), *command).splitlines()[:HEAD]
-        return "\n".join(
-            ["```console", f"$ insdvl-replay {' '.join(command)} | head -n {HEAD}", *first, "```"]
-        )
+        printed(Path(folder), "compile")
+        answers, _, _ = printed(Path(folder), "demo").partition("\n\n")
+    return "\n".join(["```console", "$ insdvl-replay demo", answers, "```"])
 
 
 def foreign() -> str:
@@ -60,9 +53,10 @@ def foreign() -> str:
         settings = (folder / "replay" / "rexrov2" / "vehicle.toml").read_text("utf-8").splitlines()
         arm = next(line for line in settings if "lever_arm_m" in line).partition("  #")[0]
     verdict = next(number for number, line in enumerate(lines) if line.startswith("aided against"))
+    answer = lines[verdict : verdict + 2]
     call = f"$ insdvl-replay {' '.join(command)}"
     grep = "$ grep -o 'lever_arm_m[^#]*' replay/rexrov2/vehicle.toml"
-    return "\n".join(["```console", call, lines[0], *lines[verdict:], grep, arm, "```"])
+    return "\n".join(["```console", call, lines[0], *answer, grep, arm, "```"])
 
 
 def unknown_vehicle() -> str:
@@ -122,7 +116,7 @@ def paper() -> str:
     )
 
 
-PARTS = {"archive": archive, "paper": paper}
+PARTS = {"demo": demo, "paper": paper}
 
 
 def written(parts: Mapping[str, Callable[[], str]] = PARTS) -> str:

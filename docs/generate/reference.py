@@ -38,7 +38,7 @@ def command_line() -> str:
     """Write what `--help` says of each command."""
     head = (
         "# Command line\n\nEach command prints this text with `--help`. Results go to stdout. Everything else goes to"
-        " stderr.\n\n[The README](../../README.md#exit-codes) lists the exit codes.\n"
+        " stderr.\n\n[Comparing and CI](../comparing.md#exit-codes) lists the exit codes.\n"
     )
     return head + "".join(_command("insdvl-replay", typer.main.get_command(app)))
 

@@ -339,7 +339,7 @@ def test_formulas_of_the_site_are_mathml_and_code_stays(tmp_path: Path) -> None:
 
 
 def test_exit_codes_are_those_of_the_contract() -> None:
-    table = text_of("README.md").split("## Exit codes")[1].split("\n## ")[0]
+    table = text_of("docs/comparing.md").split("## Exit codes")[1].split("\nNext: ")[0]
     assert re.findall(r"^\| *(\d+) *\|", table, re.MULTILINE) == ["0", "1", "2", "3", "4", "130"]
 
 

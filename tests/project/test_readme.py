@@ -12,8 +12,23 @@ import screens
 NUMBER = re.compile(r"-?\d+\.\d+")
 
 
+def test_readme_has_the_means_of_the_paper() -> None:
+    parts = {"paper": readme.paper}
+    assert readme.written(parts) == readme.README.read_text("utf-8"), "run `make readme`"
+
+
+@pytest.mark.nightly
 def test_readme_shows_what_the_program_prints() -> None:
     assert readme.written() == readme.README.read_text("utf-8"), "run `make readme`"
+
+
+def test_readme_has_the_answers_of_the_first_run() -> None:
+    """A nightly test holds both to what is printed."""
+    text = readme.README.read_text("utf-8")
+    _, _, rest = text.partition("$ insdvl-replay demo\n")
+    answers, _, _ = rest.partition("```")
+    assert {"BETTER", "WORSE", "NO EFFECT"} <= set(re.findall("[A-Z]+(?: [A-Z]+)*", answers))
+    assert answers in (readme.PROJECT / "docs" / "first_run.md").read_text("utf-8")
 
 
 @pytest.mark.nightly
