@@ -1,5 +1,6 @@
 """What several tests share."""
 
+import os
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,9 @@ from insdvl_replay.preparation import replay
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
+
+# Without a terminal, screens are as wide as COLUMNS: what tests read has whole sentences.
+os.environ["COLUMNS"] = "10000"
 
 # A shell lets what it starts in the background ignore Ctrl-C, and the programs that tests start would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)

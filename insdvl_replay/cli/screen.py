@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from insdvl_replay.batch.found import FoundDive
     from insdvl_replay.batch.replaying import Paused, Replaying
 
-PIPED_COLUMNS = 10_000
-"""Width without a terminal, so that no line is wrapped."""
-
 
 def written(result: Result, format_: str) -> str:
     """Return a result in the ``--format`` asked for."""
@@ -58,11 +55,10 @@ class Colors:
 
 
 def printed(content: RenderableType) -> str:
-    """Render tables for stdout: as wide as the terminal, or unlimited without one."""
+    """Render tables for stdout: as wide as the terminal, or as COLUMNS; without both 80 columns wide."""
     console = Console(
         file=sys.stdout,
         highlight=False,
-        width=None if sys.stdout.isatty() else PIPED_COLUMNS,
         color_system=Colors.system(),
         force_terminal=Colors.wanted or None,
     )

@@ -4,6 +4,7 @@ import math
 import re
 import time
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeVar, get_args
@@ -255,23 +256,26 @@ def explain(
       insdvl-replay explain imu_gaps
       insdvl-replay explain
     """
+    from insdvl_replay.cli.screen import printed
     from insdvl_replay.core.notes import SOURCES, explanation, explanations
+    from insdvl_replay.document.text import named_texts
 
     if code is not None:
         found = explanation(code)
-        lines = (
-            visible(code),
-            f"  what happened:  {found.what}",
-            f"  effect:         {found.effect}",
-        )
-        write_stdout("\n".join((*lines, f"  what to do:     {found.cure}\n")))
+        parts = {
+            "what happened:": found.what,
+            "effect:": found.effect,
+            "what to do:": found.cure,
+        }
+        write_stdout(f"{visible(code)}\n")
+        write_stdout(printed(named_texts(parts)))
         return
-    widest = max(len(code) for subject in explanations().values() for code in subject)
-    for subject, entries in explanations().items():
+    subjects = explanations()
+    widest = max(map(len, chain.from_iterable(subjects.values())))
+    for subject, entries in subjects.items():
+        texts = {code: entry.what for code, entry in entries.items()}
         write_stdout(f"{subject}\n")
-        write_stdout(
-            "".join(f"  {code:{widest}}  {entry.what}\n" for code, entry in entries.items())
-        )
+        write_stdout(printed(named_texts(texts, widest)))
     write_stdout(f"* stands for a source: {', '.join(SOURCES)}\n")
 
 

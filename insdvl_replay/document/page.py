@@ -137,7 +137,7 @@ def facts(named: Mapping[str, str]) -> Html:
 
 
 def settings_details(settings: str) -> Html:
-    """Return the resolved configuration, folded away; on paper it is unfolded."""
+    """Return the resolved configuration, folded away; it is left out in print."""
     title = "All settings (they repeat this result)"
     return Html(f"<details><summary>{title}</summary><pre>{escape(settings)}</pre></details>")
 

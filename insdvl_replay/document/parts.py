@@ -132,7 +132,7 @@ class DisplayTable:
     spare: tuple[int | tuple[int, ...], ...] = ()
     folds: int = 0  # letters that may be folded before a column is left out
     links: tuple[str, ...] | None = None  # link target of the first cell of each row; "" for none
-    folded: bool = False  # in HTML folded under its title; left out in print
+    folded: bool = False  # in HTML folded under its title; in print it is open
 
 
 @dataclass(frozen=True)

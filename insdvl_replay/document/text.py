@@ -4,7 +4,7 @@ Text is shown as everywhere (`errors.visible`) and cannot leave its place: no HT
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -117,6 +117,16 @@ def _grid(table: DisplayTable, left_out: Sequence[int]) -> Table:
     for row in table.rows:
         grid.add_row(*(_coloured(row[place]) for place in kept))
     return grid
+
+
+def named_texts(texts: Mapping[str, str], widest: int = 0) -> RenderableType:
+    """Render texts behind their names, below each other; ``widest`` is the least width of the names."""
+    grid = Table.grid(padding=(0, 2, 0, 0))
+    grid.add_column(no_wrap=True, min_width=widest)
+    grid.add_column()
+    for name, text in texts.items():
+        grid.add_row(spoken(name), spoken(text))
+    return Padding(grid, (0, 0, 0, 2))
 
 
 def _coloured(cell: CellText) -> Text:

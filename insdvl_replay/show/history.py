@@ -27,7 +27,7 @@ from insdvl_replay.document.parts import (
     Title,
     filter_style,
 )
-from insdvl_replay.document.tables import FORMS, percent, shown
+from insdvl_replay.document.tables import FORMS, shown
 from insdvl_replay.evaluation.answers import CONTROL, primary_of
 from insdvl_replay.evaluation.interval import BAND, level_of_candidates
 from insdvl_replay.evaluation.sentences import ratio_text
@@ -372,14 +372,10 @@ def _sentences(found: FilterHistory) -> Iterator[Callout]:
 
 
 def _step_sentence(step: Step, row: StepRow) -> str:
-    larger = "larger" if row.verdict == EvidenceVerdict.WORSE else "smaller"
-    change = step.change
-    ends = sorted(abs(100.0 * (end - 1.0)) for end in (change.low, change.high))
-    size = f"{percent(abs(100.0 * (change.ratio - 1.0)))} {larger}"
     text = (
         f"{row.filter}: {row.verdict} since {row.name} ({_day(row.started_at)}): {label(row.quantity)} ratio "
-        f"{ratio_text(row.ratio_from)} -> {ratio_text(row.ratio_to)} on {counted(row.dives, 'dive')}, {size} "
-        f"({percent(ends[0])} .. {percent(ends[1])}) than {row.against} ({_day(row.against_started_at)})"
+        f"{ratio_text(row.ratio_from)} -> {ratio_text(row.ratio_to)} on {counted(row.dives, 'dive')}, "
+        f"change {_interval_text(step.change)} against {row.against} ({_day(row.against_started_at)})"
     )
     if row.seen_at != row.name:
         text = f"{text}; seen at {row.seen_at}"

@@ -197,18 +197,27 @@ def test_notes_end_with_where_to_learn_more(folder: Path) -> None:
     assert re.fullmatch(r"((info|warning): .*\n)+", notes)
 
 
-def test_a_pipe_has_no_colours_and_folds_nothing(folder: Path) -> None:
-    command = RUN
-    done = subprocess.run(
-        command,
+def piped(folder: Path, **variables: str) -> "subprocess.CompletedProcess[str]":
+    """Run the figure-eight where nothing is a terminal."""
+    environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
+    return subprocess.run(
+        RUN,
         cwd=folder,
         check=True,
+        stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        env=os.environ | {"PYTHONPATH": str(PROJECT)},
+        env=environment | {"PYTHONPATH": str(PROJECT)} | variables,
     )
+
+
+def test_a_pipe_has_no_colours_and_80_columns_or_as_many_as_it_is_told(folder: Path) -> None:
+    done = piped(folder)
     assert done.stdout == plain(done.stdout)
     assert done.stdout == (GOLDEN / "dive_piped.txt").read_text("utf-8")
+    assert max(map(len, screen_lines(done.stdout))) == 80
+    wide = screen_lines(piped(folder, COLUMNS="400").stdout)
+    assert any(line.endswith("cannot tell whether the next one will be") for line in wide)
     assert done.stderr == "unchanged replay/figure_eight\n"
 
 
@@ -618,12 +627,8 @@ def write_golden() -> Iterator[str]:
     GOLDEN.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
         made = Path(name)
-        command = RUN
-        environment = os.environ | {"PYTHONPATH": str(PROJECT)}
         for _ in range(2):
-            done = subprocess.run(
-                command, cwd=made, check=True, capture_output=True, text=True, env=environment
-            )
+            done = piped(made)
         (GOLDEN / "dive_piped.txt").write_text(done.stdout, "utf-8")
         for screen in SCREENS:
             (GOLDEN / f"{screen}.txt").write_text(shown(screen, made), "utf-8")

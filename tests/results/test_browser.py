@@ -93,6 +93,13 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return found
 
 
+# In pixels; what is folded has none.
+HEIGHTS_OF_FOLDED_TABLES = (
+    "Array.from(document.querySelectorAll('.fold table'), one => one.checkVisibility({ contentVisibilityAuto: true }) "
+    "? one.getBoundingClientRect().height : 0)"
+)
+
+
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with opened_browser(tmp_path_factory.mktemp("profile")) as opened:
@@ -254,7 +261,7 @@ def test_a_click_shows_a_picture_alone_and_another_leads_back(
     assert browser.value(width) == before
 
 
-def test_a_dive_prints_on_white_on_eight_pages_with_what_it_was_set_to(
+def test_a_dive_prints_on_white_with_what_is_folded_and_what_it_was_set_to(
     pages: dict[str, Path], browser: Browser
 ) -> None:
     browser.open(pages["straight"], 1280, dark=True)
@@ -262,7 +269,12 @@ def test_a_dive_prints_on_white_on_eight_pages_with_what_it_was_set_to(
     browser.call("Emulation.setEmulatedMedia", media="print", features=[dark])
     assert browser.value("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     assert "filters.fast.aiding" in browser.value('document.querySelector("main > pre").innerText')
+    heights = browser.value(HEIGHTS_OF_FOLDED_TABLES)
+    assert len(heights) > 5
+    assert min(heights) > 30.0
     printed = b64decode(browser.call("Page.printToPDF", preferCSSPageSize=True)["data"])
     assert len(printed) < 2_000_000, "dashes outside of the panels are not in it"
-    assert 1 <= len(re.findall(rb"/Type\s*/Page[^s]", printed)) <= 8
+    assert 1 <= len(re.findall(rb"/Type\s*/Page[^s]", printed)) <= 18, (
+        "with the tables of four filters"
+    )
     browser.call("Emulation.setEmulatedMedia", media="", features=[dark])

@@ -3,6 +3,7 @@
 The other tests ask for codes, values and keys. ``make golden`` writes the files of this folder and the screens anew.
 """
 
+import os
 import sys
 import tempfile
 from collections.abc import Callable
@@ -60,6 +61,7 @@ def test_no_case_is_there_twice() -> None:
 
 
 if __name__ == "__main__":
+    os.environ["COLUMNS"] = "10000"  # as in conftest.py
     for area_, cases in AREAS.items():
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder).resolve()
