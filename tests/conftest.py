@@ -2,22 +2,23 @@
 
 import os
 import signal
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 from hypothesis import settings
 from left_out import left_out
+from rich.console import RenderableType
 
+from insdvl_replay.cli import screen
 from insdvl_replay.core.config import Evaluation
 from insdvl_replay.preparation import replay
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
-
-# Without a terminal, screens are as wide as COLUMNS: what tests read has whole sentences.
-os.environ["COLUMNS"] = "10000"
 
 # A shell lets what it starts in the background ignore Ctrl-C, and the programs that tests start would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -37,6 +38,19 @@ def _plan_one(dive: Any, prepared: Any, config: Any) -> Any:
 
 
 replay.plan_runs = _plan_one
+
+_printed = screen.printed
+
+
+def _printed_unfolded(content: RenderableType) -> str:
+    """Print whole sentences on one line, except on terminals, so that tests find them."""
+    if sys.stdout.isatty() or "COLUMNS" in os.environ:
+        return _printed(content)
+    with patch.dict(os.environ, {"COLUMNS": "10000"}):
+        return _printed(content)
+
+
+screen.printed = _printed_unfolded
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -1,6 +1,7 @@
 """A calibration as screen, JSON, settings and pictures."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
@@ -23,6 +24,7 @@ from insdvl_replay.calibration.innovations import (
     DiveInnovations,
     Geometry,
 )
+from insdvl_replay.calibration.new_settings import new_settings_table, vehicle_figure
 from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.calibration.rows import (
     DiveRow,
@@ -41,7 +43,9 @@ from insdvl_replay.core.words import Estimated
 from insdvl_replay.document.parts import (
     LIMIT,
     PAGE,
+    PRINTED,
     REFERENCE,
+    Code,
     Curve,
     DisplayTable,
     Figure,
@@ -55,12 +59,14 @@ from insdvl_replay.document.parts import (
     Title,
     filter_style,
 )
-from insdvl_replay.document.tables import number, shown, table_of
+from insdvl_replay.document.tables import number, shown, signed_number, table_of
 from insdvl_replay.document.time_axis import Clock
 from insdvl_replay.preparation.run import FIT
 
 DIGITS: Final = 6  # decimals of proposed values, finer than any sd
 NOT_ESTIMATED: Final = "Nothing could be estimated: these dives have no suitable manoeuvre."
+EACH_ALONE: Final = "Estimate of each dive alone"
+SEE_MORE: Final = "what the intervals come from, and correlations: -v"
 _KEPT: Final = {Estimated.HELD: "held; ", Estimated.IMPLAUSIBLE: "not proposed; "}
 _KEYS: Final = {parameter.name: parameter.key for parameter in SHARED}
 
@@ -80,21 +86,28 @@ def calibration_result(
     estimated = f"Estimated: {', '.join(names)}." if names else NOT_ESTIMATED
     reasons = [*_reasons(found), *map(Remark, found.warnings)]
     title = f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"
-    parts: list[Part] = [Title(title), *answer.lines, estimated]
+    parts: list[Part] = [Title(title), *answer.lines]
+    if names:
+        applied = found if even_if_worse else answer.applied(found)
+        parts += _to_copy(applied, written)
+        parts += _left_out(written, answer, even_if_worse=even_if_worse)
+    else:
+        parts.append(estimated)
     if found.tried:
         parts.append(f"The mounting was unknown: {found.tried}.")
-    parts += _tables(found)
-    correlations = [_correlation_table(found)] if found.fit.free.any() else []
-    if verbose:
-        parts += correlations
-    else:
-        parts.append(Only(PAGE, tuple(correlations)))
+    parts += vehicle_figure(found)
+    parts += _new_settings(found)
     if reasons:
         parts.append(Sentences(tuple(reasons)))
-    if written and names:
-        parts += _how_to_use(written, answer, even_if_worse=even_if_worse)
-    if figures:
-        parts += [Heading("Pictures"), *figures]
+    parts += _between_the_dives(found, figures)
+    certainties = tuple(_certainties(found))
+    if verbose:
+        parts += certainties
+    else:
+        parts += [Only(PRINTED, (SEE_MORE,)), Only(PAGE, certainties)]
+    others = [figure for figure in figures if figure.title != EACH_ALONE]
+    if others:
+        parts += [Heading("Pictures"), *others]
     return Result(
         "calibration",
         title,
@@ -114,16 +127,28 @@ def _estimated(found: Calibration) -> list[str]:
     return names
 
 
-def _how_to_use(written: str, answer: Answer, *, even_if_worse: bool) -> Iterator[str]:
-    """Say how to use the settings file, and what it leaves out."""
-    yield f"Nothing is applied automatically. To use it: `insdvl-replay run LOG -c ... -c {written}`"
+def _to_copy(found: Calibration, written: str) -> Iterator[Part]:
+    """Yield how to use the settings file, and on pages and without such a file the settings themselves."""
+    lines = [line for line in _setting_lines(found) if not line.startswith("#")]
+    settings = Code("\n".join(lines).strip("\n"), "toml")
+    if written:
+        yield f"Nothing is applied automatically. To use it: `insdvl-replay run LOG -c ... -c {written}`"
+        yield Only(PAGE, (settings,))
+    else:
+        yield "Nothing is applied automatically. To use it, copy this into your settings:"
+        yield settings
+
+
+def _left_out(written: str, answer: Answer, *, even_if_worse: bool) -> Iterator[str]:
+    """Say what the new settings leave out, since it is worse on held-out dives."""
     left_out = []
     if answer.keeps_geometry:
         left_out.append("geometry")
     if answer.keeps_noise:
         left_out.append("noise")
     if left_out and not even_if_worse:
-        yield f"{written} leaves out the new {' and '.join(left_out)}. To write all: --even-if-worse"
+        what = written or "This"
+        yield f"{what} leaves out the new {' and '.join(left_out)}. To write all: --even-if-worse"
 
 
 def _blocks(found: Calibration) -> dict[str, Sequence[Any]]:
@@ -180,23 +205,37 @@ def _reasons(found: Calibration) -> list[Remark]:
 # --- The tables of the screen.
 
 
-def _tables(found: Calibration) -> Iterator[DisplayTable]:
-    yield _parameter_table(
-        "Change from the configuration; x forward, y starboard, z down", found.rows
-    )
+def _new_settings(found: Calibration) -> Iterator[DisplayTable]:
+    """Yield what is proposed, before and after, with intervals: the geometry, the noise and the reference."""
+    asked = [row for row in found.rows if row.status != Estimated.NOT_ASKED]
+    if asked:
+        title = "New settings of the DVL; x forward, y starboard, z down"
+        yield new_settings_table(title, asked, found.before, found.after)
     is_asked = all(row.status != Estimated.NOT_ASKED for row in found.noise_rows)
     yield table_of(
         "White noise with the highest likelihood of the innovations",
         found.noise_rows,
         (
-            ("noise", "l", lambda row: f"{row.parameter} [{row.unit}]"),
+            ("", "l", lambda row: f"{row.parameter} [{row.unit}]"),
             ("before", "r", "before"),
-            ("after", "r", _noise_after),
+            ("new", "r", _noise_after),
             ("sd", "r", "sd"),
             ("class", "l", "sensor_class"),
         ),
         "" if is_asked else "Not requested. It is used only to weigh the innovations.",
     )
+    reference = found.reference
+    if reference is not None:
+        title = "New settings of the reference"
+        yield new_settings_table(title, reference.rows, reference.before, reference.after)
+
+
+def _between_the_dives(found: Calibration, figures: Sequence[Figure]) -> Iterator[Part]:
+    """Yield what differs between the dives: the estimates of each, its innovations, what is left of its errors."""
+    yield Heading("What differs between the dives")
+    for figure in figures:
+        if figure.title == EACH_ALONE:
+            yield figure
     yield table_of(
         f"Innovations in standard deviations of the fitted noise, {', '.join(AXES)}",
         found.dives,
@@ -210,11 +249,9 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
             ("lag-1\ncorrelation", "r", partial(_axes, "autocorrelation")),
         ),
         "Expected: 1 before and after, and a lag-1 correlation of 0.",
+        spare=((1, 2), 6),
     )
     if found.reference is not None:
-        yield _parameter_table(
-            "The reference: change from the configuration", found.reference.rows
-        )
         yield shown(ReferenceDiveRow, found.reference.dives)
         if found.reference.starts:
             yield shown(StartRow, found.reference.starts)
@@ -222,8 +259,18 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
         yield shown(HeldOutRow, found.held_out)
 
 
+def _certainties(found: Calibration) -> Iterator[DisplayTable]:
+    """Yield what the intervals come from, folded on pages."""
+    yield _parameter_table("Changes, and what their standard deviations come from", found.rows)
+    if found.reference is not None:
+        title = "The same of the reference"
+        yield _parameter_table(title, found.reference.rows)
+    if found.fit.free.any():
+        yield _correlation_table(found)
+
+
 def _parameter_table(title: str, rows: Sequence[ParameterRow]) -> DisplayTable:
-    return table_of(
+    table = table_of(
         title,
         [row for row in rows if row.status != Estimated.NOT_ASKED],
         (
@@ -238,14 +285,14 @@ def _parameter_table(title: str, rows: Sequence[ParameterRow]) -> DisplayTable:
         "sd: the largest of the three, plus assumed errors of each beam (0.2 % and 1 mm/s) and of the IMU (1500 ppm "
         "and 1 mrad). Below a signal to noise of 3 (mounting 4, scale 30) a parameter is held.",
     )
+    return replace(table, folded=True)
 
 
 def _change(row: ParameterRow) -> str:
     if row.status == Estimated.HELD or row.change is None:
         return Estimated.HELD
-    sign = "-" if row.change < 0.0 else "+"
     mark = "?" if row.status == Estimated.IMPLAUSIBLE else ""
-    return f"{sign}{number(abs(row.change))}{mark}"
+    return f"{signed_number(row.change)}{mark}"
 
 
 def _correlation_table(found: Calibration) -> DisplayTable:
@@ -287,11 +334,13 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
     """
     names = ", ".join(visible(dive.dive) for dive in found.dives)
     dives = counted(len(found.dives), "dive")
-    lines = [
-        f"# insdvl-replay {__version__} calibrate: {dives} of {_days(started_ns)}: {names}",
-        "[dvl]",
-        *_geometry_lines(found.rows, found.before, found.after),
-    ]
+    head = f"# insdvl-replay {__version__} calibrate: {dives} of {_days(started_ns)}: {names}"
+    return "".join(f"{line}\n" for line in (head, *_setting_lines(found)))
+
+
+def _setting_lines(found: Calibration) -> list[str]:
+    """Return the proposed settings as lines of TOML, each below the comment on its certainty."""
+    lines = ["[dvl]", *_geometry_lines(found.rows, found.before, found.after)]
     of_imu: list[str] = []
     for row in found.noise_rows:
         if row.parameter in INERTIAL:
@@ -303,7 +352,7 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
     if found.reference is not None:
         lines += _reference_lines(found.reference)
     lines += [f"# warning: {visible(warning)}" for warning in found.warnings]
-    return "".join(f"{line}\n" for line in lines)
+    return lines
 
 
 def _days(started_ns: Sequence[int]) -> str:
@@ -459,7 +508,7 @@ def _between_dives(found: Calibration) -> Iterator[Figure]:
         panels.append(Panel(title, _PLACES, curves, levels=(level,), x_whole=True))
     caption = "From innovations only: the change estimated from one dive, with its formal standard deviation."
     legend = ((BEFORE, "one dive"), (LIMIT, "all dives"))
-    yield Figure("Estimate of each dive alone", caption, tuple(panels), legend)
+    yield Figure(EACH_ALONE, caption, tuple(panels), legend)
 
 
 def _drifts(rows: Sequence[HeldOutRow]) -> Iterator[Figure]:

@@ -95,6 +95,7 @@ class Panel:
     x_limits: tuple[float, float] | None = None  # None: fits the curves
     shades: tuple[Shade, ...] = ()
     low: bool = False  # usual height although `equal`
+    ends: bool = True  # on equal axes the start and the end of a track are marked
     folded: bool = False  # on the first screen of a page folded under its title
 
     @property

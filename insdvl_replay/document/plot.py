@@ -465,7 +465,7 @@ def _levels(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
 
 def ends_of_track(panel: Panel) -> dict[str, tuple[float, float]]:
     """Return x and y of the start and the end of a track: of the reference, else of the curve on top."""
-    if not panel.equal or not panel.curves:
+    if not panel.equal or not panel.ends or not panel.curves:
         return {}
     curve = panel.curves[-1]
     for other in panel.curves:

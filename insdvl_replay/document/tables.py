@@ -48,6 +48,12 @@ def number(value: float | None) -> str:
     return f"{value:.2e}"
 
 
+def signed_number(value: float) -> str:
+    """Write a number with its sign."""
+    sign = "-" if value < 0.0 else "+"
+    return f"{sign}{number(abs(value))}"
+
+
 def decimal(value: float | None, digits: int) -> str:
     """Write a number with a fixed number of digits after the point."""
     if value is None or math.isnan(value):

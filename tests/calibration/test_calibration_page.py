@@ -17,6 +17,7 @@ from insdvl_replay.calibration.certainty import correlation_matrix
 from insdvl_replay.calibration.dives import answer_of
 from insdvl_replay.calibration.fit import scatter_of
 from insdvl_replay.calibration.innovations import LABELS
+from insdvl_replay.calibration.new_settings import new_settings_table, vehicle_figure
 from insdvl_replay.calibration.output import (
     DRAWN,
     calibration_figures,
@@ -26,7 +27,9 @@ from insdvl_replay.calibration.output import (
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.tables import finite
-from insdvl_replay.document.parts import DisplayTable, Figure
+from insdvl_replay.core.words import Estimated
+from insdvl_replay.document.parts import Code, DisplayTable, Figure
+from insdvl_replay.document.plot import ends_of_track
 from insdvl_replay.document.render import document, render
 
 
@@ -132,6 +135,48 @@ def test_the_answer_is_first_and_without_held_out_dives_it_says_how_to_test(
     assert "--even-if-worse" in render(kept, "md")
 
 
+def test_the_screen_says_what_to_copy_and_the_page_shows_the_arm_first(
+    found: Calibration, dives: list[ReadDive]
+) -> None:
+    """In this order: the settings, the picture of the vehicle, intervals, the dives, and folded their origin."""
+    figures = list(drawn(found, dives).values())
+    parts = document(calibration_result(found, dives[0].config, figures=figures))
+    [code] = [part for part in parts if isinstance(part, Code)]
+    written = tomllib.loads(calibration_toml(found, [0]))
+    assert tomllib.loads(code.text) == written
+    page = render(calibration_result(found, dives[0].config, figures=figures), "html")
+    order = (
+        "lever_arm_m",
+        "Where the DVL is",
+        "lever arm x",
+        "What differs between",
+        "formal",
+        "Pictures</h2>",
+    )
+    places = [page.index(text) for text in order]
+    assert places == sorted(places)
+    assert "formal" not in render(calibration_result(found, dives[0].config), "md")
+    assert "formal" in render(calibration_result(found, dives[0].config, verbose=True), "md")
+
+
+def test_a_new_arm_is_drawn_where_it_is_with_its_interval(found: Calibration) -> None:
+    [figure] = vehicle_figure(found)
+    above, side = figure.panels
+    row = next(row for row in found.rows if row.parameter == "arm_x")
+    x, y, z = found.after.lever_arm_m
+    for panel, up in ((above, -y), (side, -z)):
+        new = {curve.label: curve for curve in panel.curves}["DVL, new"]
+        assert (new.x.tolist(), new.y.tolist()) == ([x], [up])
+        bars = panel.curves[4]
+        assert bars.x[1] - bars.x[0] == pytest.approx(2.0 * 1.96 * finite(row.sd))
+        assert ends_of_track(panel) == {}
+    table = new_settings_table("", found.rows, found.before, found.after)
+    low, high = (float(end) for end in table.rows[0][3].split(" .. "))  # type: ignore[union-attr]
+    assert (low + high) / 2.0 == pytest.approx(x, abs=1e-3)
+    held = [msgspec.structs.replace(row, status=Estimated.HELD) for row in found.rows]
+    assert list(vehicle_figure(replace(found, rows=tuple(held)))) == []
+
+
 def test_correlations_are_a_matrix_when_asked(found: Calibration, dives: list[ReadDive]) -> None:
     def titles(**options: bool) -> list[str]:
         parts = document(calibration_result(found, dives[0].config, **options))
@@ -209,8 +254,7 @@ def test_a_browser_shows_it_whole(
             assert browser.requests == [html.resolve().as_uri()]
             assert browser.value("document.documentElement.scrollWidth") <= width
         browser.open(html, 1200)
-        assert browser.value("document.querySelectorAll('svg.panel').length") == sum(
-            len(figure.panels) for figure in drawn(held, dives).values()
-        )
+        panels = sum(len(figure.panels) for figure in drawn(held, dives).values())
+        assert browser.value("document.querySelectorAll('svg.panel').length") == panels + 2
         browser.screenshot(tmp_path / "page.png")
         assert (tmp_path / "page.png").stat().st_size > 20_000

@@ -46,8 +46,9 @@ def test_it_prints_what_compare_prints(
 ) -> None:
     sides = str(results / "before"), str(results / "after")
     assert against(dives, results, "--against", "dvl.scale=1.1") == 0
-    first, *lines = capsys.readouterr().out.splitlines()
-    assert first.startswith("dvl.scale 1.0 -> 1.1: 3 dives, ")
+    first, second, _, *lines = capsys.readouterr().out.splitlines()
+    assert first == "dvl.scale 1.0 -> 1.1: did it help?"
+    assert second.startswith("3 dives, ")
     assert [line.split()[0] for line in lines[:2]] == ["baseline", "aided"]
     for options in (["-q"], ["--format", "json"], ["--format", "csv"]):
         assert against(dives, results, "--against", "dvl.scale=1.1", *options) == 0
@@ -86,7 +87,7 @@ def test_exit_codes_are_those_of_compare(
     command = ["run", *broken, "-o", str(results), *ONE_START, "--against", "dvl.scale=1.1"]
     assert run_command_line(command) == 3
     printed = capsys.readouterr()
-    assert printed.out.startswith("dvl.scale 1.0 -> 1.1: dive_1, "), "the others are compared"
+    assert "\ndive_1, new: " in printed.out, "the others are compared"
     assert printed.err.count("broken.mcap") == 1
 
 
