@@ -65,7 +65,6 @@ from insdvl_replay.preparation.run import FIT
 
 DIGITS: Final = 6  # decimals of proposed values, finer than any sd
 NOT_ESTIMATED: Final = "Nothing could be estimated: these dives have no suitable manoeuvre."
-EACH_ALONE: Final = "Estimate of each dive alone"
 SEE_MORE: Final = "what the intervals come from, and correlations: -v"
 _KEPT: Final = {Estimated.HELD: "held; ", Estimated.IMPLAUSIBLE: "not proposed; "}
 _KEYS: Final = {parameter.name: parameter.key for parameter in SHARED}
@@ -99,15 +98,14 @@ def calibration_result(
     parts += _new_settings(found)
     if reasons:
         parts.append(Sentences(tuple(reasons)))
-    parts += _between_the_dives(found, figures)
+    parts += _between_the_dives(found, is_drawn=bool(figures))
     certainties = tuple(_certainties(found))
     if verbose:
         parts += certainties
     else:
         parts += [Only(PRINTED, (SEE_MORE,)), Only(PAGE, certainties)]
-    others = [figure for figure in figures if figure.title != EACH_ALONE]
-    if others:
-        parts += [Heading("Pictures"), *others]
+    if figures:
+        parts += [Heading("Pictures"), *figures]
     return Result(
         "calibration",
         title,
@@ -230,12 +228,11 @@ def _new_settings(found: Calibration) -> Iterator[DisplayTable]:
         yield new_settings_table(title, reference.rows, reference.before, reference.after)
 
 
-def _between_the_dives(found: Calibration, figures: Sequence[Figure]) -> Iterator[Part]:
+def _between_the_dives(found: Calibration, *, is_drawn: bool) -> Iterator[Part]:
     """Yield what differs between the dives: the estimates of each, its innovations, what is left of its errors."""
     yield Heading("What differs between the dives")
-    for figure in figures:
-        if figure.title == EACH_ALONE:
-            yield figure
+    if is_drawn:
+        yield from each_alone(found)
     yield table_of(
         f"Innovations in standard deviations of the fitted noise, {', '.join(AXES)}",
         found.dives,
@@ -451,7 +448,7 @@ _PLACES: Final = "dive, in the order of the table"
 def calibration_figures(
     found: Calibration, dives: Sequence[DiveInnovations]
 ) -> tuple[Figure, ...]:
-    """Draw innovations before and after, the cost of a delay, the scatter between dives, and drift in outages."""
+    """Draw innovations before and after, the cost of a delay, and drift in outages."""
     figures = []
     profiles = []
     for i, dive in enumerate(found.noise.applied(dive) for dive in dives[:DRAWN]):
@@ -485,10 +482,10 @@ def calibration_figures(
         tuple(profiles),
         ((AFTER, "cost"), (REFERENCE, "as fitted")),
     )
-    return (*figures, costs_figure, *_between_dives(found), *_drifts(found.held_out))
+    return (*figures, costs_figure, *_drifts(found.held_out))
 
 
-def _between_dives(found: Calibration) -> Iterator[Figure]:
+def each_alone(found: Calibration) -> Iterator[Figure]:
     """Draw the estimate of each dive alone; nothing for one dive."""
     own, own_sd = one_by_one(found.fit)
     common = mean_change(found.fit)
@@ -508,7 +505,7 @@ def _between_dives(found: Calibration) -> Iterator[Figure]:
         panels.append(Panel(title, _PLACES, curves, levels=(level,), x_whole=True))
     caption = "From innovations only: the change estimated from one dive, with its formal standard deviation."
     legend = ((BEFORE, "one dive"), (LIMIT, "all dives"))
-    yield Figure(EACH_ALONE, caption, tuple(panels), legend)
+    yield Figure("Estimate of each dive alone", caption, tuple(panels), legend)
 
 
 def _drifts(rows: Sequence[HeldOutRow]) -> Iterator[Figure]:

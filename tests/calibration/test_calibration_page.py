@@ -23,6 +23,7 @@ from insdvl_replay.calibration.output import (
     calibration_figures,
     calibration_result,
     calibration_toml,
+    each_alone,
 )
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.cli import run_command_line
@@ -50,7 +51,8 @@ def drawn(found: Calibration, dives: list[ReadDive]) -> dict[str, Figure]:
 
 @pytest.mark.nightly
 def test_pictures_show_what_the_tables_say(found: Calibration, dives: list[ReadDive]) -> None:
-    first, second, delays, between = drawn(found, dives).values()
+    first, second, delays = drawn(found, dives).values()
+    [between] = each_alone(found)
     for figure, row in zip((first, second), found.dives, strict=True):
         before, after = (
             np.column_stack([panel.curves[i].y for panel in figure.panels]) for i in (0, 1)
@@ -255,6 +257,6 @@ def test_a_browser_shows_it_whole(
             assert browser.value("document.documentElement.scrollWidth") <= width
         browser.open(html, 1200)
         panels = sum(len(figure.panels) for figure in drawn(held, dives).values())
-        assert browser.value("document.querySelectorAll('svg.panel').length") == panels + 2
+        assert browser.value("document.querySelectorAll('svg.panel').length") == panels + 2 + 8
         browser.screenshot(tmp_path / "page.png")
         assert (tmp_path / "page.png").stat().st_size > 20_000
