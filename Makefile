@@ -63,7 +63,7 @@ QUICK := core document geometry nav evaluation checks show words
 quick: .venv/test.stamp
 	$(PYTEST) -m "not nightly" $(QUICK:%=tests/%)
 
-# All tests on each of three emulated processors, which takes three times as long as on this one.
+# All tests on each of four emulated processors, which takes four times as long as on this one.
 processors: .venv/test.stamp
 	$(BIN)/python tests/processors.py -m pytest --numprocesses 2 --dist worksteal -m "not nightly"
 

@@ -80,10 +80,11 @@ class Processor:
 
 PROCESSORS = {
     "AVX2": Processor("Haswell", "haswell", AVX2, "-AVX512F,-AVX512VL"),
+    "AVX2 of AMD": Processor("Zen", "znver2", AVX2, "-AVX512F,-AVX512VL"),
     "AVX": Processor("Sandybridge", "sandybridge", AVX, "-AVX512F,-AVX512VL,-AVX2,-FMA"),
     "SSE": Processor("Prescott", "generic", frozenset(), "-AVX512F,-AVX512VL,-AVX2,-FMA,-AVX"),
 }
-"""From 2013, from 2011, and the least that the programs in Python's packages are made for."""
+"""From 2013, from 2019, from 2011, and the least that the programs in Python's packages are made for."""
 
 
 if __name__ == "__main__":

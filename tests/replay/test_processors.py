@@ -1,6 +1,6 @@
 """Other processors: simulated logs are the same bytes, tables the same numbers.
 
-Libraries choose code by the processor, and what they compute differs in the last bit. Three processors are emulated.
+Libraries choose code by the processor, and what they compute differs in the last bit. Four processors are emulated.
 On those with AVX2 the program makes the choice, and every byte is the same.
 """
 
@@ -159,16 +159,24 @@ def files_without_tool(folder: Path) -> dict[str, bytes | dict[str, object]]:
     return files
 
 
-def test_every_byte_is_the_same_on_processors_with_avx2(tmp_path: Path) -> None:
-    """This one by the choice of the program, whatever it has, and one of 2013 by that of the libraries."""
+@pytest.fixture(scope="module")
+def by_choice(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of all dives on this processor, with the machine code that the program chooses."""
     if not has_common_code():
         pytest.skip("this processor has no AVX2")
-    mine = tmp_path / "mine"
-    other = tmp_path / "other"
-    command = [sys.executable, "-m", "insdvl_replay", *replay_into(mine)]
+    folder = tmp_path_factory.mktemp("by_choice")
+    command = [sys.executable, "-m", "insdvl_replay", *replay_into(folder)]
     subprocess.run(command, check=True, capture_output=True)
-    PROCESSORS["AVX2"].run(replay_into(other))
-    ours = files_without_tool(mine)
-    theirs = files_without_tool(other)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["AVX2", "AVX2 of AMD"])
+def test_every_byte_is_the_same_on_processors_with_avx2(
+    name: str, by_choice: Path, tmp_path: Path
+) -> None:
+    """This one by the choice of the program, whatever it has, and others by that of the libraries."""
+    PROCESSORS[name].run(replay_into(tmp_path))
+    ours = files_without_tool(by_choice)
+    theirs = files_without_tool(tmp_path)
     assert ours.keys() == theirs.keys()
     assert [name for name, content in ours.items() if content != theirs[name]] == []
