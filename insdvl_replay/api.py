@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 
     from insdvl_replay.batch.found import FoundDive
     from insdvl_replay.batch.jobs import ReplayJob
+    from insdvl_replay.changes.gate_file import Gates
     from insdvl_replay.preparation.replay import Replay
     from insdvl_replay.results.trajectory import Trajectory
     from insdvl_replay.show.answers import Failure
@@ -348,16 +349,13 @@ def run_shard(
         No dive is named, the shard is not of the form ``1/4``, settings are not valid, or other results are in the
         folder. A log that cannot be used raises nothing: its row says why.
     """
-    from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.batch.jobs import ReplayOptions
-    from insdvl_replay.batch.local_settings import with_local_settings
     from insdvl_replay.batch.manifest import fetch_dives
     from insdvl_replay.batch.parts import plan_shard_run, replay_shard, shard_result
     from insdvl_replay.batch.search import with_search, without_search
 
     layers = _settings(config)
-    names = [str(path) for path in _paths(logs, "logs")]
-    dives = with_local_settings(find_dives(names), layers, is_wanted=config is None)
+    dives = _found_dives(logs, layers, is_local=config is None)
     loaded = layers.load_each([dive.settings for dive in dives])
     options = ReplayOptions(loaded.usual, allow_damaged)
     if auto:
@@ -365,6 +363,15 @@ def run_shard(
     output = _path("folder", folder)
     run = plan_shard_run(shard, dives, output, options, loaded.by_file, fetch_dives)
     return CommandResult(shard_result(replay_shard(run, force=force)))
+
+
+def _found_dives(logs: Paths, layers: SettingsLayers, *, is_local: bool) -> "list[FoundDive]":
+    """Return the dives of logs, with the settings next to them if these are asked for."""
+    from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.batch.local_settings import with_local_settings
+
+    names = [str(path) for path in _paths(logs, "logs")]
+    return with_local_settings(find_dives(names), layers, is_wanted=is_local)
 
 
 def merge(parts: Paths, folder: Text, *, force: bool = False) -> "DiveResults":
@@ -866,21 +873,26 @@ def check(
     from insdvl_replay.batch.manifest import fetch_dives
     from insdvl_replay.batch.replaying import Replaying
     from insdvl_replay.changes.formats import check_result
-    from insdvl_replay.changes.gate_file import load_gates, settings_of
+    from insdvl_replay.changes.gate_file import load_gates
 
     found = load_gates(_path("gates", gates))
     named = [str(path) for path in _paths(dives, "dives")] if dives else []
-    layers = _settings(config)
-    if layers.ready is None:
-        files = layers.files or settings_of(found)
-        layers = SettingsLayers(found.content.preset, files)
+    layers = _with_gates(_settings(config), found)
     planned = plan_check(found, named, layers, local_settings=config is None)
-    outcome = checked_dives(
-        planned, _path("results", results), Replaying(force=True), fetch_dives, update=update
-    )
+    folder = _path("results", results)
+    outcome = checked_dives(planned, folder, Replaying(force=True), fetch_dives, update=update)
     if badge is not None:
         write_badge(outcome, _path("badge", badge))
     return CommandResult(check_result(outcome))
+
+
+def _with_gates(layers: SettingsLayers, gates: "Gates") -> SettingsLayers:
+    """Return settings above the preset that gates name, or those that they name themselves."""
+    from insdvl_replay.changes.gate_file import settings_of
+
+    if layers.ready is not None:
+        return layers
+    return SettingsLayers(gates.content.preset, layers.files or settings_of(gates))
 
 
 def history(lake: Text, quantity: str = "") -> "CommandResult":

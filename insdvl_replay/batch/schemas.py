@@ -66,12 +66,32 @@ def lines_for_editors(name: str | None) -> str:
 
 def json_schema(name: str) -> bytes:
     """Return the JSON schema (draft 2020-12) of one of `SCHEMAS`."""
+    from insdvl_replay.core.report import as_json
+
+    title = name
+    if name == "config":
+        title = "configuration"
+    described: dict[str, Any] = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"insdvl-replay {title}",
+        **_with_words(_bare_schema(name)),
+    }
+    if name == "config":
+        filters = described["$defs"]["ConfigFile"]["properties"]["filters"]
+        filters["additionalProperties"] = {
+            "anyOf": [filters["additionalProperties"], {"const": False}]
+        }
+    return as_json(described)
+
+
+def _bare_schema(name: str) -> dict[str, Any]:
+    """Return the schema of what is written, without words on it."""
     import msgspec
 
     from insdvl_replay.calibration.rows import TABLES as CALIBRATION
     from insdvl_replay.changes.formats import CheckReport
     from insdvl_replay.core.config import ConfigFile
-    from insdvl_replay.core.report import Report, as_json
+    from insdvl_replay.core.report import Report
     from insdvl_replay.document.parts import ResultJson
     from insdvl_replay.document.render import result_schema
     from insdvl_replay.inspection.inventory import Inventory
@@ -96,27 +116,12 @@ def json_schema(name: str) -> bytes:
 
         kinds[name] = StartFile
     if name in kinds:
-        schema = msgspec.json.schema(kinds[name])
-    elif name == "history":
+        return msgspec.json.schema(kinds[name])
+    if name == "history":
         from insdvl_replay.show.history import TABLES as HISTORY
 
-        schema = result_schema(HISTORY)
-    else:
-        schema = result_schema(CALIBRATION)
-    title = name
-    if name == "config":
-        title = "configuration"
-    described: dict[str, Any] = {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": f"insdvl-replay {title}",
-        **_with_words(schema),
-    }
-    if name == "config":
-        filters = described["$defs"]["ConfigFile"]["properties"]["filters"]
-        filters["additionalProperties"] = {
-            "anyOf": [filters["additionalProperties"], {"const": False}]
-        }
-    return as_json(described)
+        return result_schema(HISTORY)
+    return result_schema(CALIBRATION)
 
 
 def _with_words(schema: dict[str, Any]) -> dict[str, Any]:

@@ -105,18 +105,13 @@ def compare_results(
 
     ConfigError if both sides share no dive or no candidate, a name is not known, or the tolerance is no percentage.
     """
-    if tolerance_pct is not None and not 0.0 <= tolerance_pct < math.inf:
-        raise ConfigError(f"tolerance {tolerance_pct:g}: is not a percentage", "for example 0.5")
-    for name in tables:
-        require_known("table", name, [layout.name for layout in LAYOUTS], most=len(LAYOUTS))
-    layouts = [layout for layout in LAYOUTS if not tables or layout.name in tables]
+    _require_percentage(tolerance_pct)
+    layouts = _named_layouts(tables)
     before, notes_before = read_results(old)
     after, notes_after = read_results(new)
     renamed = with_new_names(before, filter_pairs)
     require_new_names(after, filter_pairs)
-    matching = match_dives(renamed, after)
-    if dives:
-        matching = _only_dives(matching, dives)
+    matching = _only_dives(match_dives(renamed, after), dives)
     pairs = [match.pair for match in matching.both]
     frames = [list(paired_rows(pair.old.report, pair.new.report, layouts)) for pair in pairs]
     notes = [*notes_before, *notes_after, *notes_on_names(pairs, frames)]
@@ -149,8 +144,22 @@ def compare_results(
     )
 
 
+def _require_percentage(tolerance_pct: float | None) -> None:
+    if tolerance_pct is not None and not 0.0 <= tolerance_pct < math.inf:
+        raise ConfigError(f"tolerance {tolerance_pct:g}: is not a percentage", "for example 0.5")
+
+
+def _named_layouts(tables: Sequence[str]) -> list[TableLayout]:
+    """Return the layouts of the tables that were named; of all where none was."""
+    for name in tables:
+        require_known("table", name, [layout.name for layout in LAYOUTS], most=len(LAYOUTS))
+    return [layout for layout in LAYOUTS if not tables or layout.name in tables]
+
+
 def _only_dives(matching: Matching, dives: Sequence[str]) -> Matching:
-    """Keep the matched dives with some names; a ConfigError for a name that no matched dive has."""
+    """Keep the matched dives with some names, all without any; a ConfigError for a name that no matched dive has."""
+    if not dives:
+        return matching
     for name in dives:
         require_known("dive", name, [match.pair.new.name for match in matching.both])
     both = [match for match in matching.both if match.pair.new.name in dives]

@@ -302,19 +302,25 @@ def compile_(
       INSDVL_REPLAY_CACHE=/opt/insdvl-replay insdvl-replay compile
       insdvl-replay compile --key
     """
+    if key:
+        from insdvl_replay.core.runtime import cache_key
+
+        write_stdout(f"{cache_key()}\n")
+    else:
+        _compile_now()
+
+
+def _compile_now() -> None:
+    """Replay a short dive, which compiles everything that a run needs, and say how long it took."""
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.runtime import (
         LEAST_TO_COMPILE_BYTES,
         cache_folder,
-        cache_key,
         cache_problem,
         is_warm,
         require_memory,
     )
 
-    if key:
-        write_stdout(f"{cache_key()}\n")
-        return
     folder = cache_folder()
     start_s = time.perf_counter()
     was_warm = is_warm()
@@ -329,7 +335,7 @@ def compile_(
     from insdvl_replay.preparation.replay import replay_log
     from insdvl_replay.sim.dive import simulate_dive
 
-    with TemporaryDirectory() as name:  # compiles everything that a run needs
+    with TemporaryDirectory() as name:
         log = Path(name, "dive.mcap")
         write_dive(log, simulate_dive("straight", seed=1, duration_s=_SHORT_S))
         replay_log(log, Config())
