@@ -367,27 +367,31 @@ def test_what_is_in_a_log(logs: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("look", "is_fetched"),
+    ("look", "expected"),
     [
-        (Look(), False),
-        (Look(allow_damaged=True), False),
-        (Look(deep=True), True),
-        (Look(one_dive=True), True),
-        (Look(offline=True), True),
+        (Look(), []),
+        (Look(allow_damaged=True), []),
+        (Look(deep=True), [("online", "whole")]),
+        (Look(one_dive=True), [("online", "whole")]),
+        (Look(offline=True), [("offline", "what is there")]),
     ],
 )
 def test_of_a_remote_log_the_summary_is_enough_unless_more_is_asked_for(
-    look: Look, is_fetched: bool
+    look: Look, expected: list[tuple[str, str]]
 ) -> None:
-    asked = list[bool]()
+    asked = list[tuple[str, str]]()
 
-    def fetch(dives: Sequence[FoundDive], *, offline: bool = False) -> list[FoundDive]:
-        asked.append(offline)
+    def fetch(
+        dives: Sequence[FoundDive], *, offline: bool = False, whole: bool = False
+    ) -> list[FoundDive]:
+        where = "offline" if offline else "online"
+        what = "whole" if whole else "what is there"
+        asked.append((where, what))
         return list(dives)
 
     found = find_dives([REMOTE])
     assert look.fetched(found, fetch) == found
-    assert asked == [look.offline] * is_fetched
+    assert asked == expected
 
 
 def test_a_look_at_a_remote_log_that_is_not_in_the_cache(tmp_path: Path) -> None:

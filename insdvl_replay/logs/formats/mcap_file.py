@@ -724,14 +724,14 @@ class McapFile(ChunkedFile):
 
 def _note_on_parts(record: records.Metadata) -> Note:
     """Say what was not fetched of a remote log."""
-    told = record.metadata
-    chunks = told.get("chunks", "")
-    size = told.get("bytes", "")
+    described = record.metadata
+    chunks = described.get("chunks", "")
+    size = described.get("bytes", "")
     return note(
         "log_parts",
         int(chunks) if chunks.isdecimal() else 1,
         size_mb=int(size) / 1e6 if size.isdecimal() else 0.0,
-        topics=told.get("topics", ""),
+        topics=described.get("topics", ""),
     )
 
 

@@ -259,12 +259,12 @@ class _Writer:
     def end(self) -> None:
         """Write what was left out, and the summary."""
         left_out = self._parts.left_out
-        told = {
+        described = {
             "chunks": str(len(left_out)),
             "bytes": str(sum(map(_length, left_out))),
             "topics": ", ".join(self._parts.topics),
         }
-        self._stream.write(_record(records.Metadata(name=PARTS, metadata=told)))
+        self._stream.write(_record(records.Metadata(name=PARTS, metadata=described)))
         self._stream.write(_record(records.DataEnd(data_section_crc=0)))
         start = self._stream.tell()
         schemas, channels = self._parts.counts
