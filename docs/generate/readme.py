@@ -28,7 +28,7 @@ VEHICLE = PROJECT / "docs" / "vehicle.md"
 def printed(folder: Path, *arguments: str) -> str:
     """Run the program in a folder, and return what it prints into a pipe."""
     command = [sys.executable, "-m", "insdvl_replay", *arguments]
-    environment = {**os.environ, "PYTHONPATH": str(PROJECT)}
+    environment = {**os.environ, "COLUMNS": "10000", "PYTHONPATH": str(PROJECT)}
     done = subprocess.run(
         command, cwd=folder, env=environment, check=True, capture_output=True, text=True
     )
@@ -62,7 +62,7 @@ def foreign() -> str:
 def unknown_vehicle() -> str:
     """What `run` says of a log of a vehicle that nobody has described."""
     command = [sys.executable, "-m", "insdvl_replay", "run", BLUEYE.name]
-    environment = {**os.environ, "PYTHONPATH": str(PROJECT)}
+    environment = {**os.environ, "COLUMNS": "10000", "PYTHONPATH": str(PROJECT)}
     with TemporaryDirectory() as folder:
         shutil.copy(BLUEYE, folder)
         done = subprocess.run(

@@ -38,7 +38,8 @@ def screen(block: str, folder: Path) -> str:
     """Run the commands of a block, and return the block with what they print on stdout."""
     commands = re.findall(r"^\$ (.*?[^\\])$", block, re.MULTILINE | re.DOTALL)
     environment = os.environ | {
-        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        "COLUMNS": "10000",  # each sentence on one line, which Markdown readers scroll
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
     }
     parts = []
     for command in commands:

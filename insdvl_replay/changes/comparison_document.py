@@ -285,7 +285,7 @@ def _answer_table(answers: Sequence[Answer], *, every_row: bool) -> Iterator[Dis
         footnote += f" {left} more rows: -v"
     if kept:
         title = "Evidence, new against old"
-        yield table_of(title, kept, _ANSWER_COLUMNS, footnote, spare=(2, 7, 3, 4))
+        yield table_of(title, kept, _ANSWER_COLUMNS, footnote, spare=(7, 2, (3, 4)))
 
 
 def _answer_screen(comparison: Comparison) -> list[Part]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
@@ -45,6 +45,9 @@ _COLUMNS: Final = (
 )
 _SEVERAL: Final = "several"
 _DIGITS: Final = 8  # of a digest in the name of a version
+# Columns that a narrow terminal leaves out, the values of both sides before their names.
+_SPARE_OF_STEPS: Final = ((7, 8), (5, 6), 13)
+_SPARE_OF_VERSIONS: Final = (2, 3)
 _TONES: Final = {EvidenceVerdict.BETTER: "good", EvidenceVerdict.WORSE: "bad"}
 _CAPTION: Final = (
     "Candidate over baseline, geometric mean over the dives of a version; below 1 it is better. Bars: interval of 95 % "
@@ -465,9 +468,10 @@ def history_result(lake: Path, quantity: str = "") -> Result:
         parts.append(left_out)
     parts += [Heading("Figures"), figure, Heading("Tables")]
     if steps:
-        parts.append(shown(StepRow, steps))
+        parts.append(replace(shown(StepRow, steps), spare=_SPARE_OF_STEPS))
     for each in found:
-        parts.append(shown(VersionRow, version_rows(each), filter=each.filter))
+        table = shown(VersionRow, version_rows(each), filter=each.filter)
+        parts.append(replace(table, spare=_SPARE_OF_VERSIONS))
     return Result(
         kind="history",
         title=title,
