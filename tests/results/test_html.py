@@ -60,7 +60,7 @@ def pictures(document: Document) -> tuple[list[str], list[str]]:
         for tag, attributes in document.elements
         if "aria-label" in attributes
     ]
-    others = [title for title in titles[2:] if not title.startswith("position errors as vectors")]
+    others = [title for title in titles[2:] if not title.startswith("error vectors")]
     return titles[:2], others
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from made_verdicts import evidence_row
 
-from insdvl_replay.core.tables import PooledRow
+from insdvl_replay.core.tables import PooledRow, layout_of
+from insdvl_replay.document.tables import FORMS
 from insdvl_replay.evaluation.answers import CandidateAnswer, pooled_candidate
 from insdvl_replay.evaluation.sentences import (
     acts_line,
@@ -158,3 +159,19 @@ def test_cells_of_a_table_are_of_the_quantity_that_decides() -> None:
     assert (name, ratio) == ("position", "1.00")
     assert " .. " in interval
     assert evidence_cells(answer({"level": [0.5] * 3})) == ("-", "-", "-")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "< 0.0001"),
+        (0.00004, "< 0.0001"),
+        (0.00006, "0.0001"),
+        (0.0312, "0.0312"),
+        (None, "-"),
+    ],
+)
+def test_a_probability_is_never_zero(value: float | None, text: str) -> None:
+    assert FORMS["probability"](value) == text
+    column = layout_of("", PooledRow).columns["p"]
+    assert column.form == "probability"

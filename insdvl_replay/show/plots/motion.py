@@ -108,7 +108,7 @@ def error_vectors_panel(replay: Replay) -> Iterator[Panel]:
             style = f"{filter_style(number)} {MAGNIFIED} solid"
             drawn.append(_vectors(history.filter, style, reference, errors[history.filter], times))
     size = f", {times:g} times as large" if times > 1.0 else ""
-    title = f"position errors as vectors{size}: north [m]"
+    title = f"error vectors{size}: north [m]"
     curves = (reference.from_above(), *drawn)
     yield Panel(title, _EAST, curves, equal=True, low=True, folded=True)
 
