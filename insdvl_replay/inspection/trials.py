@@ -7,6 +7,7 @@ a dive share the noise, so their costs can be compared.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from typing import Final
 
@@ -375,10 +376,18 @@ def _turn(rpy_deg: Sequence[float]) -> tuple[int, ...]:
 
 def _vehicle(hypothesis: Hypothesis) -> tuple[object, ...]:
     """Return the same for hypotheses that differ by a turn about down."""
+    built_in = replace(hypothesis, rate_scale=1.0, cost=np.inf)
+    return *_built_in_alike(built_in), hypothesis.rate_scale
+
+
+# Trials are many, with other scales and costs, of a few ways to be built in.
+@lru_cache(maxsize=4096)
+def _built_in_alike(hypothesis: Hypothesis) -> tuple[object, ...]:
+    """Return the same for ways to be built in that differ by a turn about down."""
     keys = []
     for quarters in range(4):
         one = turned_about_down(hypothesis, quarters)
-        keys.append((one.axes, one.force_axes, one.rate_scale, _turn(one.rpy_deg)))
+        keys.append((one.axes, one.force_axes, _turn(one.rpy_deg)))
     return min(keys)
 
 
