@@ -13,9 +13,14 @@ from hypothesis import settings
 from left_out import left_out
 from rich.console import RenderableType
 
-from insdvl_replay.cli import screen
-from insdvl_replay.core.config import Evaluation
-from insdvl_replay.preparation import replay
+from insdvl_replay.core.processor import use_common_code
+
+# Before numpy is imported, as commands do it: results of this process are those of the processes that it starts.
+use_common_code()
+
+from insdvl_replay.cli import screen  # noqa: E402
+from insdvl_replay.core.config import Evaluation  # noqa: E402
+from insdvl_replay.preparation import replay  # noqa: E402
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
