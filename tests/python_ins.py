@@ -60,6 +60,7 @@ class Case:
     mounting_rpy_deg: Vector = (0.0, 0.0, 0.0)
     beams: tuple[int, ...] = (0, 1, 2, 3)
     sensors: Mapping[str, SensorErrors] = field(default_factory=dict)
+    end_s: float = END_S
 
     def dive(self) -> Dive:
         """Simulate it. python-ins corrects at the IMU sample before a ping; a ping at a sample leaves no difference."""
@@ -67,11 +68,13 @@ class Case:
             return self._simulated()
 
     def _simulated(self) -> Dive:
-        lost = [LostBeam(beam, 0.0, END_S + 1.0) for beam in range(4) if beam not in self.beams]
+        lost = [
+            LostBeam(beam, 0.0, self.end_s + 1.0) for beam in range(4) if beam not in self.beams
+        ]
         return simulate_dive(
             self.scenario,
             seed=3,
-            duration_s=END_S,
+            duration_s=self.end_s,
             reference_rate_hz=100.0,
             lost_beams=lost,
             imu_errors=IMU_ERRORS,

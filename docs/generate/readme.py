@@ -1,16 +1,20 @@
 """The parts of README.md that the program writes. `make readme` renews them; a test holds them equal."""
 
+import io
 import json
 import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import paper_tables
 from written import PROJECT, markdown_table, renewed
+
+from insdvl_replay.cli import run_command_line
 
 README = PROJECT / "README.md"
 
@@ -82,15 +86,11 @@ def paper() -> str:
     for name in SAMPLES:
         course = paper_tables.read_course(name)
         with TemporaryDirectory() as output:
-            printed(
-                PROJECT,
-                "run",
-                f"sample_logs/{name}.mcap",
-                "--preset",
-                "levy-klein",
-                "--output",
-                output,
-            )
+            arguments = ["run", str(PROJECT / "sample_logs" / f"{name}.mcap")]
+            arguments += ["--preset", "levy-klein", "--output", output]
+            # In this process, since nothing of what is printed is shown.
+            with redirect_stdout(io.StringIO()):
+                run_command_line(arguments)
             ours = json.loads((Path(output) / name / "report.json").read_bytes())["filters"][
                 "aided"
             ]

@@ -917,11 +917,12 @@ def test_a_worker_uses_the_noise_that_it_fits(archive: Path, tmp_path: Path) -> 
 def test_two_processes_write_the_bytes_of_one(
     archive: Path, results: Path, tmp_path: Path
 ) -> None:
-    done = run(archive, "-o", "out", "--jobs", "2", cwd=tmp_path)
+    command = "run", "--preset", "levy-klein", archive, "-o", "out"
+    done = done_here(*command, "--jobs", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert bytes_of(tmp_path / "out") == bytes_of(results)
     assert done.stderr.splitlines()[-1] == "wrote out/index.html"
-    again = done_here("run", "--preset", "levy-klein", archive, "-o", "out", cwd=tmp_path)
+    again = done_here(*command, cwd=tmp_path)
     assert again.stdout == done.stdout
 
 

@@ -26,9 +26,10 @@ def dives(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("dives")
     paths = [folder / f"{name}.mcap" for name in ("first", "second", "third")]
     for seed, path in enumerate(paths):
-        write_dive(
-            path, simulate_dive("figure-eight", duration_s=60.0, seed=seed, grade="tactical")
+        dive = simulate_dive(
+            "figure-eight", duration_s=60.0, imu_rate_hz=50.0, seed=seed, grade="tactical"
         )
+        write_dive(path, dive)
     return paths
 
 

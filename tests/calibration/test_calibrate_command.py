@@ -25,7 +25,7 @@ def dives(tmp_path_factory: pytest.TempPathFactory) -> Path:
         dive = str(folder / f"dive_{seed}.mcap")
         assert (
             run_command_line(
-                ["simulate", "calibration", "--seed", seed, "--duration", "150", "-o", dive]
+                ["simulate", "calibration", "--seed", seed, "--duration", "110", "-o", dive]
             )
             == 0
         )

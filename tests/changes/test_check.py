@@ -225,7 +225,7 @@ def test_interrupted_is_130(jobs: str, team: Path) -> None:
 
 def test_replays_are_kept_and_used_again(team: Path) -> None:
     shutil.rmtree(team / "checked")
-    assert check(team, PASSING, "--jobs", "2").returncode == 0
+    assert check(team, PASSING).returncode == 0
     saved = team / "checked" / "transit" / "report.json"
     first = saved.stat().st_mtime_ns
     assert check(team, PASSING).returncode == 0

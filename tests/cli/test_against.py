@@ -11,6 +11,8 @@ from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 ONE_START = ["--starts", "1"]
+# With a noise that is given, nothing has to be fitted.
+SETTLED = [*ONE_START, "--preset", "levy-klein"]
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +32,7 @@ def results(dives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("results")
     assert (
         run_command_line(
-            ["run", str(dives), "-o", str(output), *ONE_START, "--against", "dvl.scale=1.1"]
+            ["run", str(dives), "-o", str(output), *SETTLED, "--against", "dvl.scale=1.1"]
         )
         == 0
     )
@@ -38,7 +40,7 @@ def results(dives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def against(dives: Path, results: Path, *arguments: str) -> int:
-    return run_command_line(["run", str(dives), "-o", str(results), *ONE_START, *arguments])
+    return run_command_line(["run", str(dives), "-o", str(results), *SETTLED, *arguments])
 
 
 def test_it_prints_what_compare_prints(
@@ -84,7 +86,7 @@ def test_exit_codes_are_those_of_compare(
     assert "worst: " in capsys.readouterr().err
     (tmp_path / "broken.mcap").write_text("no log")
     broken = [str(dives / "dive_1.mcap"), str(tmp_path / "broken.mcap")]
-    command = ["run", *broken, "-o", str(results), *ONE_START, "--against", "dvl.scale=1.1"]
+    command = ["run", *broken, "-o", str(results), *SETTLED, "--against", "dvl.scale=1.1"]
     assert run_command_line(command) == 3
     printed = capsys.readouterr()
     assert "\ndive_1, new: " in printed.out, "the others are compared"

@@ -105,6 +105,10 @@ main()
 """
 
 
+# With a noise that is given, nothing has to be fitted.
+SETTLED = ("--preset", "fog", "--set", "dvl.beam_sd_mps=0.006")
+
+
 @pytest.fixture(scope="module")
 def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A minute of a simulated straight line."""
@@ -118,7 +122,7 @@ def result(
     dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> tuple[Path, str, str]:
     """Its result folder, and what was said on stdout and stderr."""
-    assert run_command_line(["run", str(dive), "-o", str(tmp_path)]) == 0
+    assert run_command_line(["run", str(dive), "-o", str(tmp_path), *SETTLED]) == 0
     captured = capsys.readouterr()
     return tmp_path / "straight", captured.out, captured.err
 
@@ -216,7 +220,7 @@ def test_only_the_block_tool_differs_between_two_runs(
     result: tuple[Path, str, str], dive: Path, tmp_path: Path
 ) -> None:
     first, _, _ = result
-    assert run_command_line(["run", str(dive), "-o", str(tmp_path / "again")]) == 0
+    assert run_command_line(["run", str(dive), "-o", str(tmp_path / "again"), *SETTLED]) == 0
     second = tmp_path / "again" / "straight"
     names = sorted(path.name for path in first.iterdir())
     assert names == sorted(path.name for path in second.iterdir())
@@ -255,14 +259,16 @@ def test_the_saved_configuration_reproduces_the_result(
 def test_other_formats(
     format_: str, start: str, dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run_command_line(["run", str(dive), "-o", str(tmp_path), "--format", format_]) == 0
+    command = ["run", str(dive), "-o", str(tmp_path), "--format", format_]
+    assert run_command_line([*command, *SETTLED]) == 0
     assert capsys.readouterr().out.startswith(start)
 
 
 def test_json_on_stdout_is_the_saved_report(
     dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run_command_line(["run", str(dive), "-o", str(tmp_path), "--format", "json"]) == 0
+    command = ["run", str(dive), "-o", str(tmp_path), "--format", "json"]
+    assert run_command_line([*command, *SETTLED]) == 0
     assert capsys.readouterr().out == (tmp_path / "straight" / "report.json").read_text()
 
 
@@ -272,7 +278,7 @@ def test_a_bad_log_does_not_stop_the_others(
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"not a log")
     output = tmp_path / "out"
-    assert run_command_line(["run", str(bad), str(dive), "-o", str(output)]) == 3
+    assert run_command_line(["run", str(bad), str(dive), "-o", str(output), *SETTLED]) == 3
     assert sorted(path.name for path in output.iterdir()) == [
         "answers.csv",
         "evidence.csv",
@@ -292,6 +298,7 @@ def test_strict_turns_warnings_into_exit_3_and_keeps_the_result(
     dive: Path, tmp_path: Path
 ) -> None:
     arguments = ["run", str(dive), "-o", str(tmp_path), "--set", "imu.max_gap_s=0.001"]
+    arguments += SETTLED
     assert run_command_line(arguments) == 0
     assert run_command_line([*arguments, "--strict", "--force"]) == 3
     assert (tmp_path / "straight" / "report.json").is_file()
@@ -470,6 +477,9 @@ def test_a_reader_that_goes_away_ends_the_printing_not_the_work(
         "from insdvl_replay.cli import main; main()",
         "run",
         str(dive),
+        *SETTLED,
+        "--starts",
+        "1",
     ]
     with subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

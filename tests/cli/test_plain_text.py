@@ -204,7 +204,7 @@ def test_run_and_its_folder(hostile: Path) -> None:
 def test_compare(hostile: Path) -> None:
     said(["run", f"{DIVE}.mcap", "-o", "other", "--set", "dvl.velocity_sd_mps=0.1"], hostile, 0)
     said(["run", f"{DIVE}.mcap"], hostile, 0)
-    for format_, tell in (("table", spoken), ("md", said), ("latex", said), ("csv", said)):
+    for format_ in ("table", "md", "latex", "csv"):
         arguments = [
             "compare",
             f"replay/{DIVE}",
@@ -214,7 +214,7 @@ def test_compare(hostile: Path) -> None:
             "--fail-on",
             "0%",
         ]
-        for text in tell(arguments, hostile, 1):
+        for text in said(arguments, hostile, 1):
             assert_plain(text)
 
 
@@ -242,7 +242,7 @@ def test_check_of_a_dive_that_fails_and_one_that_cannot_be_used(
         "--summary-file",
         f"{format_}.md",
     ]
-    out, told = spoken(arguments, hostile, 3)
+    out, told = said(arguments, hostile, 3)
     assert_plain(told)
     assert told.splitlines()[-1].startswith("error: 1 gate on 1 dive: 1 ")
     assert_plain(without_commands((hostile / f"{format_}.md").read_text("utf-8")))
@@ -261,7 +261,7 @@ def test_check_of_a_dive_that_fails_and_one_that_cannot_be_used(
 )
 def test_inspect(format_: str, hostile: Path) -> None:
     for dive in (f"{DIVE}.mcap", f"two/{DIVE}.mcap"):
-        for text in spoken(["inspect", dive, "--format", format_, "--deep"], hostile, 0):
+        for text in said(["inspect", dive, "--format", format_, "--deep"], hostile, 0):
             assert_plain(text)
 
 

@@ -16,7 +16,7 @@ from insdvl_replay.calibration.noise import imu_class
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import given_keys, load_config
-from insdvl_replay.core.dive_columns import Dive
+from insdvl_replay.core.dive_columns import Dive, nanoseconds
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Consistency
@@ -131,6 +131,14 @@ def test_an_arm_and_a_delay_that_nobody_knows_are_not_taken_for_a_turned_dvl(
 @pytest.fixture(scope="module")
 def turning() -> Dive:
     return unknown_logs.plain_dive("figure-eight", imu_rate_hz=50.0)
+
+
+def first_minute(dive: Dive) -> Dive:
+    first_ns = dive.imu.time_ns[0]
+    last_ns = first_ns + nanoseconds(60.0)
+    return replace(
+        dive, imu=dive.imu.within(first_ns, last_ns), dvl=dive.dvl.within(first_ns, last_ns)
+    )
 
 
 def turned_dvl(dive: Dive, rpy_deg: tuple[float, float, float]) -> Dive:
@@ -297,7 +305,7 @@ def test_file_is_not_replaced_unasked_and_the_screen_stays_as_it_was(
     turning: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log, file = tmp_path / "log.mcap", tmp_path / "vehicle.toml"
-    write_dive(log, turning)
+    write_dive(log, first_minute(turning))
     assert run_command_line(["inspect", str(log), "--deep", "--format", "json"]) == 0
     deep = capsys.readouterr().out
     assert run_command_line(["inspect", str(log), "--format", "json", "--propose", str(file)]) == 0

@@ -216,7 +216,7 @@ SETTINGS = Config(
 def test_pd0_is_brought_onto_the_clock_of_a_table(
     offset_s: float, since_boot: bool, tmp_path: Path
 ) -> None:
-    dive = simulated(at_sea(8), 8)
+    dive = simulated(at_sea(8), 8, imu_hz=50.0)
     paths = written(tmp_path, dive, offset_s, since_boot)
     found = read_dive(paths, SETTINGS)
     true_ns = dive.dvl.time_ns - (START_NS if since_boot else 0)
@@ -243,7 +243,7 @@ def test_an_imu_without_settings_is_aligned_before_they_are_searched(tmp_path: P
 
 
 def test_files_by_one_clock_stay_as_they_are(tmp_path: Path) -> None:
-    dive = simulated(at_sea(9), 9)
+    dive = simulated(at_sea(9), 9, imu_hz=50.0)
     found = read_dive(written(tmp_path, dive, 0.3), SETTINGS)
     late_s = seconds(found.dvl.time_ns - dive.dvl.time_ns, 0)
     assert np.abs(late_s - 0.3 - DRIFT * seconds(dive.dvl.time_ns, START_NS)).max() < 0.006
@@ -252,7 +252,7 @@ def test_files_by_one_clock_stay_as_they_are(tmp_path: Path) -> None:
 
 def test_pings_that_settings_count_are_taken_as_they_are(tmp_path: Path) -> None:
     """The rate and the latency are those of the settings; no clock is looked for."""
-    dive = simulated(at_sea(9), 9)
+    dive = simulated(at_sea(9), 9, imu_hz=50.0)
     dvl = velocities(dive, 0.0)
     columns = {"time [s]": dvl.time_ns / 1e9}
     for axis, values in zip("xyz", dvl.values.T, strict=True):
@@ -288,7 +288,7 @@ def test_clocks_that_no_motion_confirms_are_said(
 
 
 def test_pings_of_outages_are_held_back_by_the_clock_of_the_imu(tmp_path: Path) -> None:
-    dive = simulated(at_sea(10), 10)
+    dive = simulated(at_sea(10), 10, imu_hz=50.0)
     paths = written(tmp_path, dive, OFFSET_S)
     outage = (START_NS + 100 * 10**9, START_NS + 160 * 10**9)
     held_back = held_back_messages(paths, SETTINGS, [outage])["dvl/velocity"]

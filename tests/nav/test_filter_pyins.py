@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.core.states import PHI
 from insdvl_replay.preparation.replay import replay_dive
 
+FIRST_TURN_S = 123.0
+
 
 @pytest.mark.filterwarnings(
     "ignore:The copy keyword is deprecated"
@@ -21,7 +23,20 @@ from insdvl_replay.preparation.replay import replay_dive
         pytest.param(
             Case(lever_arm_m=(-1.8, 0.3, 0.5)), id="lever arm", marks=pytest.mark.nightly
         ),
-        pytest.param(Case(mounting_rpy_deg=(3.0, -2.0, 45.0)), id="mounting rotation"),
+        pytest.param(
+            Case(mounting_rpy_deg=(3.0, -2.0, 45.0)),
+            id="mounting rotation",
+            marks=pytest.mark.nightly,
+        ),
+        # As cheap as it can be: a lever arm and a rotation, in the first of the two turns.
+        pytest.param(
+            Case(
+                lever_arm_m=(-1.8, 0.3, 0.5),
+                mounting_rpy_deg=(3.0, -2.0, 45.0),
+                end_s=FIRST_TURN_S,
+            ),
+            id="lever arm and mounting rotation",
+        ),
     ],
 )
 def test_baseline_predicts_what_python_ins_predicts(case: Case) -> None:

@@ -35,6 +35,12 @@ def dive() -> Dive:
     return simulate_dive("lawnmower", seed=3, duration_s=220.0, grade="mems", imu_rate_hz=50.0)
 
 
+@pytest.fixture(scope="module")
+def short() -> Dive:
+    """A dive without the windows of an outage test, over which a filter has fewer runs."""
+    return simulate_dive("lawnmower", seed=3, duration_s=80.0, grade="mems", imu_rate_hz=50.0)
+
+
 def config(mine: Filter | None = None, **evaluation: Any) -> Config:
     filters = FILTERS if mine is None else {"baseline": FILTERS["baseline"], "mine": mine}
     settings: Config = load_config("mems")
@@ -56,8 +62,8 @@ def notes_of(replay: Replay, code: str) -> list[Note]:
 # --- What is said of them.
 
 
-def test_random_answers_have_no_verdict_and_their_spread_is_said(dive: Dive) -> None:
-    replay = replay_dive(dive, config(of_class("Random")))
+def test_random_answers_have_no_verdict_and_their_spread_is_said(short: Dive) -> None:
+    replay = replay_dive(short, config(of_class("Random")))
     found = replay.verdicts["mine"]
     assert found.verdict == Verdict.NOT_REPEATABLE
     assert re.search(
@@ -95,8 +101,8 @@ def test_answers_that_differ_by_far_less_than_the_error_are_judged(dive: Dive) -
     assert re.search(r"moves its position by 0\.0\d+ mm \(rms\)", note.text)
 
 
-def test_an_answer_that_depends_on_the_process_does_not_repeat(dive: Dive) -> None:
-    replay = replay_dive(dive, config(of_class("Hashing")))
+def test_an_answer_that_depends_on_the_process_does_not_repeat(short: Dive) -> None:
+    replay = replay_dive(short, config(of_class("Hashing")))
     assert "in a second run" in replay.verdicts["mine"].reason
 
 
@@ -193,8 +199,8 @@ def test_a_program_that_reads_the_log_has_a_second_run_and_no_other(
     assert "stamps" not in note.text
 
 
-def test_repeats_can_be_switched_off(dive: Dive) -> None:
-    replay = replay_dive(dive, config(of_class("Random"), repeats=False))
+def test_repeats_can_be_switched_off(short: Dive) -> None:
+    replay = replay_dive(short, config(of_class("Random"), repeats=False))
     assert replay.verdicts["mine"].verdict != Verdict.NOT_REPEATABLE
     assert not notes_of(replay, "answers_repeat") + notes_of(replay, "answers_differ")
 
@@ -330,8 +336,8 @@ def test_one_sample_in_ten_thousand_is_repeated() -> None:
 # --- Processor time.
 
 
-def test_the_processor_time_of_each_filter_is_known(dive: Dive) -> None:
-    replay = replay_dive(dive, config(of_class("Burning"), repeats=False))
+def test_the_processor_time_of_each_filter_is_known(short: Dive) -> None:
+    replay = replay_dive(short, config(of_class("Burning"), repeats=False))
     assert replay.cpu_s.keys() == {"baseline", "mine"}
     assert 0.0 < replay.cpu_s["baseline"] < 60.0
     assert replay.cpu_s["mine"] > 0.3

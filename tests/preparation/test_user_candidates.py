@@ -56,6 +56,17 @@ def dive() -> Dive:
 
 
 @pytest.fixture(scope="module")
+def short() -> Dive:
+    """A dive without the windows of an outage test, over which a filter has fewer runs."""
+    return simulate_dive("lawnmower", seed=3, duration_s=60.0, imu_rate_hz=50.0)
+
+
+@pytest.fixture(scope="module")
+def short_alone(short: Dive) -> Replay:
+    return replay_dive(short, config())
+
+
+@pytest.fixture(scope="module")
 def alone(dive: Dive) -> Replay:
     """The other candidates without one of the user's."""
     return replay_dive(dive, config())
@@ -137,8 +148,8 @@ def test_the_baseline_as_a_class_has_no_effect_in_any_evidence(dive: Dive, alone
     assert not any(row.filter == "mine" for row in replay.tables.credibility)
 
 
-def test_covariance_gives_nees_and_innovations_give_nis(dive: Dive) -> None:
-    replay = replay_dive(dive, config(Filter(candidate=f"{HERE}:BaselineWithCov")))
+def test_covariance_gives_nees_and_innovations_give_nis(short: Dive) -> None:
+    replay = replay_dive(short, config(Filter(candidate=f"{HERE}:BaselineWithCov")))
     nis = {row.filter: row for row in replay.tables.consistency if row.measurement == "velocity_x"}
     assert nis["mine"].mean_nis == pytest.approx(nis["baseline"].mean_nis, rel=1e-6)
     nees = {row.filter: row for row in replay.tables.credibility if row.quantity == "attitude"}
@@ -297,18 +308,18 @@ def test_a_failure_is_not_evaluated_and_changes_no_other_candidate(
     assert rows_of_others(replay) == rows_of_others(alone)
 
 
-def test_a_program_that_hangs_is_ended(dive: Dive, tmp_path: Path) -> None:
+def test_a_program_that_hangs_is_ended(short: Dive, tmp_path: Path) -> None:
     script = "import subprocess, time\nsubprocess.Popen(['sleep', '77'])\nprint('now', flush=True)\ntime.sleep(77)"
-    replay = replay_dive(dive, config(program(tmp_path, script, timeout_s=0.3)))
+    replay = replay_dive(short, config(program(tmp_path, script, timeout_s=0.3)))
     assert "mine did not end within 0.3 s" in replay.verdicts["mine"].sentence
     assert "now\n" in replay.printed["mine"]
 
 
 @pytest.mark.parametrize("end", ["sys.exit(0)", "os.abort()"])
-def test_what_a_program_has_started_ends_with_it(end: str, dive: Dive, tmp_path: Path) -> None:
+def test_what_a_program_has_started_ends_with_it(end: str, short: Dive, tmp_path: Path) -> None:
     script = "import os, subprocess\nchild = subprocess.Popen(['sleep', '77'])\n"
     script += f"pathlib.Path({str(tmp_path)!r}, 'pid').write_text(str(child.pid))\n"
-    replay_dive(dive, config(program(tmp_path, script + end)))
+    replay_dive(short, config(program(tmp_path, script + end)))
     child = Path("/proc", (tmp_path / "pid").read_text(), "stat")
     until = time.monotonic() + 5.0
     while child.exists() and child.read_text().split()[2] != "Z" and time.monotonic() < until:
@@ -337,8 +348,8 @@ def test_a_program_cannot_change_the_dive_of_others(
         assert position.ratio == pytest.approx(1.0, abs=1e-6)
 
 
-def test_a_program_that_is_not_there(dive: Dive) -> None:
-    replay = replay_dive(dive, config(Filter(program=("./nowhere", "{dive}", "{solution}"))))
+def test_a_program_that_is_not_there(short: Dive) -> None:
+    replay = replay_dive(short, config(Filter(program=("./nowhere", "{dive}", "{solution}"))))
     assert "cannot be started: ./nowhere: No such file" in replay.verdicts["mine"].sentence
 
 
@@ -410,36 +421,36 @@ def test_a_class_that_fails(
     word: str,
     reason: str,
     printed: str,
-    dive: Dive,
-    alone: Replay,
+    short: Dive,
+    short_alone: Replay,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    replay = replay_dive(dive, config(Filter(candidate=f"{FAILING}:{word}")))
+    replay = replay_dive(short, config(Filter(candidate=f"{FAILING}:{word}")))
     assert reason in replay.verdicts["mine"].sentence
-    assert rows_of_others(replay) == rows_of_others(alone)
+    assert rows_of_others(replay) == rows_of_others(short_alone)
     assert replay.printed.get("mine", "") == printed
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_class_that_hangs_is_ended(dive: Dive, alone: Replay) -> None:
-    replay = replay_dive(dive, config(Filter(candidate=f"{FAILING}:Sleeping", timeout_s=0.5)))
+def test_a_class_that_hangs_is_ended(short: Dive, short_alone: Replay) -> None:
+    replay = replay_dive(short, config(Filter(candidate=f"{FAILING}:Sleeping", timeout_s=0.5)))
     assert "mine did not end within 0.5 s" in replay.verdicts["mine"].sentence
     assert replay.verdicts["mine"].verdict == Verdict.NOT_EVALUATED
-    assert rows_of_others(replay) == rows_of_others(alone)
+    assert rows_of_others(replay) == rows_of_others(short_alone)
 
 
-def test_a_process_that_a_class_left_behind_is_not_waited_for(dive: Dive) -> None:
+def test_a_process_that_a_class_left_behind_is_not_waited_for(short: Dive) -> None:
     began_s = time.monotonic()
-    replay = replay_dive(dive, config(Filter(candidate=f"{FAILING}:Daemon")))
+    replay = replay_dive(short, config(Filter(candidate=f"{FAILING}:Daemon")))
     assert "mine ended with exit code 7" in replay.verdicts["mine"].sentence
     assert time.monotonic() - began_s < 15.0
 
 
 def test_a_class_may_return_its_own_kind_of_solution(
-    dive: Dive, monkeypatch: pytest.MonkeyPatch
+    short: Dive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(sys.modules[HERE], "OwnSolution")  # this process does not know it
-    replay = replay_dive(dive, config(Filter(candidate=f"{HERE}:Deriving")))
+    replay = replay_dive(short, config(Filter(candidate=f"{HERE}:Deriving")))
     assert replay.verdicts["mine"].verdict == Verdict.NO_EFFECT
 
 
@@ -456,24 +467,24 @@ def test_a_class_that_is_not_there_is_reported(word: str, reason: str) -> None:
         load_class(word, Candidate)
 
 
-def test_a_class_that_is_not_there_is_an_error_of_the_settings(dive: Dive) -> None:
+def test_a_class_that_is_not_there_is_an_error_of_the_settings(short: Dive) -> None:
     with pytest.raises(ConfigError, match=r":Failng is not in .*; the nearest name is Failing"):
-        replay_dive(dive, config(Filter(candidate=f"{FAILING}:Failng")))
+        replay_dive(short, config(Filter(candidate=f"{FAILING}:Failng")))
 
 
 def test_files_of_the_current_folder_are_not_modules_of_a_class(
-    dive: Dive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    short: Dive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "pickle.py").write_text("raise SystemExit(3)\n")
-    replay = replay_dive(dive, config(Filter(candidate=f"{FAILING}:Failing")))
+    replay = replay_dive(short, config(Filter(candidate=f"{FAILING}:Failing")))
     assert "ZeroDivisionError: here" in replay.verdicts["mine"].sentence
 
 
-def test_a_class_cannot_change_the_dive_of_others(dive: Dive) -> None:
+def test_a_class_cannot_change_the_dive_of_others(short: Dive) -> None:
     scaling = Filter(candidate=f"{FAILING}:Scaling")
     filters = {**FILTERS, "mine": scaling, "other": scaling}
-    verdicts = replay_dive(dive, settings_of(filters, starts=1)).verdicts
+    verdicts = replay_dive(short, settings_of(filters, starts=1)).verdicts
     first, second = (verdicts[name].sentence for name in ("mine", "other"))
     assert re.findall(r"given \S+", first) == re.findall(r"given \S+", second) != []
 

@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -70,13 +71,21 @@ WRITING = {
 }
 
 
-def tree(path: Path) -> ast.AST:
-    return ast.parse(path.read_text("utf-8"))
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(ast.parse(path.read_text("utf-8"))))
+
+
+def name_of(called: ast.expr) -> str:
+    """Return the last name of what is called."""
+    if isinstance(called, ast.Attribute):
+        return called.attr
+    return str(getattr(called, "id", ""))
 
 
 def used_names(path: Path) -> Iterator[str]:
     """Give the dotted names that a module imports, also by a call, and those of `os` that it uses."""
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -86,7 +95,7 @@ def used_names(path: Path) -> Iterator[str]:
             yield f"{node.value.id}.{node.attr}"
         elif (
             isinstance(node, ast.Call)
-            and ast.unparse(node.func).endswith("import_module")
+            and name_of(node.func).endswith("import_module")
             and node.args
         ):
             yield ast.unparse(node.args[0]).strip("'")
@@ -110,14 +119,10 @@ def starts_processes(path: Path) -> bool:
 
 def writes(path: Path) -> bool:
     """Return whether a module calls what makes, changes or removes a file."""
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         if not isinstance(node, ast.Call):
             continue
-        name = (
-            node.func.attr
-            if isinstance(node.func, ast.Attribute)
-            else getattr(node.func, "id", "")
-        )
+        name = name_of(node.func)
         words = [
             one.value
             for one in node.args

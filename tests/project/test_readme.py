@@ -12,12 +12,14 @@ import screens
 NUMBER = re.compile(r"-?\d+\.\d+")
 
 
+@pytest.mark.all_starts
 def test_readme_has_the_means_of_the_paper() -> None:
     parts = {"paper": readme.paper}
     assert readme.written(parts) == readme.README.read_text("utf-8"), "run `make readme`"
 
 
 @pytest.mark.nightly
+@pytest.mark.all_starts
 def test_readme_shows_what_the_program_prints() -> None:
     assert readme.written() == readme.README.read_text("utf-8"), "run `make readme`"
 

@@ -44,11 +44,15 @@ def told_the_truth(grade: str, *overrides: str) -> Config:
 
 
 def dived(
-    scenario: str, grade: str = "fog", seed: int = 1, **built_in: tuple[float, float, float]
+    scenario: str,
+    grade: str = "fog",
+    seed: int = 1,
+    duration_s: float = 600.0,
+    imu_rate_hz: float = 50.0,
+    **built_in: tuple[float, float, float],
 ) -> Dive:
-    return add_errors(
-        exact_dive(scenario, duration_s=600.0, **built_in), GRADES[grade], WHITE, seed
-    )
+    exact = exact_dive(scenario, duration_s=duration_s, imu_rate_hz=imu_rate_hz, **built_in)
+    return add_errors(exact, GRADES[grade], WHITE, seed)
 
 
 def hints(dive: Dive, config: Config) -> dict[str, Note]:
@@ -64,7 +68,8 @@ def test_nothing_is_said_of_sensors_that_are_as_configured() -> None:
 @pytest.mark.parametrize("scenario", ["lawnmower", "figure-eight", "straight"])
 def test_nothing_is_said_of_any_sensors_that_are_as_configured(scenario: str, grade: str) -> None:
     for seed in (1, 2, 3):
-        assert hints(dived(scenario, grade, seed), told_the_truth(grade)) == {}
+        dive = dived(scenario, grade, seed, imu_rate_hz=100.0)
+        assert hints(dive, told_the_truth(grade)) == {}
 
 
 def test_axes_that_beams_see_unlike_are_no_reason() -> None:
@@ -135,7 +140,7 @@ def test_noise_that_is_set_far_off_points_at_the_control(
     beam_sd_mps: float, size: str, number: str
 ) -> None:
     config = told_the_truth("fog", f"dvl.beam_sd_mps={beam_sd_mps}")
-    found = hints(dived("lawnmower"), config)["noise_far_off"]
+    found = hints(dived("lawnmower", imu_rate_hz=100.0), config)["noise_far_off"]
     assert re.search(rf"{size} .*NIS / dof .*velocity .*{number}", found.text)
     assert "run --control" in found.hint
 
@@ -151,7 +156,7 @@ def test_a_control_that_is_there_already_is_not_pointed_at(tmp_path: Path) -> No
         tmp_path / "log.mcap",
         told_the_truth("fog", "dvl.beam_sd_mps=0.03", "span.end_s=60"),
     )
-    write_dive(log, dived("lawnmower"))
+    write_dive(log, dived("lawnmower", duration_s=90.0))
     assert "noise_far_off" in {note.code for note in replay_log(log, config).notes}
     assert "noise_far_off" not in {
         note.code for note in replay_with_tuned_baseline(log, config).notes

@@ -29,11 +29,13 @@ from insdvl_replay.document.paper import require_width
 from insdvl_replay.document.parts import DisplayTable
 from insdvl_replay.document.render import render
 from insdvl_replay.document.tables import number as shown_number
+from insdvl_replay.logs import write_dive
 from insdvl_replay.results import stored_results
 from insdvl_replay.show.dive import dive_document, replay_result
 from insdvl_replay.show.dives import named_result
 from insdvl_replay.show.plots import PaperPlot
 from insdvl_replay.show.plots.all_plots import FOR_PAPER
+from insdvl_replay.sim.dive import simulate_dive
 
 PROJECT = Path(__file__).resolve().parents[2]
 SAMPLE = PROJECT / "sample_logs" / "figure_eight.mcap"
@@ -293,12 +295,14 @@ def test_a_picture_without_matplotlib_says_what_to_install(
 
 def test_history_has_a_row_for_each_time_with_all_digits(tmp_path: Path) -> None:
     settings = {"evaluation.starts": 1}
-    arguments = ["run", str(SAMPLE), "-o", str(tmp_path), "--starts", "1", "--history", "csv"]
+    log = tmp_path / "figure_eight.mcap"
+    write_dive(log, simulate_dive("figure-eight", seed=1, duration_s=60.0, imu_rate_hz=50.0))
+    arguments = ["run", str(log), "-o", str(tmp_path), "--starts", "1", "--history", "csv"]
     arguments += ["--preset", "levy-klein"]
     assert run_command_line(arguments) == 0
     made = pd.read_csv(tmp_path / "figure_eight" / "history_aided.csv")
     config = load_config(preset="levy-klein", settings=settings)
-    frame = replay_log(SAMPLE, config).histories["aided"]
+    frame = replay_log(log, config).histories["aided"]
     assert list(made.columns) == list(frame.columns)
     np.testing.assert_array_equal(made["heading_deg"].to_numpy(), frame["heading_deg"].to_numpy())
     assert (np.diff(made["time_ns"]) > 0).all()

@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pyins.sim
@@ -358,8 +359,13 @@ def test_lost_beams_stay_lost_with_errors_and_leave_the_others_draws_alone() -> 
     np.testing.assert_array_equal(beams_of(holed)[seen], beams_of(whole)[seen])
 
 
+@cache
+def long_line() -> Dive:
+    return exact_dive("straight", duration_s=2000.0, imu_rate_hz=1.0)
+
+
 def dvl_error(errors: DvlErrors, seed: int = 5) -> tuple[Floats, Floats]:
-    exact = exact_dive("straight", duration_s=2000.0, imu_rate_hz=1.0)
+    exact = long_line()
     return beams_of(add_errors(exact, ImuErrors(), errors, seed)) - beams_of(exact), beams_of(
         exact
     )

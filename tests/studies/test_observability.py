@@ -448,7 +448,7 @@ def test_log_is_studied_like_a_scenario(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "dive.mcap"
-    write_dive(log, simulate_dive("figure-eight", duration_s=200.0))
+    write_dive(log, simulate_dive("figure-eight", duration_s=200.0, imu_rate_hz=50.0))
     arguments = ["study", "observability", str(log), "--start", "50", "--end", "180", "--png"]
     for name in ("one", "two"):
         assert run_command_line([*arguments, "-o", str(tmp_path / name)]) == 0
