@@ -48,8 +48,10 @@ def main() -> "NoReturn":
 
 def _prepared_and_run() -> int:
     # Imported here, so that signals are handled already.
+    from insdvl_replay.core.processor import use_common_code
     from insdvl_replay.core.runtime import prepare_process
 
+    use_common_code()  # the processes that this one starts inherit it
     prepare_process()
     # numpy's overflow warnings would point to lines of this package. Values that are not finite get a note or a status.
     warnings.filterwarnings("ignore", category=RuntimeWarning)

@@ -25,7 +25,6 @@ from insdvl_replay.core.processor import (
     LEVEL,
     compile_common_code,
     has_common_code,
-    use_common_code,
 )
 
 Item = TypeVar("Item")
@@ -63,9 +62,8 @@ def prepare_process() -> None:
 
     The packages create some hundred thousand permanent objects at import. Collecting garbage at every thousandth would
     take a tenth of a short run. Huge pages are slow to get from the host of a virtual machine, so they are off unless
-    the user asks for them. The machine code of the libraries is that which all processors with AVX2 have.
+    the user asks for them.
     """
-    use_common_code()
     gc.set_threshold(_MANY_OBJECTS)
     os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
     limit = memory_limit()

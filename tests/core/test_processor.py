@@ -12,8 +12,8 @@ from insdvl_replay.core.processor import LEVEL, has_common_code
 HASWELL = "fpu sse sse2 ssse3 fma movbe popcnt avx f16c abm bmi1 avx2 bmi2"
 CHOSEN = ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
 ASK = """
-from insdvl_replay.core.runtime import prepare_process
-prepare_process()
+from insdvl_replay.core.processor import use_common_code
+use_common_code()
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 import insdvl_replay.nav.filter
 import numba.core.config

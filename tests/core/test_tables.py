@@ -65,9 +65,11 @@ _OTHERS = "|".join(("beam_", "parity", "held_out_", *SENSORS))
 OF_MORE = {
     "credibility": re.compile("position"),
     "consistency": re.compile(_OTHERS),
-    "evidence": re.compile("held_out_|position_crps|position_drawn_heading"),
+    "evidence": re.compile(
+        r"held_out_|position_crps|position_drawn_heading|drift_(10|100)s|drift_[2-8]00m"
+    ),
 }
-"""Rows of filters with more states, with more sensors, or that depend on the heading at the start."""
+"""Rows of filters with more states, with more sensors, that depend on the heading at the start, or of trajectories."""
 
 
 @pytest.mark.all_starts

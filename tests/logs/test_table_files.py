@@ -55,7 +55,7 @@ def same(dive: Dive, other: Dive) -> bool:
     for role in SECTIONS:
         one, two = getattr(dive, role), getattr(other, role)
         for name, values in vars(one).items():
-            if name == "look_d":  # what messages tell of beams, and tables do not
+            if name in ("look_d", "altitude_m"):  # what messages tell of beams, and tables do not
                 continue
             expected = getattr(two, name)
             if (values is None) != (expected is None):

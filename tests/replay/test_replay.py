@@ -37,7 +37,7 @@ VELOCITY = Filter(aiding=("velocity",))
 Rows = Callable[[Floats], NDArray[np.bool_]]
 """Chooses rows by their seconds from the start of the dive."""
 TABLES = ("improvement", "convergence", "reference_error", "consistency", "credibility", "evidence", "outage",
-          "drift", "track_fit", "jumps", "assay")  # fmt: skip
+          "drift", "track_fit", "jumps", "assay", "where")  # fmt: skip
 
 
 def aided(**settings: object) -> Filter:

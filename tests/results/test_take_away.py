@@ -435,13 +435,16 @@ def test_public_names_are_these() -> None:
         "check",
         "compact_lake",
         "compare",
+        "compare_trajectories",
         "demo",
         "history",
         "inspect",
+        "merge",
         "plan",
         "propose",
         "read_result",
         "read_results",
+        "run_shard",
         "simulate",
     }
     own = {"Candidate", "Solution", "UserMeasurement", "UserNoise", "UserReadings"}
