@@ -8,12 +8,6 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-# ruff: noqa: E402
-from insdvl_replay.core.processor import use_common_code
-
-assert "numpy" not in sys.modules
-use_common_code()  # what tests compute in this process has the bytes of the commands
-
 import pytest
 from hypothesis import settings
 from left_out import left_out
