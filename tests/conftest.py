@@ -44,6 +44,7 @@ def _plan_one(dive: Any, prepared: Any, config: Any) -> Any:
 
 replay.plan_runs = _plan_one
 
+os.environ.pop("COLUMNS", None)  # that of the terminal in which the tests began, or of a worker
 _printed = screen.printed
 
 
