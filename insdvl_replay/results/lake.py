@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import asdict
 
-from insdvl_replay.core.errors import ConfigError, TargetError
+from insdvl_replay.core.errors import ConfigError, ResultError, TargetError, listed
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import LAKE, LakeRow
 from insdvl_replay.results.folder import SETTINGS_FILE, require_parquet
@@ -47,6 +47,7 @@ _ROWS_OF_GROUP: Final = 1 << 17
 _READ_TRIES: Final = 5
 _OF_ITS_OWN: Final = "name a folder of its own with --lake"
 _NO_LAKE: Final = "name the folder that `run --lake` wrote"
+_REPLAY_AGAIN: Final = "remove it, and run its dives again with --lake"
 _LONGEST_REVISION: Final = 200
 
 
@@ -88,11 +89,17 @@ def _is_lake(lake: Path) -> bool:
 
 
 def _require_link(lake: Path) -> None:
-    """Raise a ConfigError for a copy of a lake that has a folder in place of the link; it can only be read."""
+    """Raise a ConfigError for a lake that can only be read: its link is a folder, or leads elsewhere."""
     if (lake / ROWS).is_dir() and not (lake / ROWS).is_symlink():
         raise ConfigError(
             f"{lake}: was copied without its link {ROWS}, and can only be read",
             "copy it again with `cp -a`, which keeps links",
+        )
+    if (lake / ROWS).is_symlink() and not _is_lake(lake):
+        to = (lake / ROWS).readlink()
+        raise ConfigError(
+            f"{lake}: its link {ROWS} leads to {to}, and a lake with such a link can only be read",
+            "copy the lake again with `cp -a`",
         )
 
 
@@ -201,13 +208,15 @@ def compact_lake(lake: Path) -> Compacted:
     ------
     ConfigError
         It is no lake, or cannot be written, or pyarrow is not installed.
+    ResultError
+        One of its files is damaged.
     """
     require_existing(lake)
     _require_link(lake)
     with _writing(lake), _locked(lake):
-        before = len(list(_rows_folder(lake).glob("*.parquet")))
+        before = len(_files(_rows_folder(lake)))
         joined = _join(lake, [])
-        files = len(list(_rows_folder(lake).glob("*.parquet")))
+        files = len(_files(_rows_folder(lake)))
     replays = len(joined["replay"].unique())
     return Compacted(replays, joined.num_rows, before, files)
 
@@ -250,12 +259,11 @@ def _all_rows(folder: Path, replacing: "Sequence[pa.Table]") -> "pa.Table":
     """Return the rows of a folder: joined ones first, then single replays by their time."""
     import pyarrow as pa
     import pyarrow.compute as pc
-    import pyarrow.parquet as pq
 
     later = [*_single_rows(folder), *map(_as_dictionaries, replacing)]
     joined = folder / _JOINED
     if joined.exists():
-        table = pq.read_table(joined, read_dictionary=_texts(), partitioning=None)
+        table = _whole_file(joined, _texts())
         replaced = pa.array(sorted(_replays_of(later)), pa.string())
         is_replaced = pc.is_in(table["replay"].cast(pa.string()), value_set=replaced)
         later.insert(0, table.filter(pc.invert(is_replaced)))
@@ -267,9 +275,12 @@ def _all_rows(folder: Path, replacing: "Sequence[pa.Table]") -> "pa.Table":
 def _single_rows(folder: Path) -> "Iterator[pa.Table]":
     """Yield the rows of the files of single replays, many at once, in the order of their start."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
-    tables = [pq.ParquetFile(file).read() for file in _single_files(folder)]
+    tables = []
+    for file in _single_files(folder):
+        table = _whole_file(file)
+        if table.num_rows:
+            tables.append(table)
     tables.sort(key=_start_of)
     for first in range(0, len(tables), _READ_AT_ONCE):
         yield _as_dictionaries(pa.concat_tables(tables[first : first + _READ_AT_ONCE]))
@@ -293,7 +304,8 @@ def _joined_replays(folder: Path) -> dict[str, str]:
     if not (folder / _JOINED).exists():
         return {}
     columns = ["replay", "started_at"]
-    table = pq.read_table(folder / _JOINED, columns=columns, partitioning=None)
+    with _reading(folder / _JOINED):
+        table = pq.read_table(folder / _JOINED, columns=columns, partitioning=None)
     once = table.group_by(columns).aggregate([])
     return dict(zip(once["replay"].to_pylist(), once["started_at"].to_pylist(), strict=True))
 
@@ -308,6 +320,8 @@ def read_lake(lake: Path, columns: Sequence[str], filters: Any = None) -> "pa.Ta
     ------
     ConfigError
         It is no lake, or pyarrow is not installed.
+    ResultError
+        One of its files is damaged.
     """
     require_existing(lake)
     for _ in range(_READ_TRIES):
@@ -319,19 +333,96 @@ def read_lake(lake: Path, columns: Sequence[str], filters: Any = None) -> "pa.Ta
 
 
 def _read(lake: Path, columns: Sequence[str], filters: Any) -> "pa.Table":
+    """Read all files once; a FileNotFoundError if the link leads to others meanwhile."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
     folder = _rows_folder(lake)
-    if not any(folder.glob("*.parquet")):
+    files = _files(folder)
+    if not files:
         return _as_dictionaries(_table(())).select(columns)
     texts = [name for name in columns if LAKE.kinds[name] == "text"]
-    return pq.read_table(
-        folder,
-        columns=list(columns),
-        filters=filters,
-        read_dictionary=texts,
-        partitioning=None,  # no column comes from the name of a folder
-    )
+    try:
+        table = pq.read_table(
+            files,
+            columns=list(columns),
+            filters=filters,
+            read_dictionary=texts,
+            partitioning=None,  # no column comes from the name of a folder
+        )
+    except FileNotFoundError:
+        raise
+    except (pa.ArrowException, OSError) as error:
+        _require_whole(files)
+        raise ResultError(f"{folder}: cannot be read: {error}", _REPLAY_AGAIN) from error
+    if any(table[name].null_count for name in texts):
+        # A file that lacks a column would have rows of a version without a name.
+        _require_whole(files)
+    if _rows_folder(lake) != folder:
+        # Some of the files may have been gone before they were listed.
+        raise FileNotFoundError(folder)
+    return table
+
+
+# --- Single files
+
+
+@contextmanager
+def _reading(file: Path) -> Iterator[None]:
+    """Turn what Arrow says of a file into a ResultError."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        reason = error.strerror or "it is damaged"
+        raise ResultError(f"{file}: cannot be read: {reason}", _REPLAY_AGAIN) from error
+    except pa.ArrowException as error:
+        text = f"{file}: is damaged, or no Parquet file of a lake"
+        raise ResultError(text, _REPLAY_AGAIN) from error
+
+
+def _whole_file(file: Path, dictionaries: Sequence[str] = ()) -> "pa.Table":
+    """Return the rows of a file, with some texts as dictionaries; a ResultError if it is none of a lake."""
+    import pyarrow.parquet as pq
+
+    with _reading(file), pq.ParquetFile(file, read_dictionary=list(dictionaries)) as opened:
+        _require_columns(file, opened.schema_arrow)
+        table = opened.read()
+    for name in _texts():
+        if table[name].null_count:
+            raise ResultError(f"{file}: has rows without {name}", _REPLAY_AGAIN)
+    return table
+
+
+def _require_whole(files: Sequence[Path]) -> None:
+    """Raise a ResultError for the first file that is none of a lake."""
+    for file in files:
+        _whole_file(file)
+
+
+def _require_columns(file: Path, schema: "pa.Schema") -> None:
+    """Raise a ResultError if a file has other columns than this version writes."""
+    import pyarrow as pa
+
+    expected = _schema()
+    lacking = [name for name in expected.names if name not in schema.names]
+    others = [name for name in schema.names if name not in expected.names]
+    for name in expected.names:
+        if name in lacking:
+            continue
+        kind = schema.field(name).type
+        if pa.types.is_dictionary(kind):
+            kind = kind.value_type
+        if kind != expected.field(name).type:
+            others.append(f"{name} as {kind}")
+    found = [f"lacks {name}" for name in lacking]
+    found += [f"has {name}" for name in others]
+    if found:
+        text = f"{file}: is by another version: it {listed(found)}"
+        raise ResultError(text, _REPLAY_AGAIN)
 
 
 # --- Tables
@@ -398,13 +489,20 @@ def _number(folder: Path) -> int:
     return int(folder.name.rpartition("_")[2])
 
 
+def _files(folder: Path) -> list[Path]:
+    """Return the files with rows, by name; a FileNotFoundError if the folder is gone."""
+    found = []
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            is_shown = not entry.name.startswith(".") and entry.name.endswith(".parquet")
+            if is_shown and entry.is_file():
+                found.append(folder / entry.name)
+    return sorted(found)
+
+
 def _single_files(folder: Path) -> list[Path]:
     """Return the files of single replays."""
-    return [
-        path
-        for path in folder.glob("*.parquet")
-        if path.name != _JOINED and not path.name.startswith(".")
-    ]
+    return [path for path in _files(folder) if path.name != _JOINED]
 
 
 def _make_first(lake: Path) -> None:
