@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 
 from insdvl_replay.batch.overviews import require_overviews
-from insdvl_replay.batch.parts import PART_FILES, FailedDive, PartFile
+from insdvl_replay.batch.parts import INTERNAL_ERROR, PART_FILES, FailedDive, PartFile
 from insdvl_replay.batch.shards import Shard
 from insdvl_replay.core.dive_record import is_dive_name
 from insdvl_replay.core.errors import ConfigError, ResultError, UserError, listed
@@ -25,6 +25,8 @@ from insdvl_replay.results.folder import (
 
 _FOLDERS: Final = "name the folders that `insdvl-replay run LOG... --shard I/N -o DIR` wrote"
 _ALL_ALIKE: Final = "run all shards over the same dives with the same options"
+
+_CODES_OF_FAILED: Final = (ConfigError.exit_code, ResultError.exit_code, INTERNAL_ERROR)
 
 
 class FailedDiveError(UserError):
@@ -133,12 +135,27 @@ def _read_part(file: Path) -> PartFile:
     except (OSError, *NOT_JSON) as error:
         text = f"{file}: is not the file of a shard: {error}"
         raise ResultError(text, "copy the part again, or run the shard again") from error
-    names = [dive.name for dive in part.dives]
-    is_known = {*part.results, *part.failed} <= {*names}
-    if not is_known or not all(map(is_dive_name, names)) or not 1 <= part.shard <= part.shards:
-        text = f"{file}: is not the file of a shard: its dives cannot be"
+    wrong = _wrong_field(part)
+    if wrong:
+        text = f"{file}: is not the file of a shard: its {wrong} cannot be"
         raise ResultError(text, "copy the part again, or run the shard again")
     return part
+
+
+def _wrong_field(part: PartFile) -> str:
+    """Name what no shard writes; empty if all can be."""
+    if not part.done.is_one:
+        return "shard"
+    names = [dive.name for dive in part.dives]
+    known = set(names)
+    if len(known) < len(names) or not all(map(is_dive_name, names)):
+        return "dives"
+    if not {*part.results, *part.failed} <= known:
+        return "dives"
+    for failed in part.failed.values():
+        if failed.exit_code not in _CODES_OF_FAILED:
+            return "exit_code"
+    return ""
 
 
 def _require_all(parts: Sequence[Part]) -> None:

@@ -6,7 +6,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import msgspec
 from msgspec import Struct
@@ -48,7 +48,7 @@ class FailedDive(Struct, frozen=True):
 class PartFile(Struct, frozen=True, kw_only=True):
     """What a finished shard has done."""
 
-    kind: str = "shard"
+    kind: Literal["shard"] = "shard"
     tool: Tool
     versions: dict[str, str]  # of Python and packages
     shard: int  # from 1

@@ -3,6 +3,7 @@
 A shard sees the paths of all dives. It replays its own, and reads a few others where the noise of all is fitted.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -16,6 +17,9 @@ from insdvl_replay.core.errors import ConfigError, NaturalKey, natural_key
 Plan = Callable[[Sequence[FoundDive]], list[ReplayJob]]
 """Plans the replays of dives, a job for each."""
 
+MOST_SHARDS: Final = 99_999
+_SHARD: Final = re.compile(r"(\d{1,5})/(\d{1,5})")
+
 
 @dataclass(frozen=True)
 class Shard:
@@ -27,6 +31,11 @@ class Shard:
     def __str__(self) -> str:
         """Return it as an option has it."""
         return f"{self.number}/{self.shards}"
+
+    @property
+    def is_one(self) -> bool:
+        """Whether there can be such a shard."""
+        return 1 <= self.number <= self.shards <= MOST_SHARDS
 
     def places(self, dives: Sequence[FoundDive]) -> list[int]:
         """Return the places of its dives among all: of four shards the first has the dives 1, 5, 9 and so on.
@@ -49,9 +58,11 @@ def _from_its_end(dive: FoundDive) -> list[NaturalKey]:
 
 def parse_shard(text: str) -> Shard:
     """Read a shard such as ``2/4``; anything else is a ConfigError."""
-    number, _, shards = text.partition("/")
-    if number.isdecimal() and shards.isdecimal() and 1 <= int(number) <= int(shards):
-        return Shard(int(number), int(shards))
+    match = _SHARD.fullmatch(text)
+    if match is not None:
+        shard = Shard(int(match[1]), int(match[2]))
+        if shard.is_one:
+            return shard
     raise ConfigError(
         f"--shard {text}: is not a part such as 1/4", "--shard 1/4, --shard 2/4 and so on"
     )

@@ -184,7 +184,7 @@ def pairs_of_poses(estimate: Poses, delta: Delta, *, all_pairs: bool = False) ->
     """
     count = len(estimate.time_ns)
     if delta.unit == "f":
-        step = max(round(delta.size), 1)
+        step = max(round(min(delta.size, count)), 1)
         first = np.arange(0, count - step, 1 if all_pairs else step)
         return PairIds(first, first + step)
     steps_m = _lengths(np.diff(estimate.position_m, axis=0))

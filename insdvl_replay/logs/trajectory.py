@@ -86,6 +86,8 @@ def is_tum(path: Path) -> bool:
     if path.suffix.lower() == ".tum":
         return True
     try:
+        if not path.is_file():
+            return False  # a pipe would be waited for
         with path.open("rb") as file:
             lines = list(islice(iter(lambda: file.readline(_LONGEST_LINE), b""), _LINES))
     except OSError:

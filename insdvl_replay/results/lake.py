@@ -246,6 +246,7 @@ def _join(lake: Path, replacing: "Sequence[pa.Table]") -> "pa.Table":
             file,
             compression="zstd",
             row_group_size=_ROWS_OF_GROUP,
+            write_page_checksum=True,
             store_schema=False,  # text stays text, also where it is read as a dictionary here
         )
         _to_disk(file)
@@ -349,19 +350,31 @@ def _read(lake: Path, columns: Sequence[str], filters: Any) -> "pa.Table":
             filters=filters,
             read_dictionary=texts,
             partitioning=None,  # no column comes from the name of a folder
+            page_checksum_verification=True,
         )
     except FileNotFoundError:
         raise
     except (pa.ArrowException, OSError) as error:
         _require_whole(files)
         raise ResultError(f"{folder}: cannot be read: {error}", _REPLAY_AGAIN) from error
-    if any(table[name].null_count for name in texts):
-        # A file that lacks a column would have rows of a version without a name.
+    if not _has_all_values(table):
         _require_whole(files)
     if _rows_folder(lake) != folder:
         # Some of the files may have been gone before they were listed.
         raise FileNotFoundError(folder)
     return table
+
+
+def _has_all_values(table: "pa.Table") -> bool:
+    """Return whether all texts are there and numbers are numbers, which Arrow makes up where files differ."""
+    expected = _schema()
+    for name in table.column_names:
+        if LAKE.kinds[name] == "text":
+            if table[name].null_count:
+                return False
+        elif table.schema.field(name).type != expected.field(name).type:
+            return False
+    return True
 
 
 # --- Single files
@@ -388,7 +401,11 @@ def _whole_file(file: Path, dictionaries: Sequence[str] = ()) -> "pa.Table":
     """Return the rows of a file, with some texts as dictionaries; a ResultError if it is none of a lake."""
     import pyarrow.parquet as pq
 
-    with _reading(file), pq.ParquetFile(file, read_dictionary=list(dictionaries)) as opened:
+    options: dict[str, Any] = {"page_checksum_verification": True}
+    with (
+        _reading(file),
+        pq.ParquetFile(file, read_dictionary=list(dictionaries), **options) as opened,
+    ):
         _require_columns(file, opened.schema_arrow)
         table = opened.read()
     for name in _texts():
@@ -537,6 +554,7 @@ def _write_one(folder: Path, name: str, table: "pa.Table") -> None:
         table,
         part,
         use_dictionary=False,
+        write_page_checksum=True,
         compression="none",
         write_statistics=False,
         store_schema=False,

@@ -223,7 +223,7 @@ def options_of(
 def parse_delta(text: str) -> Delta:
     """Read the length of relative errors, such as ``1f`` or ``100m``."""
     match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+) ?(f|m)", text.strip())
-    if match is None or not float(match[1]) > 0.0:
+    if match is None or not 0.0 < float(match[1]) < math.inf:
         hint = "poses or metres, such as --rpe 1f or --rpe 100m"
         raise ConfigError(f"--rpe {text}: is no length", hint)
     size = float(match[1])

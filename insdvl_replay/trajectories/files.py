@@ -116,7 +116,8 @@ def _files_below(folder: Path) -> Iterator[Path]:
         if entry.name.startswith("."):
             continue
         path = Path(entry.path)
-        if not entry.is_dir() or (path / _BAG).is_file():
+        # A link that leads to itself is no folder, and cannot be read as a file.
+        if not path.is_dir() or (path / _BAG).is_file():
             yield path
         elif not entry.is_symlink():
             yield from _files_below(path)

@@ -236,6 +236,9 @@ def test_a_dive_that_needs_other_settings_fails_with_a_way_out(tmp_path: Path) -
         (["--shard", "1/2", "--one-dive"], "--one-dive"),
         (["--shard", "1/2", "--table", "pooled"], "--table"),
         (["--shard", "1/2", "--format", "json"], "--format"),
+        (["--shard", "3/2"], "is not a part"),
+        (["--shard", "1/100000"], "is not a part"),
+        (["--shard", "1/" + "9" * 5000], "is not a part"),
     ],
 )
 def test_options_that_are_about_all_dives_are_refused(
@@ -336,6 +339,28 @@ def climb_out(parts: Path) -> None:
     change(parts, 2, lambda content: content["dives"][1].update(name="../dive_1"))
 
 
+def name_twice(parts: Path) -> None:
+    change(parts, 2, lambda content: content["dives"].append(content["dives"][0]))
+
+
+def be_of_many(parts: Path) -> None:
+    change(parts, 2, lambda content: content.update(shards=10**13))
+
+
+def be_another_kind(parts: Path) -> None:
+    change(parts, 2, lambda content: content.update(kind="comparison"))
+
+
+def fail_with(exit_code: int) -> Callable[[Path], None]:
+    """Return what makes a dive failed, with an exit code."""
+
+    def edit(content: dict[str, Any]) -> None:
+        name, _ = content["results"].popitem()
+        content["failed"][name] = {"reason": "x", "hint": "", "exit_code": exit_code}
+
+    return lambda parts: change(parts, 2, edit)
+
+
 @pytest.mark.parametrize(
     ("harm", "code", "said"),
     [
@@ -356,6 +381,11 @@ def climb_out(parts: Path) -> None:
         (replay_otherwise, 3, "parts/2/dive_1"),
         (cut_file, 3, "shard_2_of_3.json"),
         (climb_out, 3, "shard_2_of_3.json"),
+        (name_twice, 3, "its dives cannot be"),
+        (be_of_many, 3, "its shard cannot be"),
+        (be_another_kind, 3, "shard_2_of_3.json"),
+        (fail_with(0), 3, "its exit_code cannot be"),
+        (fail_with(77), 3, "its exit_code cannot be"),
     ],
 )
 def test_parts_that_are_no_whole_run_are_refused_in_a_sentence(

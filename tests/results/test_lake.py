@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -23,11 +23,12 @@ from made_lakes import digest, named, replayed
 from msgspec.structs import asdict, replace
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.errors import ConfigError, ResultError
 from insdvl_replay.core.quantities import ACCURACY
 from insdvl_replay.core.report import CodeFile
 from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.logs import write_dive
+from insdvl_replay.results import lake as lake_module
 from insdvl_replay.results.folder import SETTINGS_FILE
 from insdvl_replay.results.lake import (
     ROWS,
@@ -39,7 +40,8 @@ from insdvl_replay.results.lake import (
 )
 from insdvl_replay.sim.dive import simulate_dive
 
-pytest.importorskip("pyarrow", reason="needs pyarrow")
+pa = pytest.importorskip("pyarrow", reason="needs pyarrow")
+pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow")
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "lake.md"
 QUERIES = re.findall(r"^```python\n(.*?)^```", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL)
@@ -242,6 +244,139 @@ def test_a_copy_without_links_is_read_and_not_written(twelve: Path, tmp_path: Pa
         with pytest.raises(ConfigError, match="was copied without its link") as error:
             write(copy)
         assert error.value.hint.startswith("copy it again with `cp -a`")
+
+
+def test_a_lake_whose_link_leads_elsewhere_is_read_and_not_written(
+    twelve: Path, tmp_path: Path
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    (twelve / ".rows_1").rename(elsewhere)
+    (twelve / ROWS).unlink()
+    (twelve / ROWS).symlink_to("../elsewhere")
+    assert read_lake(twelve, ["log"]).num_rows == 60
+    for write in (compact_lake, lambda lake: add_to_lake(lake, named("later"))):
+        with pytest.raises(ConfigError, match=r"its link rows leads to \.\./elsewhere"):
+            write(twelve)
+    assert len(list(elsewhere.iterdir())) == 12
+
+
+# --- Files that are none of a lake.
+
+
+def cut(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:500])
+
+
+def empty(file: Path) -> None:
+    file.write_bytes(b"")
+
+
+def garble(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    content[4:400] = Random(1).randbytes(396)
+    file.write_bytes(content)
+
+
+def rewritten(file: Path, change: Callable[[Any], Any]) -> None:
+    pq.write_table(change(pq.ParquetFile(file).read()), file)
+
+
+def with_column(table: Any, name: str, values: Any) -> Any:
+    place = table.schema.get_field_index(name)
+    return table.set_column(place, name, values)
+
+
+def drop_revision(file: Path) -> None:
+    rewritten(file, lambda table: table.drop_columns(["revision"]))
+
+
+def add_column(file: Path) -> None:
+    rewritten(file, lambda table: table.append_column("more", table["log"]))
+
+
+def write_words_for_numbers(file: Path) -> None:
+    rewritten(file, lambda table: with_column(table, "ratio", table["log"]))
+
+
+def lose_times(file: Path) -> None:
+    def without(table: Any) -> Any:
+        times = table["started_at"]
+        return with_column(table, "started_at", pa.nulls(len(times), times.type))
+
+    rewritten(file, without)
+
+
+@pytest.mark.parametrize("place", [0, 11], ids=["first", "last"])
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        (cut, "is damaged"),
+        (empty, "is damaged"),
+        (garble, "cannot be read|is damaged"),
+        (drop_revision, "lacks revision"),
+        (add_column, "has more"),
+        (write_words_for_numbers, "has ratio as string"),
+        (lose_times, "has rows without started_at"),
+    ],
+)
+def test_a_file_that_is_none_of_a_lake_is_named(
+    twelve: Path, harm: Callable[[Path], None], said: str, place: int
+) -> None:
+    file = parquet_files(twelve)[place].resolve()
+    harm(file)
+    before = {path.name: path.read_bytes() for path in file.parent.iterdir()}
+    with pytest.raises(ResultError, match=said) as error:
+        compact_lake(twelve)
+    assert file.name in error.value.message
+    assert {path.name: path.read_bytes() for path in file.parent.iterdir()} == before
+    if harm is not add_column:
+        with pytest.raises(ResultError, match=said):
+            read_lake(twelve, ["log", "ratio", "revision", "started_at", "replay"])
+
+
+def test_a_damaged_joined_file_is_named(twelve: Path) -> None:
+    compact_lake(twelve)
+    [joined] = parquet_files(twelve)
+    cut(joined)
+    for use in (compact_lake, lambda lake: add_to_lake(lake, named("x")), read_logs):
+        with pytest.raises(ResultError, match=r"joined\.parquet: is damaged"):
+            use(twelve)
+
+
+def read_logs(lake: Path) -> None:
+    read_lake(lake, ["log"])
+
+
+def test_files_of_others_and_files_without_rows_are_left_out(twelve: Path) -> None:
+    folder = (twelve / ROWS).resolve()
+    whole = pq.ParquetFile(parquet_files(twelve)[0]).read()
+    (folder / "notes.txt").write_text("mine")
+    (folder / "folder.parquet").mkdir()
+    pq.write_table(whole.slice(0, 0), folder / "none.parquet")
+    assert read_lake(twelve, ["log"]).num_rows == 60
+    assert compact_lake(twelve).rows == 60
+
+
+def test_a_reader_whose_folder_is_joined_meanwhile_reads_again(
+    twelve: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    list_files = lake_module._files
+    was_joined = False
+
+    def some_files(folder: Path) -> list[Path]:
+        nonlocal was_joined
+        found = list_files(folder)
+        if was_joined:
+            return found
+        # The joining has removed all but two files, which are opened before they go.
+        was_joined = True
+        kept = twelve / ".kept"
+        shutil.copytree(folder, kept)
+        compact_lake(twelve)
+        return [kept / path.name for path in found[:2]]
+
+    monkeypatch.setattr(lake_module, "_files", some_files)
+    assert read_lake(twelve, ["log"]).num_rows == 60
 
 
 def test_columns_and_rows_are_read_with_texts_as_dictionaries(twelve: Path) -> None:

@@ -1,6 +1,7 @@
 """The verdict on trajectories of any program, from files to exit codes."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -253,6 +254,24 @@ def test_a_dive_that_cannot_be_compared_is_named_and_the_others_go_on(sides: Pat
     assert "dive_2.tum: line 1 is no pose" in found.text
 
 
+def test_pipes_and_links_to_themselves_are_named_and_the_others_go_on(sides: Path) -> None:
+    for side in ("old", "new", "truth"):
+        os.mkfifo(sides / side / "pipe.txt")
+        (sides / side / "loop.tum").symlink_to("loop.tum")
+    comparison = compared(sides)
+    assert answer_of(comparison).dives == 4
+    found = [note.text for note in comparison.notes if note.code == "trajectory_failed"]
+    assert len(found) == 2
+    assert "pipe.txt: is a pipe or a device" in found[1]
+    assert "loop.tum: cannot be read: Too many levels of symbolic links" in found[0]
+
+
+def test_more_poses_than_there_are_give_no_relative_errors(sides: Path) -> None:
+    comparison = compared(sides, rpe=["99999999999999999999f"])
+    kinds = {row.quantity[:3] for row in comparison.trajectory_errors}
+    assert kinds == {"ape"}
+
+
 def test_the_reference_itself_is_refused(sides: Path) -> None:
     shutil.copytree(sides / "truth", sides / "same")
     with pytest.raises(LogError, match="its error would be 0"):
@@ -310,6 +329,7 @@ def test_worse_fails_on_request(sides: Path) -> None:
         ["--tolerance", "1%"],
         ["--rpe", "5 km"],
         ["--rpe", "1.5f"],
+        ["--rpe", "9" * 400 + "m"],
         ["--table", "outage"],
         ["--dive", "dive_9"],
         ["--primary", "outage_60s"],
