@@ -879,6 +879,8 @@ def check(
     named = [str(path) for path in _paths(dives, "dives")] if dives else []
     layers = _with_gates(_settings(config), found)
     planned = plan_check(found, named, layers, local_settings=config is None)
+    if badge is not None:
+        planned.require_outputs({"badge": _path("badge", badge)})
     folder = _path("results", results)
     outcome = checked_dives(planned, folder, Replaying(force=True), fetch_dives, update=update)
     if badge is not None:

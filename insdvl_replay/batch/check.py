@@ -5,6 +5,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.batch.found import Fetch, FoundDive
@@ -19,10 +20,11 @@ from insdvl_replay.changes.formats import badge_json
 from insdvl_replay.changes.gate_file import Gates, require_known_filters
 from insdvl_replay.changes.gates import checked_results, compare_with_expected, evaluate_gates
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.errors import ConfigError, error_context
 from insdvl_replay.core.settings_layers import SettingsLayers
-from insdvl_replay.results.folder import COMPLETE, result_file
+from insdvl_replay.results.folder import COMPLETE, require_replaceable_file, result_file
 
+_ANOTHER_NAME: Final = "give it another name"
 Changed = tuple[str, Finding]
 """The name of a dive, and a cell of it with the value that was expected before."""
 
@@ -36,11 +38,35 @@ class Check:
     shard: Shard  # whose dives are checked
     options: ReplayOptions
     configs: Mapping[Path | None, Config]  # of dives with a file of settings of their own, by it
+    settings: Sequence[Path] = ()  # files of settings that are read
 
-    @property
-    def inputs(self) -> list[Path]:
-        """The files and folders that are read."""
-        return [self.gates.path, *(dive.path for dive in self.dives)]
+    def require_outputs(self, files: Mapping[str, Path | None]) -> None:
+        """Raise a ConfigError if a file cannot be written, is read, is in a result that is read, or is named twice.
+
+        Files that are written are given by the option that names them.
+        """
+        read = {self.gates.path.resolve(), *(file.resolve() for file in self.settings)}
+        folders = set[Path]()
+        for dive in self.dives:
+            path = dive.path.resolve()
+            read.add(path)
+            if path.suffix == ".json":
+                folders.add(path.parent)
+            elif _is_result(dive):
+                folders.add(path)
+        written = dict[Path, str]()
+        for option, file in files.items():
+            if file is None:
+                continue
+            with error_context(option):
+                require_replaceable_file(file, force=True)
+                target = file.resolve()
+                if target in read or target.parent in folders:
+                    raise ConfigError(f"{file}: is an input of this check", _ANOTHER_NAME)
+                other = written.setdefault(target, option)
+                # A device takes several.
+                if other != option and (file.is_file() or not file.exists()):
+                    raise ConfigError(f"{file}: is also that of {other}", _ANOTHER_NAME)
 
 
 @dataclass(frozen=True)
@@ -91,7 +117,8 @@ def plan_check(
         allow_damaged=allow_damaged or content.allow_damaged,
         histories=histories,
     )
-    return Check(gates, dives, shard, options, loaded.by_file)
+    files = [*layers.files, *filter(None, loaded.by_file)]
+    return Check(gates, dives, shard, options, loaded.by_file, files)
 
 
 def _with_settings_of_logs(

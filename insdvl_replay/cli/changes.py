@@ -21,7 +21,6 @@ from insdvl_replay.core.errors import (
     ConfigError,
     LimitError,
     Note,
-    error_context,
 )
 from insdvl_replay.core.words import GateStatus
 
@@ -416,10 +415,7 @@ def check(
     )
     log_settings(planned.dives, quiet=quiet)
     files = {"--output": output, "--summary-file": summary, "--badge": badge}
-    for option, file in files.items():
-        if file is not None:
-            with error_context(option):
-                _require_no_input(file, planned.inputs)
+    planned.require_outputs(files)
     codes = [0]
 
     def tell_results(checked: "Sequence[Checked]") -> None:
@@ -454,15 +450,6 @@ def check(
         sentence = check_sentence(found)
         log_to_stderr(f"error: {sentence}; the first: {first.dive}: {first.gate}: {reasons}")
     return max(codes)
-
-
-def _require_no_input(file: Path, inputs: "Sequence[Path]") -> None:
-    """Raise a ConfigError if a file cannot be written, or is one of those that are read."""
-    from insdvl_replay.results.folder import require_replaceable_file
-
-    require_replaceable_file(file, force=True)
-    if file.resolve() in {read.resolve() for read in inputs}:
-        raise ConfigError(f"{file}: is an input of this check", "give it another name")
 
 
 def _print_check(

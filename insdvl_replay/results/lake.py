@@ -49,14 +49,17 @@ _OF_ITS_OWN: Final = "name a folder of its own with --lake"
 _NO_LAKE: Final = "name the folder that `run --lake` wrote"
 _REPLAY_AGAIN: Final = "remove it, and run its dives again with --lake"
 _LONGEST_REVISION: Final = 200
+_NAME_OF_COMMIT: Final = '--revision "$(git rev-parse --short HEAD)"'
 
 
 def require_revision(revision: str) -> None:
     """Raise a ConfigError for a name of a version that no table could show."""
+    if revision and not revision.strip():
+        raise ConfigError(f"--revision {revision[:20]!r}: is blank", _NAME_OF_COMMIT)
     if len(revision) > _LONGEST_REVISION or not revision.isprintable():
         raise ConfigError(
             f"--revision {revision[:20]!r}: is not a line of at most {_LONGEST_REVISION} letters",
-            '--revision "$(git rev-parse --short HEAD)"',
+            _NAME_OF_COMMIT,
         )
 
 

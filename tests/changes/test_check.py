@@ -573,6 +573,35 @@ def test_what_is_checked_is_not_written_over(option: str, name: str, team: Path)
     assert (team / "dives" / "transit.mcap").read_bytes() == before
 
 
+@pytest.mark.parametrize("option", ["--output", "--badge"])
+def test_files_of_settings_and_of_stored_results_are_not_written_over(
+    option: str, team: Path, tmp_path: Path
+) -> None:
+    result = tmp_path / "stored"
+    result.mkdir()
+    (result / "report.json").write_text("{}")
+    settings = tmp_path / "vehicle.toml"
+    settings.write_text("")
+    for given, file in (
+        ([result], result / "report.json"),
+        ([result / "report.json"], result / "report.json"),
+        ([result], result / "new.json"),
+        (["-c", settings], settings),
+    ):
+        done = check(team, PASSING, option, str(file), *map(str, given))
+        assert done.returncode == 2
+        assert f"error: {option}: {file}: is an input of this check" in done.stderr
+    assert (result / "report.json").read_text() == "{}"
+    assert settings.read_text() == ""
+
+
+def test_two_outputs_in_one_file_are_refused(team: Path) -> None:
+    done = check(team, PASSING, "--output", "both", "--badge", "both")
+    assert done.returncode == 2
+    assert "error: --badge: both: is also that of --output" in done.stderr
+    assert not (team / "both").exists()
+
+
 def judged(*statuses: str, reasons: Sequence[str] = ("because",)) -> CheckResult:
     return CheckResult(
         "gates.toml",

@@ -23,7 +23,7 @@ from insdvl_replay.batch.manifest import fetch_dives
 from insdvl_replay.batch.schemas import SCHEMAS, schema_text
 from insdvl_replay.batch.studies import StudyFolder, WindowStudy, window_study
 from insdvl_replay.core.config_file import SCHEMA_LINE, render_toml
-from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.errors import ConfigError, UserError
 from insdvl_replay.core.report import as_json
 from insdvl_replay.document.parts import Result
 from insdvl_replay.document.render import result_json
@@ -322,6 +322,8 @@ def test_expected_values_are_stored_and_met(team: Path) -> None:
     assert done.returncode == 0
     with contextlib.chdir(python):
         found = insdvl_replay.check("gates.toml", log, update=True, badge="badge.json")
+        with pytest.raises(ConfigError, match=r"badge: gates\.toml: is an input of this check"):
+            insdvl_replay.check("gates.toml", log, badge="gates.toml")
     assert found.tables["gates"]["status"].tolist() == ["passed"]
     stored = [folder / "expected" / "dive.json" for folder in (team, python)]
     assert stored[0].read_bytes() == stored[1].read_bytes()

@@ -576,6 +576,7 @@ def test_a_name_of_a_version_is_one_short_line(
     for name in ("two\nlines", 201 * "x"):
         said = refused(["--lake", "lake", "--revision", name], capsys)
         assert "is not a line of at most 200 letters" in said
+    assert "--revision '  ': is blank" in refused(["--lake", "lake", "--revision", "  "], capsys)
     assert not Path("lake").exists()
 
 
