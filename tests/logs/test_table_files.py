@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from made_tables import FORMATS, HARMS, SECTIONS, recorded, settings, tables_of, write_tables
 from scipy.io import loadmat, savemat
-from table_bombs import TABLE_BOMBS
+from table_bombs import TABLE_BOMBS, zeros
 
 from insdvl_replay.core.config import Config, Dvl, Imu
 from insdvl_replay.core.dive_columns import Dive
@@ -477,3 +477,14 @@ def test_a_quote_in_a_number_is_no_number(tmp_path: Path) -> None:
         dive = read_dive(folder, Config(imu=IMU, dvl=DVL))
         assert len(dive.dvl.time_ns) == 50 - cells
         assert sum(note.count for note in dive.notes if note.code == "table_cells") == cells
+
+
+def test_an_error_holds_nothing_of_what_was_read(tmp_path: Path) -> None:
+    """A run reads a file several times; each error held the arrays that were read before it."""
+    path = tmp_path / "dive.mat"
+    path.write_bytes(zeros(100_000_000))
+    with pytest.raises(LogError, match="more than 67 MB") as raised:
+        read_dive(path, Config())
+    cause = raised.value.__cause__
+    assert cause is not None
+    assert cause.__traceback__ is None

@@ -236,7 +236,8 @@ class TableFile(RowsFile):
             what = f"needs the package {error.name or 'pyarrow'} to be read"
             raise LogError(what, install_hint("tables"), self.path) from error
         except Exception as error:  # whatever a library makes of a damaged file
-            raise self._unreadable(error) from error
+            # Its frames hold what was read, which several errors of one file would hold several times.
+            raise self._unreadable(error) from error.with_traceback(None)
 
     # --- Text.
 
