@@ -8,6 +8,7 @@ import csv
 import io
 import json
 import math
+import os
 import re
 import sys
 import time
@@ -353,4 +354,5 @@ if __name__ == "__main__":
     sys.path.insert(0, str(PROJECT))
     if sys.argv[1:2] != ["--renew"]:
         sys.exit(__doc__)
+    os.environ["COLUMNS"] = "10000"  # as in conftest.py
     renew(sys.argv[2:])
