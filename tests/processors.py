@@ -51,8 +51,8 @@ class Processor:
         }
 
     def switched_off(self) -> set[str]:
-        """What this numpy would choose here, and must not."""
-        return {name for name in __cpu_dispatch__ if __cpu_features__[name]} - self.features
+        """What this numpy could choose, and must not; some of it may be off here already."""
+        return set(__cpu_dispatch__) - self.features
 
     def blocker(self) -> str:
         """Say why it cannot be emulated here; nothing if it can."""
