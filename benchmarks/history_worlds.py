@@ -6,22 +6,18 @@ its own, which all versions share, and each version moves it a little. In some l
 worse than those before it, and stays so.
 """
 
-import argparse
 import math
-import multiprocessing
-import os
 import tempfile
 import time
 import zlib
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 from judged import history_steps, lake_template, write_lake
-from results import finish, machine, table
+from results import finish, judging_parser, machine, table, worker_processes
 
 from insdvl_replay.core.dive_columns import Floats
 
@@ -222,21 +218,15 @@ def page(lakes: Sequence[JudgedLake], took_s: float) -> tuple[str, bool]:
 
 def main() -> None:
     """Judge, print and write the page; exit with 1 if a rate is not as asked."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = judging_parser(__doc__)
     parser.add_argument("--lakes", type=int, default=LAKES, help="of each world")
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument(
-        "--print", action="store_true", help="print only, and leave the page as it is"
-    )
     given = parser.parse_args()
-    for library in ("OPENBLAS", "OMP"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     begun_s = time.monotonic()
     tasks = list[Task]()
     for world in range(len(WORLDS)):
         tasks += [Task(world, number, given.seed) for number in range(given.lakes)]
-    with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as processes:
+    with worker_processes(given.jobs) as processes:
         lakes = list(processes.map(judged_lake, tasks))
     part, all_met = page(lakes, time.monotonic() - begun_s)
     finish(part, is_whole=not given.print, all_met=all_met)

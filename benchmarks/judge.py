@@ -5,22 +5,18 @@ drawn, and the tool says its word on each. The truth is the geometric mean of th
 the exact motion, over these dives and more of the same world, from the start that each dive has.
 """
 
-import argparse
 import math
-import multiprocessing
-import os
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Final, NamedTuple
 
 from judged import REFUSED, SIZES, Record, drawn_groups, record_of, verdicts_over, word_counts
-from results import finish, machine, table
+from results import finish, judging_parser, machine, table, worker_processes
 from scatter_judge import Truth, is_opposite, outcome, plain
 from true_errors import (
     MeanSquares,
@@ -132,7 +128,7 @@ def judged_dives(tasks: Sequence[Task], jobs: int) -> Iterator[JudgedDive]:
     if jobs == 1:
         yield from map(judged_dive, tasks)
         return
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as processes:
+    with worker_processes(jobs) as processes:
         yield from processes.map(judged_dive, tasks)
 
 
@@ -390,7 +386,7 @@ def tasks_of(number: int, dives: int, truth_dives: int, sea_seed: int) -> list[T
 
 def main() -> None:
     """Judge, print and write the page; exit with 1 if a rate is not as asked."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = judging_parser(__doc__)
     parser.add_argument(
         "--dives", type=int, default=DIVES, help="in each world; half as many of 2 h"
     )
@@ -401,15 +397,9 @@ def main() -> None:
     parser.add_argument(
         "--worlds", nargs="+", default=[""], help="those whose names hold one of these texts"
     )
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--seed", type=int, default=SEA_SEED, help="of the worlds at sea")
-    parser.add_argument(
-        "--print", action="store_true", help="print only, and leave the page as it is"
-    )
     given = parser.parse_args()
     # Each process, which has yet to load numpy, has one core.
-    for library in ("OPENBLAS", "OMP"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     begun_s = time.monotonic()
     chosen = [
         i for i, world in enumerate(WORLDS) if any(part in world.name for part in given.worlds)

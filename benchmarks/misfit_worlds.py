@@ -5,19 +5,15 @@ the baseline is told some of the noise of their preset times a factor. Its refer
 told how noisy it is. A copy of the baseline is the candidate, so that the tool says *no effect* or *not evaluated*.
 """
 
-import argparse
 import math
-import multiprocessing
-import os
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from statistics import median
 from typing import Final, NamedTuple
 
 import msgspec
 from judged import record_of
-from results import finish, machine, table
+from results import finish, judging_parser, machine, table, worker_processes
 from worlds import WORLDS, dive_seed, made_dive
 
 from insdvl_replay.core.config import Config, InertialNoise
@@ -170,19 +166,13 @@ ABOUT: Final = (
 
 def main() -> None:
     """Judge, print and write the page; exit with 1 if a rate is not as it must be."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = judging_parser(__doc__)
     parser.add_argument("--dives", type=int, default=DIVES, help="of each row")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument(
-        "--print", action="store_true", help="print only, and leave the page as it is"
-    )
     given = parser.parse_args()
-    for library in ("OPENBLAS", "OMP"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     begun_s = time.monotonic()
     places = [place for place in range(len(MISFITS)) for _ in range(given.dives)]
     numbers = [number for _ in MISFITS for number in range(given.dives)]
-    with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as processes:
+    with worker_processes(given.jobs) as processes:
         found = list(processes.map(named_on, places, numbers, chunksize=given.dives))
     rows = []
     for place, misfit in enumerate(MISFITS):

@@ -1,10 +1,14 @@
 """The page of results: one part for each benchmark, each written anew by its own."""
 
+import argparse
 import fcntl
+import multiprocessing
+import os
 import platform
 import re
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -33,6 +37,23 @@ def _git(*arguments: str) -> str:
 def table(columns: tuple[str, ...], rows: list[str]) -> list[str]:
     """Give the lines of a table of rows that are written already."""
     return [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *rows]
+
+
+def judging_parser(description: str | None) -> argparse.ArgumentParser:
+    """Return the parser of a benchmark that judges in several processes; each adds what it asks for itself."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument(
+        "--print", action="store_true", help="print only, and leave the page as it is"
+    )
+    return parser
+
+
+def worker_processes(jobs: int) -> ProcessPoolExecutor:
+    """Start processes of one thread each: their libraries would start one for each core."""
+    for library in ("OPENBLAS", "OMP"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    return ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"))
 
 
 def finish(part: str, *, is_whole: bool, all_met: bool) -> NoReturn:

@@ -6,20 +6,16 @@ changes that scatter, normally or strongly skewed; vehicles that differ; archive
 every dive; and several candidates at once. What the tool makes of the numbers it says itself, through `judged`.
 """
 
-import argparse
 import math
-import multiprocessing
-import os
 import time
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 from judged import level_of, over_dives
-from results import finish, machine, table
+from results import finish, judging_parser, machine, table, worker_processes
 
 from insdvl_replay.core.dive_columns import Floats
 
@@ -490,19 +486,15 @@ def page(rows: dict[str, list[Row]], repeats: int, looked: int, took_s: float) -
 
 def main() -> None:
     """Judge, print and write the page; exit with 1 if a rate is not as it must be."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = judging_parser(__doc__)
     parser.add_argument("--repeats", type=int, default=REPEATS)
     parser.add_argument(
         "--looked", type=int, default=LOOKED, help="archives that are looked at after every dive"
     )
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument(
-        "--print", action="store_true", help="print only, and leave the page as it is"
-    )
     given = parser.parse_args()
     begun_s = time.monotonic()
     asked = list(works(given.repeats, given.looked))
-    with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as processes:
+    with worker_processes(given.jobs) as processes:
         found = list(processes.map(row_of, asked))
     rows = {
         name: [row for work, row in zip(asked, found, strict=True) if work.table == name]

@@ -6,16 +6,12 @@ on each group. What is true is told by `scatter_worlds`. `--keep FILE` stores wh
 FILE` judges it again without any replay.
 """
 
-import argparse
 import math
-import multiprocessing
-import os
 import pickle
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
@@ -33,7 +29,7 @@ from judged import (
     record_of,
     verdicts_over,
 )
-from results import finish, machine, table
+from results import finish, judging_parser, machine, table, worker_processes
 from scatter_filters import Case, write_case
 from scatter_worlds import (
     DURATION_S,
@@ -118,7 +114,7 @@ def judged_dives(tasks: Sequence[Task], jobs: int) -> Iterator[JudgedDive]:
     if jobs == 1:
         yield from map(judged_dive, tasks)
         return
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as processes:
+    with worker_processes(jobs) as processes:
         yield from processes.map(judged_dive, tasks)
 
 
@@ -634,7 +630,7 @@ def tasks_of(worlds: Sequence[int], dives: int, truth_dives: int, seed: int) -> 
 
 def main() -> None:
     """Judge, print and write the page; exit with 1 if a rate is not as asked."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = judging_parser(__doc__)
     parser.add_argument("--dives", type=int, default=DIVES, help="in each world")
     parser.add_argument(
         "--truth-dives", type=int, default=TRUTH_DIVES, help="more, that are not replayed"
@@ -644,15 +640,9 @@ def main() -> None:
         "--worlds", nargs="+", default=[""], help="those whose names hold one of these texts"
     )
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument(
-        "--print", action="store_true", help="print only, and leave the page as it is"
-    )
     parser.add_argument("--keep", type=Path, help="store what was found in each dive")
     parser.add_argument("--kept", type=Path, help="judge what was stored, without replays")
     given = parser.parse_args()
-    for library in ("OPENBLAS", "OMP"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     begun_s = time.monotonic()
     chosen = [
         row for row, world in enumerate(WORLDS) if any(part in world.name for part in given.worlds)

@@ -4,22 +4,18 @@
 written as TUM files and compared by the command. Words are counted as right, wrong or undecided.
 """
 
-import argparse
 import math
-import multiprocessing
-import os
 import tempfile
 import time
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 from judged import Compared, compared, over_dives
-from results import finish, machine, table
+from results import finish, judging_parser, machine, table, worker_processes
 from rule_worlds import LEAST_FOUND_PCT, contradicts, is_opposite
 from trajectory_sets import POWER_RATIOS, SETS, SetKind, SetTruth, make_set
 
@@ -391,25 +387,19 @@ def page(sets: Sequence[JudgedSet], took_s: float) -> tuple[str, bool]:
 
 def main() -> None:
     """Judge, print and write the page; exit with 1 if a rate is not as asked."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = judging_parser(__doc__)
     parser.add_argument("--times", type=int, default=1, help="so many sets for each")
     parser.add_argument(
         "--sets", nargs="+", default=[""], help="those whose names hold one of these texts"
     )
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument(
-        "--print", action="store_true", help="print only, and leave the page as it is"
-    )
     given = parser.parse_args()
-    for library in ("OPENBLAS", "OMP"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     begun_s = time.monotonic()
     tasks = list[Task]()
     for task in tasks_of(given.times, given.seed):
         if any(part in SETS[task.kind].name for part in given.sets):
             tasks.append(task)
-    with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as processes:
+    with worker_processes(given.jobs) as processes:
         sets = list(processes.map(judged_set, tasks))
     part, all_met = page(sets, time.monotonic() - begun_s)
     finish(part, is_whole=given.sets == [""] and not given.print, all_met=all_met)

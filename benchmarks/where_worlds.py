@@ -6,16 +6,12 @@ two filters could be exchanged, or one has larger errors by the same factor in a
 stand out. Each dive is replayed once, and archives of six dives are drawn from them.
 """
 
-import argparse
 import math
-import multiprocessing
-import os
 import pickle
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
@@ -30,7 +26,7 @@ from judged import (
     where_record_of,
 )
 from numpy.typing import NDArray
-from results import finish, machine, table
+from results import finish, judging_parser, machine, table, worker_processes
 from scatter_filters import Case, PingNoise, Told, with_added, write_case
 from scatter_worlds import (
     OTHER,
@@ -479,22 +475,16 @@ def tasks_of(worlds: Sequence[int], dives: int, seed: int) -> list[Task]:
 
 def main() -> None:
     """Judge, print and write the page; exit with 1 if a rate is not as asked."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = judging_parser(__doc__)
     parser.add_argument("--dives", type=int, default=DIVES, help="in each world")
     parser.add_argument("--groups", type=int, default=GROUPS)
     parser.add_argument(
         "--worlds", nargs="+", default=[""], help="those whose names hold one of these texts"
     )
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument(
-        "--print", action="store_true", help="print only, and leave the page as it is"
-    )
     parser.add_argument("--keep", type=Path, help="store what was found in each dive")
     parser.add_argument("--kept", type=Path, help="judge what was stored, without replays")
     given = parser.parse_args()
-    for library in ("OPENBLAS", "OMP"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     begun_s = time.monotonic()
     chosen = [
         number
@@ -505,7 +495,7 @@ def main() -> None:
         dives = pickle.loads(given.kept.read_bytes())
     else:
         tasks = tasks_of(chosen, given.dives, given.seed)
-        with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as processes:
+        with worker_processes(given.jobs) as processes:
             dives = list(processes.map(judged_dive, tasks))
     if given.keep:
         given.keep.write_bytes(pickle.dumps(dives))

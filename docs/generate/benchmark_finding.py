@@ -107,15 +107,15 @@ def _how_far(cell: Cell) -> list[str]:
         usual_m = float(np.median(on_track.moves))
         usual_share = float(np.median(on_track.shares))
         said.append(
-            f"It moves the track by {1e3 * usual_m:.1f} mm in the median, which is "
-            f"{share_text(usual_share)} of its error, and by {1e3 * max(on_track.moves):.1f} mm or "
-            f"{share_text(max(on_track.shares))} at most."
+            f"It moves the track by {1e3 * usual_m:.1f} mm in the median ({share_text(usual_share)} "
+            f"of its error) and by {1e3 * max(on_track.moves):.1f} mm "
+            f"({share_text(max(on_track.shares))}) at most."
         )
     if cell.answer is None or cell.answer.verdict not in EQUAL:
         return said
     if finite(row.acts_most) >= NO_EFFECT:
         said.append(
-            f"It moves the drift by {share_text(row.acts)} in the median, and by "
+            f"It moves the drift by {share_text(row.acts)} in the median and by "
             f"{share_text(row.acts_most)} on one dive. *No effect* takes less than "
             f"{share_text(NO_EFFECT)} of every error, so the word is *{cell.answer.verdict}*."
         )

@@ -179,6 +179,15 @@ Shard = Annotated[
         help="Only every N-th dive, starting at the I-th, counted by their names.",
     ),
 ]
+Results = Annotated[
+    Path,
+    typer.Option(
+        "-o",
+        "--output",
+        metavar="DIR",
+        help="Output folder; each log gets a subfolder with its name.",
+    ),
+]
 Jobs = Annotated[
     int,
     typer.Option(

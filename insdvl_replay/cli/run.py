@@ -21,15 +21,7 @@ _COMPARE_AFTERWARDS = "use `insdvl-replay compare` afterwards"
 
 def run(
     logs: opt.Logs,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="DIR",
-            help="Output folder; each log gets a subfolder with its name.",
-        ),
-    ] = Path("replay"),
+    output: opt.Results = Path("replay"),
     config: opt.ConfigFiles = [],
     no_config: opt.NoConfig = False,
     preset: opt.Preset = None,

@@ -41,15 +41,7 @@ def merge(
             help="Folders that `run --shard` wrote, each with one shard or several.",
         ),
     ],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="DIR",
-            help="Output folder; each log gets a subfolder with its name.",
-        ),
-    ] = Path("replay"),
+    output: opt.Results = Path("replay"),
     format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
     tables: opt.ChosenTables = [],
     strict: opt.Strict = False,
