@@ -16,6 +16,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.formats.log_file import DamageError
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.formats.ros1_bag import messages_in
 
@@ -290,6 +291,17 @@ def test_what_is_no_bag_is_reported_by_its_place(
 
 SMALL = record({"op": b"\x63"}, b"")
 LIKE = message(0, 1, 0, b"")
+
+
+def test_a_chunk_of_more_than_65536_other_records_is_left_at_the_next() -> None:
+    """Such a record is too short for a message, so the rest of the chunk need not be looked at."""
+    content = memoryview(SMALL * ((1 << 16) + 10))
+    with pytest.raises(DamageError) as raised:
+        messages_in(content)
+    assert raised.value.damage == (
+        (1 << 16) * len(SMALL),
+        "more than 65536 records of a chunk are not messages",
+    )
 
 
 @pytest.mark.parametrize("inside", [bytes(1), SMALL, LIKE], ids=["zeros", "others", "alike"])

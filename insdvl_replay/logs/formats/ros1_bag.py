@@ -33,6 +33,7 @@ _MAGIC: Final = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = range(2, 8)  # kinds of records
 _LONGEST_HEADER: Final = 1 << 20
 _SHORTEST_HEADER: Final = 8  # bytes of the field that says the kind
+_SHORTEST_OF_MESSAGE: Final = 38  # bytes of the fields op, conn and time
 _MOST_OTHERS: Final = 1 << 16  # records of a chunk that are no messages: connections
 _MOST_CHANNELS: Final = 1 << 16
 _WORD: Final = np.dtype("<u4")
@@ -319,8 +320,7 @@ def messages_in(buffer: memoryview) -> tuple[_MessageRecords, list[_Record]]:
         if record.kind != _MESSAGE:
             others.append(record)
             if len(others) > _MOST_OTHERS:
-                what = f"more than {_MOST_OTHERS} records of a chunk are not messages"
-                raise DamageError(int(places[row]), what)
+                raise _too_many_others(int(places[row]))
             continue
         nanosec, sec = divmod(record.number(b"time", 8), 1 << 32)
         time_ns[row] = sec * NS_PER_S + nanosec
@@ -342,6 +342,10 @@ def messages_in(buffer: memoryview) -> tuple[_MessageRecords, list[_Record]]:
     return found, others
 
 
+def _too_many_others(place: int) -> DamageError:
+    return DamageError(place, f"more than {_MOST_OTHERS} records of a chunk are not messages")
+
+
 def _record_in(buffer: memoryview, place: int) -> _Record:
     return _record_at(lambda first, last: buffer[first:last], place, len(buffer))
 
@@ -350,6 +354,7 @@ def _bounds(buffer: memoryview) -> Integers:
     """Return where each record of a buffer starts, where its data start, and where these end, (3, k)."""
     place = 0
     end = len(buffer)
+    others = 0
     bounds = array("q")
     while place < end:
         # As `_record_at`, without the fields.
@@ -359,6 +364,10 @@ def _bounds(buffer: memoryview) -> Integers:
         if not _SHORTEST_HEADER <= size <= _LONGEST_HEADER or start > end or behind > end:
             _record_in(buffer, place)
             raise DamageError(place, f"a record says its header has {size} bytes")
+        if size < _SHORTEST_OF_MESSAGE:
+            others += 1
+            if others > _MOST_OTHERS:
+                raise _too_many_others(place)
         bounds.extend((place, start, behind))
         place = behind
     return np.frombuffer(bounds, np.int64).reshape(-1, 3).T
