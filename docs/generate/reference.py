@@ -16,15 +16,12 @@ import insdvl_replay
 from insdvl_replay.cli.app import app
 from insdvl_replay.core.config import ConfigFile
 from insdvl_replay.core.tables import ANSWERS, LAKE, LAYOUTS, TableLayout
+from insdvl_replay.core.units import unit_of_name
 
 FOLDER = PROJECT / "docs" / "reference"
 NAME = "NAME"  # in the place of a name that the user chooses
-UNITS = {
-    "_accel_sd_mg": "mg", "_mps_rts": "m/s/√s", "_rad_rts": "rad/√s", "_mps2_rts": "m/s²/√s", "_radps_rts": "rad/s/√s",
-    "_kgpm3": "kg/m³", "_degph": "deg/h", "_degps": "deg/s", "_mps2": "m/s²", "_mps": "m/s", "_mg": "mg", "_deg": "deg",
-    "_pct": "%", "_hz": "Hz", "_m": "m", "_s": "s",
-}  # fmt: skip
-"""Units of settings by the end of a key, the longer ends first."""
+SIGNS = {"sqrt(s)": "√s", "s2": "s²", "m3": "m³"}
+"""How a page writes what is plain text elsewhere."""
 
 
 def _cell(text: object) -> str:
@@ -128,7 +125,10 @@ def _default(key: str, found: Mapping[str, Any], section: Mapping[str, Any]) -> 
 
 
 def _unit(key: str) -> str:
-    return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")
+    unit = unit_of_name(key)
+    for plain, sign in SIGNS.items():
+        unit = unit.replace(plain, sign)
+    return unit
 
 
 def _sentence(text: str) -> str:

@@ -22,6 +22,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats, ImuColumns
 from insdvl_replay.core.history import Innovations
 from insdvl_replay.core.runtime import parallel_map
+from insdvl_replay.core.units import unit_of_name
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import DvlNoise, ResolvedFilter
@@ -37,12 +38,6 @@ DVL: Final[tuple[Literal["velocity_sd_mps", "beam_sd_mps"], ...]] = (
     "velocity_sd_mps",
     "beam_sd_mps",
 )
-UNITS: Final = {
-    "accel_white_mps_rts": "m/s/sqrt(s)",
-    "gyro_white_rad_rts": "rad/sqrt(s)",
-    "velocity_sd_mps": "m/s",
-    "beam_sd_mps": "m/s",
-}
 PRIOR_FACTOR: Final = 3.0
 LARGEST_FACTOR: Final = 1e3
 # Start factors; the likeliest starts the search, since a search finds the nearest optimum. Order as in `noise_of`.
@@ -127,7 +122,7 @@ def noise_row(
     after = fitted.after[key]
     return NoiseRow(
         key,
-        UNITS[key],
+        unit_of_name(key),
         before,
         after,
         sd,
@@ -341,7 +336,7 @@ def _status_of(
     if _has_own(own, key):
         return _Status(Estimated.HELD, OWN_NOISE)
     if key in impossible:
-        why = f"{fitted.after[key]:g} {UNITS[key]} was found, which is {impossible[key]}"
+        why = f"{fitted.after[key]:g} {unit_of_name(key)} was found, which is {impossible[key]}"
         return _Status(Estimated.IMPLAUSIBLE, why)
     is_sure = sd < UNSURE and not (is_drowned and key in INERTIAL)
     if impossible or not is_sure:

@@ -15,7 +15,8 @@ from msgspec import Struct
 
 from insdvl_replay.core.quantities import CONSISTENCY, label
 from insdvl_replay.core.report import Cell, Row, StoredReport
-from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, UNITS, Better, Number, TableLayout
+from insdvl_replay.core.tables import CANDIDATES, Better, Number, TableLayout
+from insdvl_replay.core.units import PERCENTAGE, ending_of
 from insdvl_replay.core.words import ChangeVerdict
 from insdvl_replay.document.tables import FORMS
 
@@ -354,10 +355,7 @@ def cell_name(
     if baseline and (column == "baseline" or column.startswith("baseline_")):
         filter_ = baseline
         column = column.removeprefix("baseline").removeprefix("_")
-    for ending in UNITS:
-        if column.endswith(ending):
-            column = column.removesuffix(ending)
-            break
+    column = column.removesuffix(ending_of(column))
     if table == "outage":
         row = f"outage_{row}s"
     what = label(row).replace(",", "")

@@ -29,6 +29,7 @@ from insdvl_replay.core.quantities import (
     axis_of,
 )
 from insdvl_replay.core.states import STATES
+from insdvl_replay.core.units import unit_of_name
 from insdvl_replay.core.words import (
     EvidenceVerdict,
     Prediction,
@@ -45,15 +46,6 @@ _TWO_DIGITS: Final = 99.5  # From here on a size with two digits would have an e
 # What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES.
 Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
 Kind = Literal["text", "count", "number", "flag"]
-# End of the name of a percentage column. Its changes are in percentage points.
-PERCENTAGE: Final = "_pct"
-# Units by the end of a column's name.
-UNITS: Final = {
-    PERCENTAGE: "%",
-    "_s": "s",
-    "_mps": "m/s",
-    "_m": "m",
-}
 RATIO: Final = "ratio"  # Columns whose names begin with this have no unit.
 
 
@@ -131,9 +123,9 @@ class TableLayout:
 
     def unit_of(self, column: str, row_unit: str) -> str:
         """Return a column's unit: by the end of its name, none for a ratio, else the row's unit."""
-        for ending, unit in UNITS.items():
-            if column.endswith(ending):
-                return unit
+        by_name = unit_of_name(column)
+        if by_name:
+            return by_name
         if column in self.better and not column.startswith(RATIO):
             return row_unit
         return ""

@@ -1,4 +1,4 @@
-"""Units that are read: their SI factors by quantity, how titles of columns spell them, and what is none."""
+"""Units: their SI factors by quantity, how titles of columns spell them, and how the program's own names end."""
 
 import re
 from collections.abc import Mapping
@@ -44,6 +44,15 @@ USUAL_UNITS: Final = {
     "length": "m", "time": "s",
 }  # fmt: skip
 KNOWN_UNITS: Final[frozenset[str]] = frozenset().union(*UNITS_BY_KIND.values())
+
+# How names of columns and settings end, and the unit that this means; the longer endings come first.
+UNIT_ENDINGS: Final = {
+    "_accel_sd_mg": "mg", "_mps_rts": "m/s/sqrt(s)", "_rad_rts": "rad/sqrt(s)", "_mps2_rts": "m/s2/sqrt(s)",
+    "_radps_rts": "rad/s/sqrt(s)", "_kgpm3": "kg/m3", "_degph": "deg/h", "_degps": "deg/s", "_mps2": "m/s2",
+    "_mps": "m/s", "_mrad": "mrad", "_mg": "mg", "_deg": "deg", "_pct": "%", "_hz": "Hz", "_m": "m", "_s": "s",
+}  # fmt: skip
+PERCENTAGE: Final = "_pct"
+"""End of the name of a column of percentages, whose changes are in percentage points."""
 
 # Other spellings, in lower case and after the words and signs below are replaced.
 _SPELLINGS: Final = {
@@ -91,6 +100,27 @@ def spelled(text: str) -> str:
     if unit in KNOWN_UNITS:
         return unit
     return text.strip()
+
+
+def ending_of(name: str) -> str:
+    """Return the end of the name of a column or setting that tells its unit, such as ``_mps``; empty without one."""
+    for ending in UNIT_ENDINGS:
+        if name.endswith(ending):
+            return ending
+    return ""
+
+
+def unit_of_name(name: str) -> str:
+    """Return the unit of a column or setting of this program by the end of its name; empty without one."""
+    return UNIT_ENDINGS.get(ending_of(name), "")
+
+
+def name_with_unit(name: str, unit: str) -> str:
+    """Return a name with the ending of its unit, such as ``dv_x`` in m/s as ``dv_x_mps``."""
+    for ending, meant in UNIT_ENDINGS.items():
+        if meant == unit and ending.count("_") == 1:
+            return name + ending
+    raise ValueError(f"no ending means {unit}")
 
 
 def unit_of(title: str) -> str:

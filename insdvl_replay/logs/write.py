@@ -36,6 +36,7 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG_PER_HOUR, MG, STANDARD_GRAVITY_MPS2, STATES
 from insdvl_replay.core.tables import Tables, each_table
+from insdvl_replay.core.units import name_with_unit
 from insdvl_replay.core.version import __version__
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import MAT_FRD_FLU, east_north_up_m, quat_enu_flu
@@ -338,7 +339,6 @@ _ATMOSPHERE_PA: Final = 101325.0
 _SEA_WATER_KGPM3: Final = 1025.0
 _BEAMS_FOR_VELOCITY: Final = 3
 _UNKNOWN_VARIANCE: Final = -1.0
-UNIT_NAMES: Final = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
 _DVL_MESSAGES: Final = {
     "velocity": ("insdvl_msgs/msg/DvlVelocity", "velocity_mps"),
     "acceleration": ("insdvl_msgs/msg/DvlAcceleration", "acceleration_mps2"),
@@ -575,7 +575,7 @@ def _filter_batches(history: History, errors: Any, origin: Floats) -> list[Batch
         odometry = [_odometry_batch(topic, motion, origin), _fix_batch(topic, motion)]
     if history.predicted.any():
         columns = {
-            f"{state.id}_{UNIT_NAMES[state.unit]}": history.sd[:, state.index] / state.factor
+            name_with_unit(state.id, state.unit): history.sd[:, state.index] / state.factor
             for state in STATES
         }
         batches.append(

@@ -12,12 +12,12 @@ from insdvl_replay.core.errors import ResultError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import AXES
 from insdvl_replay.core.states import AXES_N, DEG, DEG_PER_HOUR, DVL_AIDING, GROUPS, MG, STATES
+from insdvl_replay.core.units import name_with_unit
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.logs.columns.tables import Table, read_tables
 from insdvl_replay.logs.columns.topics import Source
 from insdvl_replay.logs.formats.recording import open_recording
-from insdvl_replay.logs.write import UNIT_NAMES
 from insdvl_replay.results.folder import REPLAY_LOG
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ _BIASES: Final[Fields] = {
     "gyro_bias_degph": [f"bg_{axis}_degph" for axis in AXES],
 }
 _SIGMA: Final[Fields] = {
-    f"{state.id}_{UNIT_NAMES[state.unit]}": [f"{state.id}_sd"] for state in STATES
+    name_with_unit(state.id, state.unit): [f"{state.id}_sd"] for state in STATES
 }
 _COLUMNS: Final = [*chain.from_iterable((_MOTION | _BIASES | _SIGMA).values())]
 # The fields that are read of each type of message in a replay.mcap; of an innovation its time alone.
