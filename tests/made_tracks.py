@@ -1,10 +1,11 @@
-"""Trajectories of a few dives whose errors are known, as TUM files and tables."""
+"""Trajectories of a few dives whose errors are known, as TUM files and as topics of logs."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from rosbag_messages import header, write_log, xyz
 
 from insdvl_replay.core.dive_columns import Floats
 
@@ -61,3 +62,26 @@ def write_dives(folder: Path, dives: int = 4, ratio: float = 0.5) -> None:
         write_tum(folder / "truth" / name, track, number)
         write_tum(folder / "old" / name, track + error, number)
         write_tum(folder / "new" / name, track + ratio * scatter * error, number)
+
+
+def write_odometry(path: Path, number: int, *, with_covariance: bool = True) -> Path:
+    """Write three topics: the odometry of two filters, and of the reference."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    track = truth_m(number)
+    variance = np.eye(6).ravel() * 0.04 if with_covariance else np.zeros(36)
+    messages = list[Any]()
+    for topic, ratio in (("/odom_old", 1.0), ("/odom_new", 0.5), ("/truth", 0.0)):
+        moved = track + ratio * error_m(number)
+        for row, position in enumerate(moved):
+            time_s = row / RATE_HZ
+            pose = {
+                "position": xyz(position),
+                "orientation": {"x": 0.0, "y": 0.0, "z": 0.1, "w": 0.99498744},
+            }
+            message = {
+                "header": header(time_s),
+                "pose": {"pose": pose, "covariance": variance},
+                "twist": {"twist": {"linear": xyz([1.0, 0.0, 0.0])}, "covariance": np.zeros(36)},
+            }
+            messages.append((topic, "nav_msgs/msg/Odometry", time_s, message))
+    return write_log(path, messages)

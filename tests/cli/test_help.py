@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import typer.main
+from made_tracks import write_dives, write_odometry
 from recorded_parts import write_part
 
 from insdvl_replay.cli import run_command_line
@@ -22,6 +23,8 @@ SHORTER = {"study montecarlo": ["--runs", "2", "--duration", "20"]}
 """Options that make a long example short, by how it begins."""
 EARLIER = {"300:480": "8:12"}
 """What has to happen earlier in it."""
+ELSEWHERE = "dives:/"
+"""How an example names a topic of dives, which here are in the folder of dives with trajectories."""
 
 
 GATES = """
@@ -53,7 +56,7 @@ EXAMPLES = [
 
 @pytest.fixture(scope="module")
 def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what the examples name: a dive, also in two parts, dives, results, settings and gates."""
+    """A folder with what the examples name: dives, shards, trajectories, results, settings and gates."""
     folder = tmp_path_factory.mktemp("workshop")
     dive = str(folder / "dive.mcap")
     assert run_command_line(["simulate", "straight", "-o", dive, "--duration", "190"]) == 0
@@ -74,6 +77,14 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for results in ("before", "after", "replay"):
         run = ["run", dive, "-o", str(folder / results), "--lake", str(folder / "lake")]
         assert run_command_line(run) == 0
+    for number in ("1", "2", "3", "4"):
+        shard = str(folder / f"part_{number}")
+        run = ["run", str(folder / "dives"), "--shard", f"{number}/4", "-o", shard]
+        assert run_command_line(run) == 0
+        shutil.copytree(shard, folder / "parts", dirs_exist_ok=True)
+    write_dives(folder)
+    for number in range(3):
+        write_odometry(folder / "odometry" / f"dive_{number}.mcap", number)
     (folder / "vehicle.toml").write_text("[dvl]\nvelocity_sd_mps = 0.03\n", "utf-8")
     (folder / "calibrated.toml").write_text("[dvl]\nlatency_s = 0.01\n", "utf-8")
     return folder
@@ -95,7 +106,10 @@ def test_example_runs_as_it_is(
     folder = tmp_path / "here"
     shutil.copytree(workshop, folder, symlinks=True)
     monkeypatch.chdir(folder)
-    words = [EARLIER.get(word, word) for word in shlex.split(example.partition(">")[0])]
+    words = [
+        EARLIER.get(word, word).replace(ELSEWHERE, "odometry:/")
+        for word in shlex.split(example.partition(">")[0])
+    ]
     arguments = [
         found for word in words for found in sorted(map(str, Path().glob(word))) or [word]
     ]

@@ -27,7 +27,7 @@ STORED: Final = Path(__file__).parent / "stored"
 SAME: Final = 2e-9
 """Share of a number in which it may differ: nine digits, of the ten that are stored."""
 LEAST: Final = 1e-9
-LEAST_OF: Final = {"observability": 1e-8}
+LEAST_OF: Final = {"observability": 1e-7}
 """In the unit of a number: differences of numbers that are nearly the same, and singular vectors that hardly anything
 determines, have fewer digits than that on which two processors agree."""
 NUMBER: Final = re.compile(r"(-?\d+\.?\d*(?:e[-+]?\d+)?)")

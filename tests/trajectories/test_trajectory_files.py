@@ -1,12 +1,10 @@
 """Tables and logs as trajectories."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from made_tracks import RATE_HZ, START_S, error_m, truth_m, write_tum
-from rosbag_messages import header, write_log, xyz
+from made_tracks import RATE_HZ, START_S, error_m, truth_m, write_odometry, write_tum
 
 from insdvl_replay import compare_trajectories
 from insdvl_replay.core.dive_columns import Floats
@@ -195,29 +193,6 @@ def test_times_are_exact_however_they_are_written(tmp_path: Path, line: str) -> 
 
 
 # --- Topics of logs.
-
-
-def write_odometry(path: Path, number: int, *, with_covariance: bool = True) -> Path:
-    """Write three topics: the odometry of two filters, and of the reference."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    track = truth_m(number)
-    variance = np.eye(6).ravel() * 0.04 if with_covariance else np.zeros(36)
-    messages = list[Any]()
-    for topic, ratio in (("/odom_old", 1.0), ("/odom_new", 0.5), ("/truth", 0.0)):
-        moved = track + ratio * error_m(number)
-        for row, position in enumerate(moved):
-            time_s = row / RATE_HZ
-            pose = {
-                "position": xyz(position),
-                "orientation": {"x": 0.0, "y": 0.0, "z": 0.1, "w": 0.99498744},
-            }
-            message = {
-                "header": header(time_s),
-                "pose": {"pose": pose, "covariance": variance},
-                "twist": {"twist": {"linear": xyz([1.0, 0.0, 0.0])}, "covariance": np.zeros(36)},
-            }
-            messages.append((topic, "nav_msgs/msg/Odometry", time_s, message))
-    return write_log(path, messages)
 
 
 def test_topics_of_logs_are_compared_dive_by_dive(tmp_path: Path) -> None:
