@@ -2,7 +2,8 @@
 
     VEHICLE=vehicle.toml PYTHONPATH=examples/candidates insdvl-replay run dive.mcap -c mine.toml --allow-code
 
-``VEHICLE`` names the settings of the vehicle. The noise is that of the baseline then, so that only the filters differ.
+``VEHICLE`` names the settings of the vehicle, such as the vehicle.toml in the result of an earlier run. The noise is
+that of the baseline then, so that only the filters differ.
 
 The error is estimated minus true for velocity ``dv`` (n, m/s) and misalignment ``phi`` (n, rad): the estimated attitude
 is ``(I + [phi x])`` times the true one. Of the biases (b, m/s2 and rad/s) it is true minus estimated. n is
@@ -60,6 +61,10 @@ class Noise:
     @classmethod
     def of_vehicle(cls):
         """Read it from the settings that ``VEHICLE`` names."""
+        if "VEHICLE" not in os.environ:
+            raise ValueError(
+                "VEHICLE is not set; it names the settings with the noise, such as VEHICLE=replay/dive/vehicle.toml"
+            )
         settings = tomllib.loads(Path(os.environ["VEHICLE"]).read_text("utf-8"))
         noise = settings["noise"]
         sd = [

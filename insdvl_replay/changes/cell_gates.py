@@ -67,6 +67,8 @@ class _Case:
     pair: RowPair
     unit: str
     moved: Moved | None  # against the expected value; None if they are not two numbers
+    verdict: str  # on the filter; empty for the baseline
+    why: str  # the filter is not evaluated; empty if it is
 
     @property
     def old(self) -> Cell:
@@ -77,6 +79,13 @@ class _Case:
     def value(self) -> Cell:
         """The value; None without one."""
         return self.pair.new.get(self.gate.column)
+
+    @property
+    def because(self) -> str:
+        """Why the filter is not evaluated, behind its verdict; empty if it is, or if its result does not say why."""
+        if self.why:
+            return f" ({self.why})"
+        return ""
 
     @property
     def in_unit(self) -> str:
@@ -93,14 +102,16 @@ def _finding(gate: CellGate, pair: RowPair, report: StoredReport) -> Finding:
     is_compared = gate.expected is not None
     if is_compared and is_number(pair.old.get(column)) and is_number(pair.new.get(column)):
         moved = judge_cell(pair, column, gate.max_worse_pct, gate.max_worse_abs)
-    case = _Case(gate, pair, pair.layout.unit_of(column, pair.unit), moved)
+    unit = pair.layout.unit_of(column, pair.unit)
+    case = _Case(
+        gate, pair, unit, moved, _verdict_of(pair, report), _why_not_evaluated(pair, report)
+    )
     statement = f"is {value_text(case.value)}{case.in_unit}"
     limit = ""
     if moved is not None:
         limit = _limit_text(case)
         statement = _change_text(case, moved, limit)
-    verdict = str(report.filters.get(pair.filter, {}).get("verdict") or "")
-    complaint = _complaint(case, verdict, statement)
+    complaint = _complaint(case, statement)
     name = cell_name(pair.layout.name, pair.filter, pair.row, column, report.baseline)
     return Finding(
         table=pair.layout.name,
@@ -114,6 +125,23 @@ def _finding(gate: CellGate, pair: RowPair, report: StoredReport) -> Finding:
         unit=case.unit if pair.new else "",
         limit=limit,
     )
+
+
+def _verdict_of(pair: RowPair, report: StoredReport) -> str:
+    """Return the verdict on the filter of a cell; empty for the baseline."""
+    return str(report.filters.get(pair.filter, {}).get("verdict") or "")
+
+
+def _why_not_evaluated(pair: RowPair, report: StoredReport) -> str:
+    """Return why the filter of a cell is not evaluated, on one dive or on all of them; empty if it is."""
+    on_dive = report.filters.get(pair.filter, {})
+    for verdict, reason in (
+        (on_dive.get("verdict"), on_dive.get("reason")),
+        (pair.new.get("verdict"), pair.new.get("reason")),
+    ):
+        if verdict in WITHOUT_VERDICT and reason:
+            return str(reason)
+    return ""
 
 
 # --- What is said of a value.
@@ -161,11 +189,11 @@ def value_text(value: Cell) -> str:
 # --- What is wrong with it.
 
 
-def _complaint(case: _Case, verdict: str, statement: str) -> str | None:
+def _complaint(case: _Case, statement: str) -> str | None:
     """Return why a cell does not pass; None if it does. The statement says how a value changed."""
     if not case.pair.new:
         return f"is missing, and so is its row; expected: {value_text(case.old)}"
-    unusable = _why_unusable(case, verdict)
+    unusable = _why_unusable(case)
     if unusable is not None:
         return unusable
     broken = [*_not_allowed(case), *_beyond_limits(case), *_worse_than_expected(case, statement)]
@@ -174,8 +202,8 @@ def _complaint(case: _Case, verdict: str, statement: str) -> str | None:
     return None
 
 
-def _why_unusable(case: _Case, verdict: str) -> str | None:
-    """Return why a value of a filter with some verdict can meet no condition; None if it can."""
+def _why_unusable(case: _Case) -> str | None:
+    """Return why a value can meet no condition; None if it can."""
     layout = case.pair.layout
     column = case.gate.column
     row = case.pair.new
@@ -183,8 +211,8 @@ def _why_unusable(case: _Case, verdict: str) -> str | None:
     # A gain or loss fails if the filter is not evaluated; the verdict itself can pass.
     is_relative = not layout.baseline_too or layout.name == "drift"
     is_gain = (layout.name, column) in OF_GAIN or (is_relative and column in layout.better)
-    if is_gain and verdict in WITHOUT_VERDICT:
-        return f"is {value_text(value)}, but the filter is {verdict}"
+    if is_gain and case.verdict in WITHOUT_VERDICT:
+        return f"is {value_text(value)}, but the filter is {case.verdict}{case.because}"
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and column in layout.better:
         covered = (
             f"the reference does not cover the whole replay ({ReferenceStatus.PARTLY_COVERED})"
@@ -202,7 +230,9 @@ def _not_allowed(case: _Case) -> Iterator[str]:
     """Complain of a value that is none of the allowed ones."""
     wanted = case.gate.wanted
     if wanted and not _is_allowed(case.value, case.gate):
-        yield f"is {value_text(case.value)}, required: {' or '.join(map(value_text, wanted))}"
+        because = case.because if case.value in WITHOUT_VERDICT else ""
+        required = " or ".join(map(value_text, wanted))
+        yield f"is {value_text(case.value)}{because}, required: {required}"
 
 
 def _is_allowed(value: Cell, gate: CellGate) -> bool:

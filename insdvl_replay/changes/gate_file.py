@@ -16,6 +16,7 @@ from insdvl_replay.core.config_file import LARGEST, SECTIONS, converted, read_to
 from insdvl_replay.core.errors import (
     ConfigError,
     error_context,
+    hint_for,
     is_writable,
     listed,
     looked_for,
@@ -25,7 +26,7 @@ from insdvl_replay.core.path_kinds import require_kind_of_toml
 from insdvl_replay.core.report import StoredReport
 from insdvl_replay.core.states import COLUMNS, GROUPS
 from insdvl_replay.core.tables import ANSWERS, CANDIDATES, TABLES, PooledRow, layout_of
-from insdvl_replay.core.words import GateLevel
+from insdvl_replay.core.words import GateLevel, known_words
 
 ANY: Final = "*"  # every filter or row
 LOG: Final = "{log}"  # in the path of expected values, the dive's name
@@ -293,6 +294,20 @@ def _check_conditions(gate: CellGate) -> None:
     if gate.wanted and not any(isinstance(value, str) == has_words for value in gate.wanted):
         content = "words" if has_words else "numbers"
         raise ConfigError(f"equals: {_column_of(gate)} contains {content}, found {gate.equals!r}")
+    _check_words(gate)
+
+
+def _check_words(gate: CellGate) -> None:
+    """Raise for a word that no result has, if the column has words of an enumeration."""
+    ranked = LAYOUTS[gate.table].words.get(gate.column, ())
+    if not ranked:
+        return
+    possible = known_words()
+    for value in gate.wanted:
+        if value not in possible:
+            raise ConfigError(
+                f"equals: {_column_of(gate)} never is {value!r}", hint_for(str(value), ranked)
+            )
 
 
 def _check_expectation(gate: CellGate) -> None:

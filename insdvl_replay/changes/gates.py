@@ -84,7 +84,8 @@ def together(dives: Sequence[Checked]) -> Checked:
 
     tables: dict[str, list[Row]] = {ANSWERS.name: [], POOLED: []}
     for answer in _answers(reports):
-        tables[ANSWERS.name].append(asdict(answer_row(answer)))
+        row = asdict(answer_row(answer))
+        tables[ANSWERS.name].append(row | {"reason": answer.reason})
         tables[POOLED] += [asdict(row) for row in answer.rows]
     report = StoredReport({}, StoredLog(EVERY_DIVE), tables, baseline=reports[0].baseline)
     return Checked(report, Path(EVERY_DIVE))

@@ -6,7 +6,7 @@ from typing import Final
 
 from insdvl_replay.core.config import TOPIC_KEYS, Config, Filter, spelled_out
 from insdvl_replay.core.config_limits import impossible_values
-from insdvl_replay.core.errors import hint_for
+from insdvl_replay.core.errors import hint_for, nearest
 from insdvl_replay.core.held_out import HeldOut
 from insdvl_replay.core.quantities import DECIDERS
 from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
@@ -102,7 +102,7 @@ def _filter_problems(name: str, filter_: Filter, config: Config) -> Iterator[Pro
     if candidate_keys(filter_):
         remarks = _candidate_remarks(filter_, key, is_baseline=name == config.baseline)
     else:
-        remarks = _filter_remarks(filter_, config.held_out, key)
+        remarks = _filter_remarks(filter_, config, name)
     for what, hint in remarks:
         yield path, what, hint
 
@@ -215,11 +215,22 @@ def _program_remarks(filter_: Filter, key: str) -> Iterator[Remark]:
         yield f"{key}.input has no use without {{dive}}, since CSV has clean readings", _PROGRAM
 
 
-def _filter_remarks(filter_: Filter, held_out: HeldOut, key: str) -> Iterator[Remark]:
+def _hint_without_aiding(name: str, config: Config) -> str:
+    """Return what to do about a filter without aiding: its name may be meant to be that of another."""
+    others = [other for other, filter_ in config.filters.items() if filter_.aiding]
+    meant = nearest(name, others)
+    if meant:
+        return f'did you mean filters.{meant}? A new filter needs aiding = ["velocity"]'
+    return 'aiding = ["velocity"]'
+
+
+def _filter_remarks(filter_: Filter, config: Config, name: str) -> Iterator[Remark]:
     """Check that the aiding, the states and the other keys of one of the tool's own filters belong together."""
+    key = dotted("filters", name)
+    held_out = config.held_out
     aiding = set(filter_.aiding)
     if not aiding:
-        yield f"{key}.aiding is empty", 'aiding = ["velocity"]'
+        yield f"{key}.aiding is empty", _hint_without_aiding(name, config)
     if filter_.noise_factors is not None and not _is_class(filter_.noise_factors):
         yield (
             f"{key}.noise_factors '{filter_.noise_factors}' is not of the form module:Class",

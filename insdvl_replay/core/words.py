@@ -234,3 +234,12 @@ class Estimated(StrEnum):
     NOT_DETERMINED = "not determined"
     OF_CLASS = "of class"  # A noise that these dives contradict but do not determine: that of the class of the IMU.
     NOT_ASKED = "not asked"
+
+
+def known_words() -> frozenset[str]:
+    """Return the values of all enumerations of this module: what a column of words may hold."""
+    words = set[str]()
+    for kind in globals().values():
+        if isinstance(kind, type) and issubclass(kind, StrEnum):
+            words.update(kind)
+    return frozenset(words)

@@ -316,7 +316,8 @@ def _misfit_by_innovations(name: str, rows: Sequence[ConsistencyRow]) -> str:
         if SMALLEST_PER_DOF <= size <= LARGEST_PER_DOF:
             continue
         found = f"NIS / dof of its {row.measurement} is {size:.2g}, expected 1"
-        return f"the noise variance of {name} is {_off(size)} ({found}); --control fits it"
+        off = f"the noise variance of {name} is {_off(size)} ({found})"
+        return f"{off}; without a preset or [noise] it is fitted, and --control fits it, too"
     return ""
 
 
@@ -513,6 +514,7 @@ def not_evaluated_notes(verdicts: Mapping[str, CandidateVerdict]) -> tuple[Note,
                     "not_evaluated",
                     filter=name,
                     verdict=found.verdict,
+                    reason=found.reason,
                 )
             )
     return tuple(notes)

@@ -158,7 +158,10 @@ def read_roles(
     with log.watched():
         proposed = {finding.role: finding for finding in find_roles(place, log.channels, draft)}
         by_type = {finding.role: finding for finding in find_roles(place, log.channels, given)}
-        for role in ("dvl", "imu"):
+        needed = ["dvl", "imu"]
+        if given.reference.topic:
+            needed.append("reference")
+        for role in needed:
             error = proposed[role].error
             if error is not None:
                 raise error
@@ -681,13 +684,15 @@ def _dvl_note(
 ) -> Note:
     """Report the mounting of the DVL, and which others are as good."""
     rpy = _rpy(best.rpy_deg)
-    if others_deg:
-        fitting = " or ".join(map(_rpy, sorted(set(others_deg))))
+    # Rotations that differ in the last bits are the same text, and are named once.
+    others = dict.fromkeys(_rpy(other) for other in sorted(others_deg))
+    others.pop(rpy, None)
+    if others:
         return note(
             "found_dvl open",
             topic=topic,
             rpy=rpy,
-            others=fitting,
+            others=" or ".join(others),
         )
     return note(
         "found_dvl",

@@ -144,7 +144,7 @@ class Candidate:
         start : CandidateStart
             State, covariance and time at the start.
         """
-        raise NotImplementedError
+        raise NotImplementedError("the class has no method run(self, dive, start)")
 
 
 def misalignment_cov(rpy_sd: Floats, heading: Floats) -> Floats:

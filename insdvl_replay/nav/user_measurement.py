@@ -140,11 +140,23 @@ def load_class(word: str, base: type[Kind]) -> type[Kind]:
 
 def failure_text(error: BaseException, kind: type) -> str:
     """Return where the code of a class raised an exception, and which: ``in line 3 of mine.py: ValueError: ...``."""
-    file = getattr(importlib.import_module(kind.__module__), "__file__", None)
-    frames = traceback.extract_tb(error.__traceback__)
-    lines = [frame.lineno for frame in frames if frame.filename == file]
-    where = f" in line {lines[-1]} of {file}" if lines else ""
+    files = _files_of(kind)
+    where = ""
+    for frame in traceback.extract_tb(error.__traceback__):
+        if frame.filename in files:
+            where = f" in line {frame.lineno} of {frame.filename}"
     return f"{where}: {type(error).__name__}" + (f": {error}" if str(error) else "")
+
+
+def _files_of(kind: type) -> set[str]:
+    """Return the files of a class and of the classes that it derives from, without those of this program."""
+    files = set()
+    for base in kind.__mro__:
+        package, *_ = base.__module__.split(".")
+        file = getattr(importlib.import_module(base.__module__), "__file__", None)
+        if file and package != __name__.split(".")[0]:
+            files.add(file)
+    return files
 
 
 def is_of_math(error: ValueError) -> bool:

@@ -192,6 +192,9 @@ def _other_place(
     row = int(np.argmax(known & (history.time_ns >= first_ns)))
     place = baseline.position[row]
     apart_m = float(np.hypot(*north_east_m(history.position[row], place, place)))
+    latitude = float(history.position[row, 0])
+    if abs(latitude) > 0.5 * np.pi:
+        return f"its latitude is {latitude:.3g} rad, so its angles may be degrees"
     if apart_m > FARTHEST_START_M:
         return f"it begins {apart_m:.3g} m from the start"
     return ""

@@ -21,7 +21,7 @@ from insdvl_replay.core.quantities import (
 )
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, WhereRow, finite
-from insdvl_replay.core.words import DelayStatus, Prediction, ReferenceStatus, Role
+from insdvl_replay.core.words import DelayStatus, Prediction, ReferenceStatus, Role, Verdict
 from insdvl_replay.document.tables import MISSING, percent
 from insdvl_replay.evaluation.answers import (
     BAD,
@@ -233,6 +233,18 @@ def lacking_evidence(report: Report) -> str:
             f"no {OUTAGE_WINDOWS_S[0]} s in which the DVL has no gap, for the outage test"
         )
     return ", and ".join(lacking) or "the filters have no common errors"
+
+
+GETTING_EVIDENCE: Final = (
+    "To get evidence: name a reference (reference.topic), "
+    f"or replay dives of at least {SHORTEST_S} s."
+)
+
+
+def lacks_evidence(answer: CandidateAnswer) -> bool:
+    """Return whether nothing was measured on any dive that could decide."""
+    is_open = answer.verdict == Verdict.UNDECIDED and answer.decisive is None
+    return is_open and bool(answer.reason)
 
 
 def answers_of(reports: Sequence[Report]) -> list[CandidateAnswer]:

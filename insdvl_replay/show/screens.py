@@ -6,7 +6,7 @@ from itertools import chain
 from typing import Final
 
 from insdvl_replay.core.distinct import distinct_dives
-from insdvl_replay.core.errors import counted, natural_key
+from insdvl_replay.core.errors import Note, counted, natural_key
 from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_beam, label
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite, share_text
@@ -45,6 +45,7 @@ from insdvl_replay.evaluation.verdicts import (
 )
 from insdvl_replay.evaluation.where import notable
 from insdvl_replay.show.answers import (
+    GETTING_EVIDENCE,
     TONES,
     Failure,
     Outcome,
@@ -56,6 +57,7 @@ from insdvl_replay.show.answers import (
     evidence_cells,
     has_reference,
     initial_text,
+    lacks_evidence,
     of_filter,
     predicted_change,
     predicted_unchecked,
@@ -132,6 +134,8 @@ def _answer_parts(
             start = ""
         if answer.verdict == Verdict.NOT_EVALUATED:
             lines += _in_spite_of_misfit(answer.filter, reports)
+    if any(lacks_evidence(answer) for answer in answers):
+        lines.append(GETTING_EVIDENCE)
     if lines:
         yield Sentences(tuple(lines))
 
@@ -424,7 +428,7 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
     initial = initial_text(reports[0].config) if reports else ""
     parts: list[Part] = [Title(_facts_of_dives(outcomes))]
     _, notes = distinct_dives(reports)
-    parts += [note.text for note in notes]
+    parts += [_with_hint(note) for note in notes]
     parts += _answer_parts(answers, initial, start_text(reports), reports)
     pooled = [answer for answer in answers if answer.known and answer.log == EVERY_DIVE]
     for table in evidence_tables(pooled, "all dives"):
@@ -439,6 +443,13 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
     parts += _delay_line(reports)
     parts.append(Code(f"all tables: -v   page: {index}", ""))
     return parts
+
+
+def _with_hint(note: Note) -> str:
+    """Return a note on the dives together, with what to do about it."""
+    if note.hint:
+        return f"{note.text}; hint: {note.hint}"
+    return note.text
 
 
 def _assay_parts(reports: Sequence[Report], answers: Sequence[CandidateAnswer]) -> Iterator[Part]:

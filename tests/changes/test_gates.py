@@ -217,6 +217,20 @@ def test_no_number_of_a_filter_that_is_not_evaluated_passes(
     assert passes(gate(**keys), report) is passed
 
 
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"max": 1.0},
+        {"table": "filters", "column": "verdict", "equals": "better"},
+    ],
+    ids=lambda keys: keys.get("table", "improvement"),
+)
+def test_a_gate_says_why_a_filter_is_not_evaluated(keys: dict[str, Any]) -> None:
+    report = stored(filter_verdict="not evaluated")
+    report.filters["aided"]["reason"] = "baseline diverged"
+    assert "not evaluated (baseline diverged)" in why(gate(**keys), report)
+
+
 def test_no_error_against_a_part_of_the_reference_passes() -> None:
     report = stored()
     report.tables["reference_error"][0]["status"] = "partly covered"

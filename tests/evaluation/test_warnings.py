@@ -33,9 +33,12 @@ def test_a_track_that_is_far_off_is_a_warning(
 
 def test_a_candidate_without_a_verdict_is_a_warning() -> None:
     verdicts = {
-        "aided": CandidateVerdict("", Verdict.NOT_EVALUATED, "", None, None, None, ""),
+        "aided": CandidateVerdict(
+            "", Verdict.NOT_EVALUATED, "", None, None, None, "", reason="baseline diverged"
+        ),
         "other": CandidateVerdict("", Verdict.BETTER, "", None, None, None, ""),
     }
     (note,) = not_evaluated_notes(verdicts)
     assert (note.code, note.severity) == ("not_evaluated", "warning")
     assert "aided" in note.text
+    assert note.text.endswith("baseline diverged")

@@ -1,5 +1,6 @@
 """The filters of published papers among the examples: their equations, and what they do on simulated dives."""
 
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,6 +18,7 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Dive, DvlColumns, Floats
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.user_candidate import Solution
+from insdvl_replay.nav.user_measurement import failure_text
 from insdvl_replay.preparation.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -55,6 +57,21 @@ def vehicle(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     file = tmp_path / "vehicle.toml"
     file.write_text(VEHICLE.format(**noise, beam_sd_mps=BEAM_SD_MPS))
     monkeypatch.setenv("VEHICLE", str(file))
+
+
+def test_what_fails_in_a_class_that_is_derived_from_is_said_with_its_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Derived(kalman_filter.KalmanFilter):  # type: ignore[name-defined, misc]
+        pass
+
+    monkeypatch.delenv("VEHICLE")
+    with pytest.raises(ValueError, match="VEHICLE is not set") as raised:
+        Derived().run(None, None)
+    text = failure_text(raised.value, Derived)
+    assert re.match(
+        r" in line \d+ of \S+kalman_filter\.py: ValueError: VEHICLE is not set; .*=", text
+    )
 
 
 BEAM_SD_MPS = 0.0045

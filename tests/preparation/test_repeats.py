@@ -76,7 +76,7 @@ def test_random_answers_have_no_verdict_and_their_spread_is_said(short: Dive) ->
     assert not notes_of(replay, "answers_repeat")
     assert "warning" in {note.severity for note in notes_of(replay, "answers_differ")}
     assert [note.text for note in notes_of(replay, "not_evaluated")] == [
-        "there is no verdict on mine, which is not repeatable"
+        f"there is no verdict on mine, which is not repeatable: {found.reason}"
     ]
 
 

@@ -12,6 +12,7 @@ from insdvl_replay.core.report import Report
 from insdvl_replay.core.words import Severity, Verdict
 from insdvl_replay.evaluation.sentences import headline
 from insdvl_replay.show.answers import answers_of, lacking_evidence
+from insdvl_replay.show.screens import dives_screen
 
 
 def bare(name: str, duration_s: float) -> Report:
@@ -42,6 +43,11 @@ def test_the_reason_of_a_dive_that_is_not_evaluated_is_not_that_of_the_others() 
     (answer,) = answers_of(dives)
     assert (answer.verdict, answer.evaluated) == (Verdict.UNDECIDED, 2)
     assert answer.reason.startswith("no reference, and too short")
+
+
+def test_the_screen_says_once_how_to_get_evidence() -> None:
+    parts = dives_screen([bare("one", 60.0), bare("two", 60.0)], "index.html")
+    assert str(list(parts)).count("To get evidence: name a reference") == 1
 
 
 def test_a_long_dive_with_gaps_lacks_another_thing() -> None:

@@ -38,6 +38,27 @@ WRONG = (
     "run DIVE --format xml",
     "run DIVE --preset phog",
     "run DIVE --set dvl.scle=1",
+    "run DIVE --set filters.aidd.gate_probability=0.9",
+    "run DIVE --set dvl.scale 1.01",
+    "run DIVE --set imu.angular_rate_unit=deg",
+    "run DIVE --set dvl.lever_arm_m=[300,-100,200]",
+    "run DIVE --set dvl.mounting_rpy_deg=[0,0,7200]",
+    "run DIVE --set initial.latitude_deg=3244.5",
+    "run DIVE --set imu.topic=/imu/data",
+    "run DIVE --set reference.topic=/odom",
+    "run DIVE -o",
+    "run DIVE --against dvl.scale",
+    "run DIVE --against dvl.scale=1.0",
+    "run DIVE --start 30 --end 10",
+    "run empty_folder",
+    "run photo.png",
+    "run htp://example.org/dive.mcap",
+    "compare thesis",
+    "compare thesis nowhere",
+    "plan DIVE",
+    "explain imu_gravty",
+    "check verdict.toml",
+    "inspect DIVE --propose vehicle.toml",
     "run DIVE -c absent.toml",
     "run absent.mcap",
     "run text.mcap",
@@ -94,6 +115,15 @@ WRONG = (
 CODE = '[filters.baseline]\naiding = ["velocity"]\n[filters.mine]\naiding = ["velocity", "told_code:Down"]\n'
 
 
+VERDICT = """dives = ["dive.mcap"]
+[[gate]]
+name = "it helps"
+table = "answers"
+column = "verdict"
+equals = "good"
+"""
+
+
 def said_by_commands(folder: Path) -> Cases:
     """Return what each wrong use ends with."""
     assert spoken(
@@ -107,6 +137,9 @@ def said_by_commands(folder: Path) -> Cases:
     require_lake(folder / "empty_lake", ())
     (folder / "code.toml").write_text(CODE)
     (folder / "vehicle.toml").write_text("[dvl]\nscale = 1.0\n")
+    (folder / "empty_folder").mkdir()
+    (folder / "photo.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    (folder / "verdict.toml").write_text(VERDICT)
     (folder / "gates.toml").write_text('[[gate]]\nname = "a gate"\n')
     (folder / "dives.toml").write_text('[[dive]]\npath = "dive.mcap"\n')
     for line in WRONG:
