@@ -685,8 +685,11 @@ def _dvl_note(
     """Report the mounting of the DVL, and which others are as good."""
     rpy = _rpy(best.rpy_deg)
     # Rotations that differ in the last bits are the same text, and are named once.
-    others = dict.fromkeys(_rpy(other) for other in sorted(others_deg))
-    others.pop(rpy, None)
+    others = list[str]()
+    for other_deg in sorted(others_deg):
+        other = _rpy(other_deg)
+        if other not in (rpy, *others):
+            others.append(other)
     if others:
         return note(
             "found_dvl open",
