@@ -378,7 +378,7 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
     if free is not None and pair is first:
         others += free.alternatives(in_vehicle)
     notes.append(_imu_note(pairs, in_vehicle, read.imus))
-    notes.append(_dvl_note(pair.dvl.topic, in_vehicle, others))
+    notes.append(dvl_note(pair.dvl.topic, in_vehicle, others))
     if read.clocks:
         times = "; ".join(
             f"{setting.key} {setting.value}, {setting.seen}" for setting in read.clocks
@@ -679,7 +679,7 @@ def _other_rates(imu: _ImuTopic, other: _ImuTopic) -> Iterator[str]:
         yield f"the gyros of {other.topic} read {ratio:.3g} times as much"
 
 
-def _dvl_note(
+def dvl_note(
     topic: str, best: Hypothesis, others_deg: Sequence[tuple[float, float, float]]
 ) -> Note:
     """Report the mounting of the DVL, and which others are as good."""

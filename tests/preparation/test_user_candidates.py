@@ -408,6 +408,24 @@ def test_a_solution_that_begins_after_the_baseline_broke_down_is_not_compared_wi
     assert 0.92 < np.isfinite(history.velocity_n[:, 0]).mean() < 0.94
 
 
+def test_a_solution_in_degrees_is_said_to_be(dive: Dive, alone: Replay) -> None:
+    own = alone.histories[0]
+    in_degrees = own.position * [180.0 / np.pi, 180.0 / np.pi, 1.0]
+    start = start_of(dive)
+    velocities = dvl_velocities(dive.dvl)
+    with pytest.raises(CandidateError, match="rad, so its angles may be degrees"):
+        history_of_candidate(
+            "mine",
+            Solution(own.time_ns, in_degrees),
+            start,
+            start.time_ns,
+            dive.imu,
+            velocities,
+            own,
+            own.time_ns[:0],
+        )
+
+
 @pytest.mark.parametrize(
     ("word", "reason", "printed"),
     [
