@@ -14,6 +14,7 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import solve_beams
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.free_turns import in_body, turn_freely
+from insdvl_replay.inspection.roles import dvl_note
 from insdvl_replay.inspection.trials import Hypothesis, Trials, rpy_of, thinned, trial_config
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -99,3 +100,13 @@ def test_body_of_an_imu_as_read_is_forward_where_only_the_dvl_shows_travel(
     assert (other is None) == (other_deg is None)
     if other is not None and other_deg is not None:
         assert angle_between(other.gyro_turn, mat(0.0, 0.0, other_deg)) < 1e-9
+
+
+def test_each_other_mounting_is_named_once_and_the_one_that_is_used_is_not() -> None:
+    last_bits_deg = 90.0 + 1e-12
+    others_deg = [(0.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, 0.0, last_bits_deg)]
+    found = dvl_note("/dvl", Hypothesis(), others_deg)
+    assert found.severity == "warning"
+    assert found.text.count("[0, 0, 90]") == 1
+    assert found.text.count("[0, 0, 0]") == 1
+    assert "fits" not in dvl_note("/dvl", Hypothesis(), others_deg[:1]).text
