@@ -105,7 +105,14 @@ def _with_new_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:
         own = replace(job.options, config=found.config, found=notes, vehicle=found.text)
         digest = found.digests.get(job.logs, job.found_sha256)
         fitted.append(replace(job, options=own, found_sha256=digest))
+    if found.kept is not None and _is_read_alike(jobs[0]):
+        fitted = [replace(job, kept=found.kept) for job in fitted]
     return fitted
+
+
+def _is_read_alike(job: ReplayJob) -> bool:
+    """Return whether the replay of a dive reads it as the fit of its noise does."""
+    return job.config == job.options.config and not job.options.control
 
 
 def _with_known_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -41,6 +41,9 @@ from insdvl_replay.results.folder import (
     require_replaceable_folder,
     trajectory_file,
 )
+
+if TYPE_CHECKING:
+    from insdvl_replay.preparation.prepared import KeptDive
 
 CONTROL_NOTE: Final = "control_fitted"
 DAMAGE_NOTE: Final = "log_damaged"
@@ -89,6 +92,13 @@ class ReplayJob:
     local_settings: str = (
         ""  # the file of settings that nobody has named, seen from the folder of the dive
     )
+    # the dive, where it was read in this process to find its noise
+    kept: "KeptDive | None" = field(default=None, compare=False)
+
+    def forget(self) -> None:
+        """Let go of a dive that was read before."""
+        if self.kept is not None:
+            self.kept.taken("")
 
     @property
     def config(self) -> Config:

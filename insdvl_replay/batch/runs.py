@@ -26,6 +26,7 @@ from insdvl_replay.core.version import __version__
 from insdvl_replay.results.folder import COMPLETE, VEHICLE_FILE, read_file, result_folder
 
 if TYPE_CHECKING:
+    from insdvl_replay.core.dive_columns import Dive
     from insdvl_replay.preparation.replay import Replay
 
 SETTINGS_NOTE = "local_settings"
@@ -117,13 +118,14 @@ def replayed(job: ReplayJob, name: str | None) -> "Replay":
     from insdvl_replay.preparation.replay import Replay, replay_log
 
     options = job.options
-    run: Callable[..., Replay] = replay_log
+    kept = partial(_kept_dive, job)
+    run: Callable[..., Replay] = partial(replay_log, kept=kept)
     if options.control:
         from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
 
         run = replay_with_tuned_baseline
     elif options.require_fit:
-        run = partial(replay_log, require_fit=True)
+        run = partial(replay_log, kept=kept, require_fit=True)
     replay = run(job.logs, job.config, allow_damaged=options.allow_damaged, name=name)
     if options.assay:
         replay = _with_assay(job, replay)
@@ -133,6 +135,17 @@ def replayed(job: ReplayJob, name: str | None) -> "Replay":
     if notes:
         replay = replace(replay, notes=(*notes, *replay.notes))
     return replay
+
+
+def _kept_dive(job: ReplayJob) -> "Dive | None":
+    """Return the dive that was read to find its noise; none if it is gone, or its log is another one by now."""
+    if job.kept is None:
+        return None
+    try:
+        digest = log_digest(job)
+    except (OSError, UserError):  # which reading it again reports
+        digest = ""
+    return job.kept.taken(digest)
 
 
 def _require_same_log(job: ReplayJob, replay: "Replay") -> None:

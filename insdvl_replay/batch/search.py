@@ -129,6 +129,10 @@ def _replays(dives: Sequence[ReplayJob], how: Replaying) -> Generator[Outcome, N
     known = known_reports(dives, force=how.force, rerun=how.rerun, report_note=how.report_note)
     changed = [dive for dive in dives if dive.target not in known]
     pool = _pool(changed, how)
+    if pool is not None:
+        # Other processes read their logs: that is less than columns that are sent.
+        for dive in changed:
+            dive.forget()
     replays = replay_jobs(dives, known, pool, work=how.work, elsewhere=how.scheduler is not None)
     if not changed:
         yield from replays

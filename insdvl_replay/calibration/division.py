@@ -6,16 +6,19 @@ from enum import Enum, auto
 from typing import Final
 
 import msgspec
-import numpy as np
 
+from insdvl_replay.calibration.free_mounting import velocities_of
 from insdvl_replay.calibration.innovations import ReadDive
-from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import NS_PER_S
+from insdvl_replay.core.config import Config, Span
+from insdvl_replay.core.dive_columns import seconds
 from insdvl_replay.core.errors import ConfigError, hint_for
 
 HELD_OUT_SHARE: Final = 0.3  # of several dives, where nobody says which
 FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
 LONGEST_S: Final = 2400.0  # of a dive, from which settings that nobody gave are found
+# readings of the IMU, to which noise is fitted: in this time those of 50 Hz
+MOST_SAMPLES: Final = 120_000
+MOST_STRETCHED: Final = 2.0  # usual lengths of some samples; longer ones have a pause inside
 
 
 class By(Enum):
@@ -57,7 +60,7 @@ class Division:
         if len(dives) > 1:
             return cls._without(dives, _spread(HELD_OUT_SHARE, len(dives)))
         (dive,) = dives
-        from_s, to_s = _span_s(dive)
+        from_s, to_s = dive.span_s
         divide_s = from_s + FITTED_SHARE * (to_s - from_s)
         earlier = _within(dive, from_s, divide_s)
         later = _within(dive, divide_s, to_s)
@@ -123,18 +126,38 @@ def _spread(share: float, dives: int) -> set[int]:
 
 def middle(dive: ReadDive) -> ReadDive:
     """Return the middle of a long dive."""
-    from_s, to_s = _span_s(dive)
+    from_s, to_s = dive.span_s
     aside_s = 0.5 * (to_s - from_s - LONGEST_S)
     if aside_s <= 0.0:
         return dive
     return _within(dive, from_s + aside_s, to_s - aside_s)
 
 
-def _span_s(dive: ReadDive) -> tuple[float, float]:
-    span = dive.config.span
-    time_ns = dive.dive.imu.time_ns
-    length_s = float(time_ns[-1] - time_ns[0]) / NS_PER_S
-    return span.start_s or 0.0, min(span.end_s or np.inf, length_s)
+def beginning(dive: ReadDive) -> ReadDive:
+    """Return a long dive from its start until `LONGEST_S` after its first ping, which on a way down can be late."""
+    from_s, to_s = dive.span_s
+    ping_ns, _ = velocities_of(dive.dive.dvl)
+    ping_s = seconds(ping_ns, int(dive.dive.imu.time_ns[0]))
+    heard_s = ping_s[ping_s >= from_s]
+    if not len(heard_s) or heard_s[0] + LONGEST_S >= to_s:
+        return dive
+    return _within(dive, from_s, float(heard_s[0]) + LONGEST_S)
+
+
+def bounded(dive: ReadDive) -> ReadDive:
+    """Return a dive with the readings of its span alone, about `MOST_SAMPLES` of them, where it has many more.
+
+    Each few are one then, at the mean of their times. The noise of sensors is a density, which stays.
+    """
+    if round(len(dive.dive.imu.time_ns) / MOST_SAMPLES) <= 1:
+        return dive
+    imu = dive.imu_in_span
+    size = max(1, round(len(imu.time_ns) / MOST_SAMPLES))
+    blocks_ns = imu.time_ns[: len(imu.time_ns) // size * size].reshape(-1, size)
+    stretched_s = seconds(blocks_ns[:, -1], blocks_ns[:, 0])
+    is_whole = stretched_s <= MOST_STRETCHED * (size - 1) * imu.usual_step_s
+    fewer = replace(dive.dive, imu=imu.averaged(size).rows(is_whole))
+    return replace(dive, dive=fewer, config=msgspec.structs.replace(dive.config, span=Span()))
 
 
 def _within(dive: ReadDive, from_s: float, to_s: float) -> ReadDive:

@@ -14,7 +14,7 @@ import numpy as np
 
 from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.dives import answer_of, calibrate_dives
-from insdvl_replay.calibration.division import Division, middle
+from insdvl_replay.calibration.division import Division, beginning, bounded, middle
 from insdvl_replay.calibration.found import FoundSettings, Given, as_given, with_values
 from insdvl_replay.calibration.innovations import NOISE, ReadDive
 from insdvl_replay.calibration.noise import DVL, GRADES, INERTIAL, imu_class, noise_class
@@ -24,9 +24,9 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError, Note, UserError
 from insdvl_replay.core.misfit import LEAST_NIS, MOST_NIS
 from insdvl_replay.core.notes import note
-from insdvl_replay.core.runtime import report_stage
+from insdvl_replay.core.runtime import one_stage
 from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter
-from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import KeptDive, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import baseline_fit, require_described
 
 MOST_DIVES: Final = 5  # dives from which noise, and all settings of unknown logs, are found
@@ -35,6 +35,7 @@ MOST_ROUNDS: Final = 4  # in which the noise is scaled
 WELL_ABOVE: Final = 0.6
 WELL_BELOW: Final = 1.7
 FITTED_NOTE: Final = "found_noise"
+FITTING: Final = "fitting the noise"
 
 
 def fit_noise_of_logs(
@@ -50,24 +51,65 @@ def fit_noise_of_logs(
     """
     if not config.noise.fit:
         return FoundSettings(config, ())
-    report_stage("fitting the noise")
     alone = _with_baseline_alone(config)
-    dives = list[Dive]()
+    parts = list[_Parts]()
     digests = dict[tuple[Path, ...], str]()
+    kept = None
     for paths in logs[:MOST_DIVES]:
         with suppress(UserError):
-            dive = read_checked_dive(paths, alone, allow_damaged=allow_damaged)
-            if must_be_described:
-                require_described(dive)
-            baseline_fit(dive, alone)
-            dives.append(dive)
+            # A dive alone is kept for its replay, with all that this needs.
+            asked = config if len(logs) == 1 else alone
+            dive = read_checked_dive(paths, asked, allow_damaged=allow_damaged)
+            if len(logs) == 1:
+                kept = KeptDive(dive)
+                dive = _without_others(dive, alone)
+            with one_stage(FITTING):
+                if must_be_described:
+                    require_described(dive)
+                parts.append(_Parts.of(dive, alone))
             digests[tuple(paths)] = dive.sha256
-    if dives:
-        return replace(fit_noise_of_dives(dives, config), digests=digests)
-    return FoundSettings(config, ())
+            del dive
+    if not parts:
+        return FoundSettings(config, ())
+    with one_stage(FITTING):
+        found = _fit_noise(parts, config)
+    return replace(found, digests=digests, kept=kept)
 
 
-def fit_noise_of_dives(dives: Sequence[Dive], config: Config) -> FoundSettings:
+def _without_others(dive: Dive, config: Config) -> Dive:
+    """Return a dive as it is read with some settings, without what only other filters need."""
+    sensors = {name: columns for name, columns in dive.sensors.items() if name in config.sensors}
+    return replace(dive, sensors=sensors, solutions={})
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """What the noise of a dive is fitted to, which is all of a short one; a day of data would say little more."""
+
+    beginning: ReadDive  # over which the baseline runs from the dive's own start
+    middle: ReadDive  # whose innovations are made likeliest
+    imu_class: str
+
+    @classmethod
+    def of(cls, dive: Dive, config: Config) -> "_Parts":
+        """Take them from a dive. A UserError where the baseline cannot be run."""
+        whole = ReadDive(dive, config)
+        began = beginning(whole)
+        part = bounded(began)
+        try:
+            baseline_fit(part.dive, part.config)
+        except UserError:
+            if began is whole:
+                raise
+            # The reference may come later.
+            began = whole
+            part = bounded(whole)
+            baseline_fit(part.dive, part.config)
+        at_imu = replace(whole, dive=with_reference_at_imu(dive, config))
+        return cls(part, bounded(middle(at_imu)), imu_class(began.imu_in_span))
+
+
+def _fit_noise(parts: Sequence[_Parts], config: Config) -> FoundSettings:
     """Fit what `noise.fit` frees to dives of one vehicle. The note says which noise they are replayed with."""
     alone = _with_baseline_alone(config)
     fixed: list[str] = []
@@ -76,17 +118,18 @@ def fit_noise_of_dives(dives: Sequence[Dive], config: Config) -> FoundSettings:
             fixed += [f"{key}." for key in keys]
     values = [key for key, _ in flattened(msgspec.to_builtins(alone))]
     given = Given(alone, [key for key in values if f"{key}.".startswith(tuple(fixed))])
-    preset = max((imu_class(dive.imu) for dive in dives), key=GRADES.index)
+    preset = max((part.imu_class for part in parts), key=GRADES.index)
     found = as_given(of_class(preset, alone), given)
     notes = list[Note]()
     with suppress(UserError):  # too short a dive leaves the noise of the class
-        found = _fitted(dives, found, given)
+        found = _fitted(parts, found, given)
     found, better = with_biases_of_class(found, given, preset)
     if better != preset:
         preset = better
         with suppress(UserError):
-            found = _fitted(dives, found, given)
-    found = levelled_to_dives(dives, found, given, found.initial, preset, notes)
+            found = _fitted(parts, found, given)
+    beginnings = [part.beginning for part in parts]
+    found = levelled_to_dives(beginnings, found, given, found.initial, preset, notes)
     found = msgspec.structs.replace(
         with_values(config, "initial", **_values(found, "biases")),
         noise=found.noise,
@@ -121,9 +164,9 @@ def _with_baseline_alone(config: Config) -> Config:
     return msgspec.structs.replace(config, filters={config.baseline: baseline})
 
 
-def _fitted(dives: Sequence[Dive], config: Config, given: Given) -> Config:
+def _fitted(parts: Sequence[_Parts], config: Config, given: Given) -> Config:
     """Fit the noise to the innovations of all dives together; of one alone, the second half tests it if it is long."""
-    read = [middle(ReadDive(with_reference_at_imu(dive, config), config)) for dive in dives]
+    read = [part.middle.with_settings(config) for part in parts]
     try:
         found = calibrate_dives(Division.found(read), config, [NOISE]).found
     except LogError:
@@ -173,14 +216,18 @@ def with_biases_of_class(config: Config, given: Given, preset: str) -> tuple[Con
 class _Levelling:
     """Scales noise by how large the innovations of the dives' baseline are."""
 
-    dives: Sequence[Dive]
+    dives: Sequence[ReadDive]
     given: Given
     started: Initial
 
     def size_with(self, config: Config) -> float:
         """Return the mean NIS over degrees of freedom, 1 as expected."""
         replayed = msgspec.structs.replace(config, initial=self.started)
-        return float(np.mean([baseline_fit(dive, replayed)[0] for dive in self.dives]))
+        sizes = []
+        for read in self.dives:
+            size, _ = baseline_fit(read.dive, read.with_settings(replayed).config)
+            sizes.append(size)
+        return float(np.mean(sizes))
 
     def scaled(self, config: Config, *keys: str) -> tuple[Config, float]:
         """Scale some noise until the innovations are about as large as expected; return their size, too."""
@@ -206,11 +253,12 @@ def _scaled(config: Config, keys: Sequence[str], factor: float) -> Config:
     return config
 
 
-def _as_quiet_as_readings(config: Config, dives: Sequence[Dive]) -> Config:
+def _as_quiet_as_readings(config: Config, dives: Sequence[ReadDive]) -> Config:
     """Lower the noise of the IMU to the scatter of its readings, which is the most that it can be."""
     for name, field in INERTIAL.items():
         most = max(
-            readings_scatter(getattr(dive.imu, field), dive.imu.usual_step_s) for dive in dives
+            readings_scatter(getattr(read.dive.imu, field), read.dive.imu.usual_step_s)
+            for read in dives
         )
         quieter = float(f"{min(getattr(config.noise, name), most):.3g}")
         if not beyond_the_sensor(name, quieter):
@@ -219,7 +267,7 @@ def _as_quiet_as_readings(config: Config, dives: Sequence[Dive]) -> Config:
 
 
 def levelled_to_dives(
-    dives: Sequence[Dive],
+    dives: Sequence[ReadDive],
     config: Config,
     given: Given,
     started: Initial,

@@ -18,6 +18,7 @@ from insdvl_replay.core.config_file import (
     toml_value,
 )
 from insdvl_replay.core.errors import Note, UserError, visible
+from insdvl_replay.preparation.prepared import KeptDive
 from insdvl_replay.results.folder import VEHICLE_FILE
 
 
@@ -81,6 +82,7 @@ class FoundSettings:
     given: tuple[str, ...] = ()  # keys that a person has given, beside which the others were found
     # SHA-256 of the logs that were read, by the paths of their dive
     digests: Mapping[tuple[Path, ...], str] = field(default_factory=dict)
+    kept: KeptDive | None = None  # a dive that was read alone, for its replay
 
     @property
     def text(self) -> str:

@@ -464,12 +464,4 @@ def samples_in_step(imu: ImuColumns) -> int:
 
 def averaged_imu(imu: ImuColumns) -> ImuColumns:
     """Return the means of readings over `IMU_STEP_S`, at the means of their times."""
-    size = samples_in_step(imu)
-    blocks = len(imu.time_ns) // size
-    time_ns = imu.time_ns[: blocks * size].reshape(blocks, size)
-    middle_ns = time_ns[:, 0] + ((time_ns - time_ns[:, :1]).mean(axis=1)).astype(np.int64)
-
-    def means(readings: Floats) -> Floats:
-        return np.asarray(readings[: blocks * size].reshape(blocks, size, 3).mean(axis=1))
-
-    return ImuColumns(middle_ns, means(imu.specific_force_b), means(imu.angular_rate_b))
+    return imu.averaged(samples_in_step(imu))

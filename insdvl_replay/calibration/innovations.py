@@ -16,7 +16,15 @@ import numpy as np
 from msgspec import Struct
 
 from insdvl_replay.core.config import Config, Dvl, Reference
-from insdvl_replay.core.dive_columns import Dive, Floats, Mask, ReferenceColumns, nanoseconds
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    Floats,
+    ImuColumns,
+    Mask,
+    ReferenceColumns,
+    nanoseconds,
+)
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import Innovations
 from insdvl_replay.core.runtime import parallel_map
@@ -207,6 +215,25 @@ class ReadDive:
     def with_config(self, config: Config) -> "ReadDive":
         """Return the same readings with other settings."""
         return replace(self, config=config)
+
+    def with_settings(self, config: Config) -> "ReadDive":
+        """Return the same part of the dive with other settings, whose span does not count."""
+        return self.with_config(msgspec.structs.replace(config, span=self.config.span))
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """Start and end of the settings' span, as far as the IMU reaches, s since its first sample."""
+        span = self.config.span
+        time_ns = self.dive.imu.time_ns
+        length_s = float(time_ns[-1] - time_ns[0]) / NS_PER_S
+        return span.start_s or 0.0, min(span.end_s or np.inf, length_s)
+
+    @property
+    def imu_in_span(self) -> ImuColumns:
+        """The readings in this span, which are no copies."""
+        first_ns = int(self.dive.imu.time_ns[0])
+        from_s, to_s = self.span_s
+        return self.dive.imu.within(first_ns + nanoseconds(from_s), first_ns + nanoseconds(to_s))
 
     @property
     def alone(self) -> Config:

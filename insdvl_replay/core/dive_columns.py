@@ -221,6 +221,25 @@ class ImuColumns(Columns):
             return float(np.median(steps_ns)) / NS_PER_S
         return np.nan
 
+    def averaged(self, size: int) -> "ImuColumns":
+        """Return the means of so many samples each, at the means of their times; a few at the end may be left out."""
+        blocks = len(self.time_ns) // size
+        time_ns = self.time_ns[: blocks * size].reshape(blocks, size)
+        middle_ns = time_ns[:, 0] + ((time_ns - time_ns[:, :1]).mean(axis=1)).astype(np.int64)
+
+        def means(readings: Floats) -> Floats:
+            return np.asarray(readings[: blocks * size].reshape(blocks, size, 3).mean(axis=1))
+
+        return ImuColumns(middle_ns, means(self.specific_force_b), means(self.angular_rate_b))
+
+    def row_by_row(self) -> "ImuColumns":
+        """Return the same readings as the filters go through them, so that none of their runs has to copy them."""
+        return replace(
+            self,
+            specific_force_b=np.ascontiguousarray(self.specific_force_b),
+            angular_rate_b=np.ascontiguousarray(self.angular_rate_b),
+        )
+
     def times_only(self) -> "ImuColumns":
         """Return the times without the readings, which are the better part of a long dive's memory."""
         return ImuColumns(

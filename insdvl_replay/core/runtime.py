@@ -175,6 +175,23 @@ def report_stage(stage: str) -> None:
         listener(stage, 0, 0)
 
 
+@contextmanager
+def one_stage(stage: str) -> Iterator[None]:
+    """Report a stage of which no part is a stage of its own; the progress of its parts is reported as ever."""
+    listener = _listener.get()
+    if listener is None:
+        yield
+        return
+    listener(stage, 0, 0)
+
+    def report_progress(part: str, done: int, total: int) -> None:
+        if total:
+            listener(part, done, total)
+
+    with progress_listener(report_progress):
+        yield
+
+
 def track_progress(stage: str, items: Sequence[Item]) -> Iterator[Item]:
     """Yield items, and report before each how many are done. Work that converges may stop early."""
     for done, item in enumerate(items):

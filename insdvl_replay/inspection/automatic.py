@@ -28,6 +28,7 @@ from insdvl_replay.calibration.found import (
     with_values,
 )
 from insdvl_replay.calibration.free_mounting import angle_between
+from insdvl_replay.calibration.innovations import ReadDive
 from insdvl_replay.calibration.noise import imu_class
 from insdvl_replay.checks.reference_delay import (
     LATE_NOTES,
@@ -129,7 +130,8 @@ def find_settings(
         preset = better
         config = with_noise_of(_at_imu(read, config), config, given)
     config, started = _with_heading(_at_imu(read, config), config, given, notes)
-    config = levelled_to_dives(read[:1], config, given, started, preset, notes)
+    first_read = [ReadDive(read[0], config)]
+    config = levelled_to_dives(first_read, config, given, started, preset, notes)
     if len(read) > 1:
         names = listed([dive.name for dive in read])
         notes.append(

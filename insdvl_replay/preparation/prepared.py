@@ -91,6 +91,21 @@ class Prepared:
         return found
 
 
+class KeptDive:
+    """A dive that was read to find its settings, for the one who replays it; then its columns are let go."""
+
+    def __init__(self, dive: Dive) -> None:
+        self._dive: Dive | None = dive
+
+    def taken(self, sha256: str) -> Dive | None:
+        """Give the dive away, once and if its logs still have this digest."""
+        dive = self._dive
+        self._dive = None
+        if dive is None or dive.sha256 != sha256:
+            return None
+        return dive
+
+
 def read_checked_dive(
     path: Path | Sequence[Path],
     config: Config,

@@ -1,6 +1,6 @@
 """The pipeline: a log is read and checked, prepared, run through every candidate, and its errors judged."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -62,6 +62,10 @@ class Replay:
     cpu_s: Mapping[str, float] = field(default_factory=dict)
 
 
+def nothing_kept() -> None:
+    """Say that no dive was read before."""
+
+
 def replay_log(
     path: Path | Sequence[Path],
     config: Config,
@@ -69,6 +73,7 @@ def replay_log(
     allow_damaged: bool = False,
     name: str | None = None,
     require_fit: bool = False,
+    kept: Callable[[], Dive | None] = nothing_kept,
 ) -> Replay:
     """Replay the dive in a log, a bag folder, or several of them that are one dive.
 
@@ -80,6 +85,8 @@ def replay_log(
         Of the dive, if not that of the log.
     require_fit : bool
         Raise a MisfitError where the readings or the baseline's innovations show that the settings are wrong.
+    kept : callable
+        Gives away the dive if it was read before, with settings that are the same for reading.
 
     Raises
     ------
@@ -88,14 +95,20 @@ def replay_log(
     ConfigError
         The settings do not fit the log.
     """
+
+    def read() -> Dive:
+        dive = kept()
+        if dive is None:
+            return read_checked_dive(path, config, allow_damaged=allow_damaged, name=name)
+        return replace(dive, name=name or dive.name)
+
     if require_fit:
-        dives = [read_checked_dive(path, config, allow_damaged=allow_damaged, name=name)]
+        dives = [read()]
+        report_stage("running the filters")
         require_fit_of(dives[0], config)
         return replay_dive(dives.pop(), config)
     # No name holds the dive, so that its readings can go before the filters are compared.
-    return replay_dive(
-        read_checked_dive(path, config, allow_damaged=allow_damaged, name=name), config
-    )
+    return replay_dive(read(), config)
 
 
 def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay:
@@ -121,7 +134,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         dive = with_reference_delay(dive, config)
     plan = plan_runs(dive, prepared, config)
     found_start = start_heading(prepared, plan.heading)
-    dive = replace(dive, start_heading=found_start)
+    dive = replace(dive, start_heading=found_start, imu=dive.imu.row_by_row())
 
     # Run every candidate. The rest needs no readings.
     runs = with_user_candidates(
