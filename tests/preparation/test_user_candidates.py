@@ -683,6 +683,15 @@ def test_the_files_of_a_program_hold_what_a_class_is_given(dive: Dive, tmp_path:
     np.testing.assert_allclose(read.mat_nb, direct.mat_nb, atol=1e-12)
 
 
+class Idle(Candidate):
+    """Lack what a candidate must have."""
+
+
+def test_a_class_without_run_says_so(dive: Dive) -> None:
+    with pytest.raises(NotImplementedError, match=r"has no method run\(self, dive, start\)"):
+        Idle().run(dive, start_of(dive))
+
+
 class Sensing(Candidate):
     """Keep what is given, and answer with a time that is before the last one."""
 

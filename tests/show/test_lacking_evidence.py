@@ -8,9 +8,11 @@ from msgspec.structs import replace
 
 from insdvl_replay.cli.messages import MOST_FINDINGS, log_findings, log_notes
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.notes import note
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.words import Severity, Verdict
 from insdvl_replay.evaluation.sentences import headline
+from insdvl_replay.show import screens
 from insdvl_replay.show.answers import answers_of, lacking_evidence
 from insdvl_replay.show.screens import dives_screen
 
@@ -50,6 +52,16 @@ def test_the_screen_says_once_how_to_get_evidence() -> None:
     assert str(list(parts)).count("To get evidence: name a reference") == 1
 
 
+def test_a_dive_that_continues_another_names_the_option_that_joins_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    continued = note("dives_continue", begun="two", pause_s=3.0, when="after", ended="one")
+    monkeypatch.setattr(screens, "distinct_dives", lambda reports: (reports, (continued,)))
+    parts = dives_screen([bare("one", 60.0), bare("two", 60.0)], "index.html")
+    assert f"{continued.text}; hint: {continued.hint}" in list(parts)
+    assert "--one-dive" in continued.hint
+
+
 def test_a_long_dive_with_gaps_lacks_another_thing() -> None:
     assert "no 30 s in which the DVL has no gap" in lacking_evidence(bare("dive", 300.0))
     with_reference = report()
@@ -57,9 +69,9 @@ def test_a_long_dive_with_gaps_lacks_another_thing() -> None:
 
 
 def test_warnings_of_several_dives_name_their_dive(capsys: pytest.CaptureFixture[str]) -> None:
-    note = Note("imu_gaps", "the IMU pauses", 1, Severity.WARNING)
-    log_notes([note], verbose=False, dive="second")
-    log_notes([note], verbose=False)
+    pauses = Note("imu_gaps", "the IMU pauses", 1, Severity.WARNING)
+    log_notes([pauses], verbose=False, dive="second")
+    log_notes([pauses], verbose=False)
     named, alone = capsys.readouterr().err.splitlines()
     assert named.startswith("warning: second: the IMU")
     assert alone.startswith("warning: the IMU")
