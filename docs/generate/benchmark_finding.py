@@ -69,20 +69,21 @@ def moved_on_dives(cell: Cell, quantity: str) -> Moved:
 
 
 def quote(sets: Mapping[str, Sequence[Cell]]) -> str:
-    """Say what the published update does on each data set, and the verdict on both forms of it."""
-    sentences = []
+    """Say what the published update does, and the verdict on both forms of it: an item for each data set."""
+    items = []
     for name, cells in with_evidence(sets).items():
         published = cell_of(cells, PUBLISHED)
         if published is None or published.decisive is None:
             continue
         row = published.decisive
         place = f"On {dives_of(name, row.dives)}"
-        sentences.append(f"{place}, the published update is {_verdict(published)}.")
+        sentences = [f"- {place}, the published update is {_verdict(published)}."]
         sentences += _how_far(published)
         fitted = cell_of(cells, FITTED)
         if fitted is not None:
             sentences.append(f"With windows and fitted noise it is {_verdict(fitted)}.")
-    return " ".join(sentences)
+        items.append(" ".join(sentences))
+    return "\n".join(items)
 
 
 def _verdict(cell: Cell) -> str:
@@ -143,10 +144,10 @@ def _why_on(name: str, published: Cell, fitted: Cell, quantity: str) -> str:
     if fitted.answer is not None and fitted.answer.verdict in GOOD:
         gain = "and makes it smaller"
     return (
-        f"Why so little? Two things, here on {name}. The noise of the update, {update.sd_mps2:g} "
-        f"m/s2, is {update.sd_mps2 / slope_sd_mps2:.0f} times that of the slope of {update.window} "
+        f"The update does so little on {name} for two reasons. Its noise of {update.sd_mps2:g} "
+        f"m/s2 is {update.sd_mps2 / slope_sd_mps2:.0f} times that of the slope of {update.window} "
         f"velocities at 1 Hz ({slope_sd_mps2:.2g} m/s2, by the fitted noise of the DVL). And the "
-        "filter has used these velocities already: the slope has a correlation of "
+        "filter has already used these velocities: the slope has a correlation of "
         f"{correlation:.2f} with the last of them, so it adds little that is new. `{FITTED}` has "
         f"the noise of the slope. It moves the {label(quantity)} by "
         f"{share_text(fitted.decisive.acts)} {gain}."

@@ -56,7 +56,7 @@ def settings_sentences(dives: Sequence[FoundDive]) -> list[str]:
         whose = ""
         if count < len(dives):
             whose = f" of {counted(count, 'dive')}"
-        sentences.append(f"settings{whose}: {_shown(file)}")
+        sentences.append(f"settings{whose}: {as_typed(file)}")
     others = len(dives) - sum(counts.values())
     if sentences and others:
         sentences.append(f"{counted(others, 'dive')} without {LOCAL_SETTINGS}")
@@ -80,7 +80,7 @@ def _nearest(folder: Path) -> Path | None:
     return None
 
 
-def _shown(file: Path) -> str:
+def as_typed(file: Path) -> str:
     """Return a path as it would be typed here."""
     here = Path.cwd()
     if file.is_relative_to(here):

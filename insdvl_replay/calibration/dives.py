@@ -22,7 +22,7 @@ from insdvl_replay.calibration.innovations import (
 from insdvl_replay.calibration.reference import with_reference
 from insdvl_replay.calibration.rows import HeldOutRow, NoiseRow, ParameterRow
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.errors import ConfigError, counted, require_known
+from insdvl_replay.core.errors import ConfigError, counted, listed, require_known
 from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.tables import finite
 from insdvl_replay.core.words import Estimated
@@ -32,7 +32,8 @@ from insdvl_replay.document.tables import numbers_apart
 LITTLE_DRIFT: Final = 0.01  # so small a change of the drift on held-out dives is none
 MORE_DRIFT: Final = "it increases the drift on held-out dives"
 WORSE_NIS: Final = "it makes NIS/dof worse on held-out dives"
-_SHOWN: Final = 3  # parameters in the sentence
+_ARM: Final = "arm "  # begins the label of a part of the lever arm
+_AXES: Final = "xyz"
 
 
 class CalibratedDives(NamedTuple):
@@ -171,20 +172,34 @@ def _means(rows: Sequence[HeldOutRow], before: str, after: str) -> _Means:
 
 def _geometry_sentence(found: Calibration, drift_m: _Means, *, keeps: bool) -> str:
     """Say whether to use the new geometry."""
-    names = [LABELS[row.parameter] for row in found.estimated]
+    names = _named(found.estimated)
     if not names:
         return "Keep your settings: these dives have no manoeuvre that determines others."
     if drift_m.dives:
         what = "Keep your settings" if keeps else "Use the new settings"
         dives = counted(drift_m.dives, "held-out dive")
         return f"{what}: on {dives} drift in 60 s without DVL {drift_m.change} m."
-    shown = ", ".join(names[:_SHOWN])
-    if len(names) > _SHOWN:
-        shown += f" and {len(names) - _SHOWN} more"
-    untested = "Test them: --hold-out 0.3"
+    untested = "Test them: `insdvl-replay calibrate ... --hold-out 0.3`"
     if found.held_out:
         untested = "The held-out dives have no window to test them"
-    return f"New settings: {shown}. {untested}."
+    return f"New settings: {listed(names)}. {untested}."
+
+
+def _named(rows: Sequence[ParameterRow]) -> list[str]:
+    """Name parameters, the lever arm first as in the table; axes follow the name unless all are there."""
+    axes: dict[str, str] = {}
+    for row in sorted(rows, key=lambda row: not LABELS[row.parameter].startswith(_ARM)):
+        label = LABELS[row.parameter].replace(_ARM, "lever arm ")
+        name, _, axis = label.rpartition(" ")
+        if axis in _AXES:
+            axes[name] = axes.get(name, "") + axis
+        else:
+            axes[label] = ""
+    names = []
+    for name, of_name in axes.items():
+        is_whole = of_name in ("", _AXES)
+        names.append(name if is_whole else f"{name} {'/'.join(of_name)}")
+    return names
 
 
 def _noise_sentence(found: Calibration, nis: _Means, *, keeps: bool) -> str:

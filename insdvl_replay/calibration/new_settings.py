@@ -75,8 +75,8 @@ def new_settings_table(
     footnote = ""
     if any(_is_turn(row) for row in asked):
         footnote = (
-            "Mounting: degrees by which the DVL is turned about these axes, from the mounting of the settings. "
-            "Interval: 1.96 sd."
+            "Mounting: how far the DVL is turned about these axes relative to the settings. "
+            "The interval is 1.96 sd."
         )
     return table_of(title, asked, columns, footnote)
 
@@ -142,8 +142,8 @@ def vehicle_figure(found: Calibration) -> Iterator[Figure]:
             value = number(_value(row, found.after))
             texts.append(f"{value} m {direction} ({number(low)} .. {number(high)})")
     caption = (
-        f"The DVL as seen from the IMU: {', '.join(texts)}. The bars at the DVL are these intervals. Its x axis points "
-        "along the short line. The hull is a sketch."
+        f"The DVL as seen from the IMU: {', '.join(texts)}. The bars at the DVL show these intervals, and the short "
+        f"line its x axis. The hull is only a sketch."
     )
     size_m = max(_SMALLEST_M, *np.abs(found.before.lever_arm_m), *np.abs(found.after.lever_arm_m))
     panels = (

@@ -1,5 +1,6 @@
 """A calibration as screen, JSON, settings and pictures."""
 
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -74,6 +75,7 @@ def calibration_result(
     found: Calibration,
     config: Config,
     written: str = "",  # the settings file
+    options: str = "",  # of `run`, with which it has the settings that were given
     figures: Sequence[Figure] = (),
     *,
     even_if_worse: bool = False,  # what is worse on held-out dives is written too
@@ -88,7 +90,7 @@ def calibration_result(
     parts: list[Part] = [Title(title), *answer.lines]
     if names:
         applied = found if even_if_worse else answer.applied(found)
-        parts += _to_copy(applied, written)
+        parts += _to_copy(applied, written, options)
         parts += _left_out(written, answer, even_if_worse=even_if_worse)
     else:
         parts.append(estimated)
@@ -125,12 +127,14 @@ def _estimated(found: Calibration) -> list[str]:
     return names
 
 
-def _to_copy(found: Calibration, written: str) -> Iterator[Part]:
+def _to_copy(found: Calibration, written: str, options: str) -> Iterator[Part]:
     """Yield how to use the settings file, and on pages and without such a file the settings themselves."""
     lines = [line for line in _setting_lines(found) if not line.startswith("#")]
     settings = Code("\n".join(lines).strip("\n"), "toml")
     if written:
-        yield f"Nothing is applied automatically. To use it: `insdvl-replay run LOG -c ... -c {written}`"
+        words = ["insdvl-replay run LOG", options, f"-c {shlex.quote(written)}"]
+        command = " ".join(word for word in words if word)
+        yield f"Nothing is applied automatically. To use it: `{command}`"
         yield Only(PAGE, (settings,))
     else:
         yield "Nothing is applied automatically. To use it, copy this into your settings:"
@@ -245,7 +249,7 @@ def _between_the_dives(found: Calibration, *, is_drawn: bool) -> Iterator[Part]:
             ("after", "r", partial(_axes, "after")),
             ("lag-1\ncorrelation", "r", partial(_axes, "autocorrelation")),
         ),
-        "Expected: 1 before and after, and a lag-1 correlation of 0.",
+        "With the right settings these are near 1, and the lag-1 correlation is near 0.",
         spare=((1, 2), 6),
     )
     if found.reference is not None:
@@ -280,7 +284,7 @@ def _parameter_table(title: str, rows: Sequence[ParameterRow]) -> DisplayTable:
             ("signal /\nnoise", "r", "signal_to_noise"),
         ),
         "sd: the largest of the three, plus assumed errors of each beam (0.2 % and 1 mm/s) and of the IMU (1500 ppm "
-        "and 1 mrad). Below a signal to noise of 3 (mounting 4, scale 30) a parameter is held.",
+        "and 1 mrad). A parameter is held if its signal to noise is below 3 (mounting 4, scale 30).",
     )
     return replace(table, folded=True)
 
@@ -373,7 +377,8 @@ def _reference_lines(reference: ReferenceCalibration) -> Iterator[str]:
     yield from ("", "[initial]")
     for start in reference.starts:
         yield (
-            f"# {visible(start.dive)}: heading {start.heading_deg:g} deg, sd {start.heading_sd_deg:.2g} deg; gyro bias "
+            f"# {visible(start.dive)}: heading {start.heading_deg:g} deg, sd {start.heading_sd_deg:.2g} deg; gyro "
+            f"bias "
             f"about down {start.gyro_bias_degph:g} deg/h, sd {start.gyro_bias_sd_degph:.2g} deg/h"
         )
     yield f"heading_deg = {toml_value(FIT)}"
@@ -439,9 +444,7 @@ _LEGEND: Final = ((BEFORE, "before"), (AFTER, "after"))
 _PROFILE_S: Final = np.linspace(-LATEST_S, LATEST_S, 17)
 _SHARE: Final = 0.995  # share of the innovations inside a panel, without outliers
 _AIR: Final = 1.2
-_CAPTION: Final = (
-    "Predicted minus measured velocity, in standard deviations. A good result has no pattern."
-)
+_CAPTION: Final = "Predicted minus measured velocity in standard deviations, without any pattern if the result is good."
 _PLACES: Final = "dive, in the order of the table"
 
 
@@ -477,8 +480,8 @@ def calibration_figures(
         profiles.append(Panel(dive.name, "delay [s], change from the configuration", curves))
     costs_figure = Figure(
         "Cost of the delay",
-        "Sum of the squared innovations above its minimum; outliers have less weight. One deep minimum is a certain "
-        "delay. Several minima, or a flat curve, are not.",
+        "Sum of the squared innovations above its minimum; outliers have less weight. With one deep minimum the "
+        "delay is certain, but not with several minima or a flat curve.",
         tuple(profiles),
         ((AFTER, "cost"), (REFERENCE, "as fitted")),
     )
@@ -503,7 +506,10 @@ def each_alone(found: Calibration) -> Iterator[Figure]:
         level = parameter.shown_as * float(common[row])
         curves = (bars, Curve(place, value, BEFORE, points=True))
         panels.append(Panel(title, _PLACES, curves, levels=(level,), x_whole=True))
-    caption = "From innovations only: the change estimated from one dive, with its formal standard deviation."
+    caption = (
+        "The change that the innovations of each dive give on their own, with its formal "
+        "standard deviation."
+    )
     legend = ((BEFORE, "one dive"), (LIMIT, "all dives"))
     yield Figure("Estimate of each dive alone", caption, tuple(panels), legend)
 

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
 from typing import Final, NamedTuple
 
@@ -54,9 +55,11 @@ from insdvl_replay.show.first_screen import (
 )
 
 MOST_OTHERS: Final = 12  # most changed values outside the evidence on the brief screen
+NEW_AGAINST_OLD: Final = ": new result against old result"  # after the name of a filter
 NONE: Final = "none"  # instead of a missing value
 _MOST_DIFFERENCES: Final = 8
 _MOST_DRAWN: Final = 8  # rows of the forest plot
+_MOST_UNFOLDED: Final = 40  # Longer tables are folded on pages.
 _NAMED_DIVES: Final = 2
 # The sentence for a changed word, by column of the candidates.
 _CHANGED_WORDS: Final = {
@@ -115,13 +118,18 @@ def comparison_document(
         parts.append(Sentences(tuple(changed)))
     if values:
         parts.append(_values_table(comparison))
+        parts += _what_else_changed(comparison, every_row=True)
     else:
-        parts += _evidence_tables(comparison, every_row=every_row)
-    parts += _what_else_changed(comparison, every_row=values)
+        # A page has room for what a screen leaves out, and its reader has no command line.
+        for formats, is_page in ((PRINTED, False), (PAGE, True)):
+            evidence = _evidence_tables(comparison, every_row=every_row or is_page)
+            others = _what_else_changed(comparison, every_row=is_page)
+            parts.append(Only(formats, (*evidence, *others)))
     alone = tuple(_dives_alone(comparison.dives))
     if alone:
         parts.append(Sentences(alone))
-    parts.append(Sentences(tuple(_closing_lines(comparison, values=values, command=command))))
+    closing = Sentences(tuple(_closing_lines(comparison, values=values, command=command)))
+    parts.append(closing if values else Only(PRINTED, (closing,)))
     return parts
 
 
@@ -264,7 +272,7 @@ _ANSWER_COLUMNS: Final[tuple[ShownColumn, ...]] = (
     ("ratio", "r", lambda row: ratio_text(row.ratio)),
     ("interval", "r", interval_text),
     ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
-    ("", "l", verdict_in_table),
+    ("verdict", "l", verdict_in_table),
 )
 
 
@@ -285,7 +293,8 @@ def _answer_table(answers: Sequence[Answer], *, every_row: bool) -> Iterator[Dis
         footnote += f" {left} more rows: -v"
     if kept:
         title = "Evidence, new against old"
-        yield table_of(title, kept, _ANSWER_COLUMNS, footnote, spare=(7, 2, (3, 4)))
+        table = table_of(title, kept, _ANSWER_COLUMNS, footnote, spare=(7, 2, (3, 4)))
+        yield replace(table, folded=len(kept) > _MOST_UNFOLDED)
 
 
 def _answer_screen(comparison: Comparison) -> list[Part]:
@@ -320,7 +329,8 @@ def _answer_section(answer: Answer, where: Sequence[WhereRow]) -> str:
             said.append(f"{text.removesuffix('.')}.")
     why = _why_not_evaluated(answer)
     if answer.dives == 1:
-        return section(answer, said, [evidence_forest("This dive", answer, _MOST_DRAWN)], why)
+        plots = [evidence_forest("This dive", answer, _MOST_DRAWN)]
+        return section(answer, said, plots, why, NEW_AGAINST_OLD)
     line = where_line(notable(where))
     if line:
         said.insert(1, f"{line}.")
@@ -333,7 +343,7 @@ def _answer_section(answer: Answer, where: Sequence[WhereRow]) -> str:
         evidence_forest("All dives", answer, _MOST_DRAWN, where),
         by_dive_forest(answer.primary, rows, OLD_TO_NEW),
     ]
-    return section(answer, said, plots, why)
+    return section(answer, said, plots, why, NEW_AGAINST_OLD)
 
 
 # --- Settings, verdicts and other differences.
@@ -551,7 +561,7 @@ def _evidence_name(cell: Change) -> str:
 def _values(changes: Sequence[Change]) -> DisplayTable:
     footnote = "% is of the magnitude; for NIS, of the ratio to its degrees of freedom"
     columns = (("value", "l", cell_place), *_OLD_AND_NEW)
-    return table_of("Values, old and new", changes, columns, footnote)
+    return replace(table_of("Values, old and new", changes, columns, footnote), whole=True)
 
 
 def _worst_dive(cell: Aggregate) -> str:
@@ -570,4 +580,4 @@ def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
         ("worst\n[%]", "r", "worst_change_pct:signed_percent"),
         ("in", "l", _worst_dive),
     )
-    return table_of("Values over the dives", cells, columns)
+    return replace(table_of("Values over the dives", cells, columns), whole=True)

@@ -375,6 +375,7 @@ def calibrate(
         calibrated.dives.found,
         calibrated.dives.config,
         "" if output is None else str(output),
+        _options_of_settings(preset, config, own),
         even_if_worse=even_if_worse,
     )
     write_stdout(written(lay_out(verbose=verbose > 0), format_))
@@ -395,6 +396,20 @@ def calibrate(
             "record a dive with turns at speed, changes of speed, roll and pitch",
         )
     return max(codes)
+
+
+def _options_of_settings(preset: str | None, files: Sequence[Path], own: Path | None) -> str:
+    """Write the options with which `run` has the same settings: the preset, and the files or the dives' own file."""
+    from insdvl_replay.batch.local_settings import as_typed
+
+    words = []
+    if preset is not None:
+        words += ["--preset", preset]
+    if own is not None and not files:
+        files = [own]
+    for file in files:
+        words += ["-c", as_typed(file)]
+    return shlex.join(words)
 
 
 # --- study

@@ -452,7 +452,8 @@ class CredibilityRow(Struct, frozen=True):
     verdict: Annotated[
         str,
         Col(
-            "consistent, overconfident, conservative, insufficient data, not finite, not in reference or no reference.",
+            "consistent, overconfident, conservative, insufficient data, not finite, not in reference or no "
+            "reference.",
             head="verdict",
             best_first=VERDICTS_BEST_FIRST,
         ),
@@ -537,7 +538,8 @@ class LakeRow(EvidenceRow, frozen=True, kw_only=True):
     replay: Annotated[
         str,
         Col(
-            "Identifies the replay: digest of log, settings, code, version and revision. The next four say which these "
+            "Identifies the replay: digest of log, settings, code, version and revision. The next four say which "
+            "these "
             "are: SHA-256 of the log, of config.toml, and of your code (empty without), and the name that --revision "
             "gave."
         ),
@@ -561,8 +563,8 @@ class OutageRow(Struct, frozen=True):
     baseline_too: ClassVar = True
     title: ClassVar = "DVL outage test: drift without the DVL"
     footnote: ClassVar = (
-        "Drift by a wrong heading, scale or mounting about down cannot be "
-        "seen, since the DVL shares it."
+        "A wrong heading, scale or mounting about down causes drift that is not visible here, because the DVL shares "
+        "the error."
     )
 
     log: Annotated[str, Col("Dive, filter and length of the windows.")]
@@ -579,7 +581,8 @@ class OutageRow(Struct, frozen=True):
     drift_median_m: Annotated[
         Number,
         Col(
-            "Horizontal drift at the end of a window: median, root mean square and 95th percentile. With fewer than 20 "
+            "Horizontal drift at the end of a window: median, root mean square and 95th percentile. With fewer than "
+            "20 "
             "windows the percentile is nearly the largest.",
             head="median\n[m]",
             better="lower",
@@ -637,8 +640,8 @@ class DriftRow(Struct, frozen=True):
     baseline_too: ClassVar = True
     title: ClassVar = "Drift: errors against the reference"
     footnote: ClassVar = (
-        "50 % and 95 % of the errors are smaller than the values in these columns; for the position they are CEP50 and "
-        "CEP95. Drift: change of the horizontal position error over a time or distance."
+        "50 % and 95 % of the errors are smaller than the values in these columns, which are CEP50 and CEP95 for the "
+        "position. Drift: change of the horizontal position error over a time or distance."
     )
 
     log: Annotated[
@@ -697,9 +700,9 @@ class JumpRow(Struct, frozen=True):
     baseline_too: ClassVar = True
     title: ClassVar = "Jumps: position steps that the velocity does not explain"
     footnote: ClassVar = (
-        "Unexplained: the part of a horizontal step that neither the velocity nor one of the three steps before and "
-        "after explains. A jump is more than 0.5 m and more than ten robust standard deviations. Filters that only "
-        "integrate their velocity have none."
+        "Unexplained is what neither the velocity nor the three steps before and after explain of a horizontal step. "
+        "A jump is more than 0.5 m and more than ten robust standard deviations. Filters that only integrate their "
+        "velocity do not jump."
     )
 
     log: Annotated[
@@ -730,8 +733,8 @@ class TrackFitRow(Struct, frozen=True):
     baseline_too: ClassVar = True
     title: ClassVar = "Track fit: scale and turn that align each track with the reference's"
     footnote: ClassVar = (
-        "Scale: positive if the filter's track is too small. Turn: clockwise from above. The standard errors allow for "
-        "noise, but not for heading drift."
+        "The scale is positive if the filter's track is too small, and the turn is clockwise from above. The "
+        "standard errors allow for noise but not for heading drift."
     )
 
     log: Annotated[str, Col("Dive, filter, and scale or turn.")]
@@ -875,7 +878,7 @@ class AnswerRow(Struct, frozen=True):
 
     title: ClassVar = "The answer over all dives"
     footnote: ClassVar = (
-        "verdict: mixed where the primary quantity is better and another one worse, or where starts or vehicles "
+        "verdict: mixed if the primary quantity is better and another one worse, or if starts or vehicles "
         "contradict each other."
     )
 
@@ -946,7 +949,7 @@ class AssayRow(Struct, frozen=True):
 
     by_filter: ClassVar = True
     title: ClassVar = "Assay: the baseline with a planted fault, {filter}"
-    footnote: ClassVar = "What the evidence would have said of a filter with this fault."
+    footnote: ClassVar = "What the evidence would have said about a filter with this fault."
 
     log: Annotated[str, Col("Dive, control and quantity.")]
     filter: Annotated[str, Col("Name of the control, such as gyro_noise_x3.", head="control")]
@@ -974,8 +977,8 @@ class WhereRow(Struct, frozen=True, kw_only=True):
     by_filter: ClassVar = True
     title: ClassVar = "Where: drift in 30 s by what the vehicle does, {filter} against {baseline}"
     footnote: ClassVar = (
-        "ratio: of the drift in this bin. to rest: this ratio over that of the rest of the dive. One dive has no "
-        "interval, and nothing is notable on it."
+        "ratio: of the drift in this bin. to rest: this ratio over that of the rest of the dive. A single dive has "
+        "no interval, so nothing on it is notable."
     )
 
     log: Annotated[str, Col("Dive, or * for all dives, then filter and bin.")]

@@ -13,6 +13,7 @@ from typing import Final
 from insdvl_replay.core.errors import visible_lines
 from insdvl_replay.document.looks import style_sheet
 from insdvl_replay.document.parts import (
+    POINT,
     REJECTED,
     Callout,
     CellText,
@@ -32,14 +33,16 @@ from insdvl_replay.document.plot import Legend, panel_svg
 from insdvl_replay.document.tables import cell_lines, parts_for
 
 _NOT_IN_ANCHOR: Final = re.compile(r"[\W_]")  # of a heading, where it becomes a link target
+_COMMAND: Final = re.compile(r"`([^`]+)`")
+_DAY: Final = re.compile(r"\d{4}-\d\d-\d\d")  # would be broken at its hyphens
 _SHORT: Final = 20  # Longer cells are folded; the others are on one line.
 SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
 
 
 # On a page with plots, above the first figure if it is not said before.
 HOW_TO_READ: Final = (
-    "Point at a plot to read its values, drag to zoom, double click to see "
-    "everything again, click to enlarge."
+    "Point at a plot to read its values, click to enlarge it, drag to zoom, and double click to "
+    "see everything again."
 )
 
 
@@ -86,7 +89,7 @@ def _explain_figures(parts: list[Part]) -> None:
             return
     for place, part in enumerate(parts):
         if isinstance(part, Figure):
-            parts.insert(place, HOW_TO_READ)
+            parts.insert(place, Html(f'<p class="on-screen">{HOW_TO_READ}</p>'))
             return
 
 
@@ -193,9 +196,9 @@ def _html(part: Part) -> str:
         case Heading(text):
             return f'<h2 id="{_anchor(text)}">{escape(text)}</h2>'
         case Callout(text, tone):
-            return f'<p class="{f"lead {tone}".rstrip()}">{escape(text)}</p>'
+            return f'<p class="{f"lead {tone}".rstrip()}">{_prose(text)}</p>'
         case str(text) | Remark(text=text):
-            return f"<p>{escape(text)}</p>"
+            return f"<p>{_prose(text)}</p>"
         case Sentences(lines):
             return "\n".join(map(_html, lines))
         case DisplayTable(title, folded=True):
@@ -209,6 +212,11 @@ def _html(part: Part) -> str:
         case Html(text):
             return text
     raise ValueError(f"{type(part).__name__} is no part of a page's body")
+
+
+def _prose(text: str) -> str:
+    """Write a sentence as HTML, with its commands as code."""
+    return _COMMAND.sub(r"<code>\1</code>", escape(text))
 
 
 def table_html(table: DisplayTable) -> str:
@@ -236,9 +244,11 @@ def _cells_html(row: Sequence[CellText], kinds: Sequence[str], link: str) -> str
     """Return the cells of a row; a cell of many words is folded, and the first has the link."""
     cells: list[str] = []
     for kind, cell in zip(kinds, row, strict=True):
-        text = "<br>".join(map(escape, cell_lines(cell)))
+        text = "<br>".join(map(escape, cell_lines(cell))).replace(" %", "&nbsp;%")
         if len(text) > _SHORT:
             kind = " class=words"
+        elif kind and _DAY.fullmatch(text):
+            kind = ' class="l one"'
         if link and not cells:
             text = f'<a href="{escape(link)}">{text}</a>'
         cells.append(f"<td{kind}>{text}</td>")
@@ -258,7 +268,7 @@ def _title_html(title: str) -> str:
 
 def _footnote_html(footnote: str) -> str:
     if footnote:
-        return f'<p class="footnote">{escape(footnote)}</p>'
+        return f'<p class="footnote">{_prose(footnote)}</p>'
     return ""
 
 
@@ -288,7 +298,7 @@ def _keys(legend: Legend) -> str:
 def _key(style: str) -> str:
     """Draw the legend key of a style."""
     path = f'<path class="line {style}" d="M1 5H39"/>'
-    if style == REJECTED:
+    if style == REJECTED or POINT in style.split():
         path = f'<path class="points {style}" d="M20 5h0"/>'
     return f'<svg viewBox="0 0 40 10">{path}</svg>'
 
@@ -300,7 +310,11 @@ def _zoomed(panel: Panel, anchor: str, legend: Legend = ()) -> str:
     """
     kind = "zoom tall" if panel.is_tall else "zoom"
     keys = ""
-    named = [(curve.style, curve.label) for curve in panel.curves if curve.label]
+    named = []
+    for curve in panel.curves:
+        if curve.label:
+            style = f"{curve.style} {POINT}" if curve.points else curve.style
+            named.append((style, curve.label))
     if panel.equal and named:
         keys = _keys(named)
     return (

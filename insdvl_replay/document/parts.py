@@ -40,6 +40,8 @@ Scale = Literal["linear", "log"]
 REFERENCE: Final = "reference"
 LIMIT: Final = "limit"
 REJECTED: Final = "rejected"
+POINT: Final = "points"
+"""Added to the style of a filter in a legend: its points instead of its line."""
 PREDICTED: Final = "sigma"
 """Added to the style of a filter: finely dotted."""
 
@@ -134,6 +136,7 @@ class DisplayTable:
     folds: int = 0  # letters that may be folded before a column is left out
     links: tuple[str, ...] | None = None  # link target of the first cell of each row; "" for none
     folded: bool = False  # in HTML folded under its title; in print it is open
+    whole: bool = False  # in a pipe each row is one line, however long
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from insdvl_replay.core.dive_columns import Floats, Integers
 from insdvl_replay.core.errors import visible
 from insdvl_replay.document.looks import style_sheet
 from insdvl_replay.document.parts import (
+    POINT,
     REFERENCE,
     Curve,
     Figure,
@@ -633,5 +634,8 @@ def _legend_below(legend: Legend, top: float, entries: int) -> Iterator[str]:
     for number, (style, label) in enumerate(legend):
         x = _ENTRY * (number % entries) + 48.0
         y = top + _LEGEND / 2.0 + _LEGEND * (number // entries)
-        yield f'<path class="line {style}" d="M{x:g} {y - 4:g}h36"/>'
+        if POINT in style.split():
+            yield f'<path class="{style}" d="M{x + 18:g} {y - 4:g}h0"/>'
+        else:
+            yield f'<path class="line {style}" d="M{x:g} {y - 4:g}h36"/>'
         yield f'<text x="{x + 44:g}" y="{y:g}">{escape(visible(label))}</text>'

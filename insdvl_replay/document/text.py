@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.measure import Measurement
 from rich.padding import Padding
@@ -44,6 +45,7 @@ _STYLES: Final[dict[str, str]] = {
 }
 _TONES: Final = {"good": "bold green", "bad": "bold red"}
 _ANY_WIDTH: Final = 10_000
+_FEWEST_LETTERS: Final = 12  # of a column whose texts are folded
 
 
 def spoken(sentence: str, style: str = "") -> Text:
@@ -94,6 +96,9 @@ class _Fitting:
     table: DisplayTable
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        if self.table.whole and not options.is_terminal:
+            yield from self._in_whole_lines(console, options)
+            return
         left_out: list[int] = []
         grid = _grid(self.table, left_out)
         at_any_width = options.update(max_width=_ANY_WIDTH)
@@ -103,9 +108,38 @@ class _Fitting:
                 break
             left_out += places if isinstance(places, tuple) else (places,)
             grid = _grid(self.table, left_out)
+        _keep_words_whole(grid, self.table, left_out, options.max_width)
         yield grid
         if self.table.footnote:
             yield spoken(self.table.footnote)
+
+    def _in_whole_lines(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the rows with a line each, for programs that search them."""
+        grid = _grid(self.table, ())
+        yield from console.render(grid, options.update(width=_ANY_WIDTH))
+        if self.table.footnote:
+            yield spoken(self.table.footnote)
+
+
+def _keep_words_whole(
+    grid: Table, table: DisplayTable, left_out: Sequence[int], width: int
+) -> None:
+    """Let columns of single words keep their width where the others have room to be folded."""
+    kept = [place for place in range(len(table.header)) if place not in left_out]
+    single = []
+    needed = 0
+    for column, place in zip(grid.columns, kept, strict=True):
+        texts = table.header[place].split("\n")
+        for row in table.rows:
+            texts += cell_lines(row[place])
+        if any(" " in text for text in texts):
+            needed += _FEWEST_LETTERS
+        else:
+            single.append(column)
+            needed += max(map(cell_len, texts)) + 1
+    if needed <= width:
+        for column in single:
+            column.no_wrap = True
 
 
 def _grid(table: DisplayTable, left_out: Sequence[int]) -> Table:

@@ -34,6 +34,7 @@ from insdvl_replay.evaluation.interval import (
 MANY_TIMES: Final = 3.0  # A larger ratio is written in times instead of percent.
 THREE_DIGITS: Final = 9.995  # From here on a ratio has three digits instead of two decimals.
 SOUGHT: Final = 0.9  # The ratio for which a number of dives is given.
+_SOUGHT_SIZE: Final = f"{100.0 * (1.0 - SOUGHT):.0f} %"
 # Scatter of the ratio over dives, before any is known, for a candidate that moves the error by its own size.
 SCATTER_OF_ACTS: Final = 0.6
 NOT_NAVIGATED: Final = (
@@ -329,7 +330,10 @@ def settling_line(answer: Answer, initial: str = "") -> str:
         return f"convergence: {name} not comparable, since a filter never settles, {starts}"
     if answer.evaluated < FEWEST_DIVES:
         return f"convergence: {changed(row)}, from drawn starts"
-    return f"convergence: {shouted(row.verdict)}, {ratio_with_interval(row)}, {starts}"
+    found = ratio_with_interval(row)
+    if row.dives < answer.evaluated:
+        found += f" on {row.dives} of {counted(answer.evaluated, 'dive')}"
+    return f"convergence: {shouted(row.verdict)}, {found}, {starts}"
 
 
 def predicted_line(answer: CandidateAnswer) -> str:
@@ -385,14 +389,13 @@ def plan_line(answer: Answer) -> str:
     found = change_found(finite(primary.scatter), primary.dives, level)
     if not math.isfinite(found):
         return ""
-    said = (
-        f"These dives find a change of {100.0 * (1.0 - found):.0f} % in {label(primary.quantity)} "
-        "in four of five cases"
-    )
+    size = f"{100.0 * (1.0 - found):.0f} %"
+    name = label(primary.quantity)
+    said = f"These dives would show a change of {size} in {name} in four of five cases"
     needed = dives_needed(finite(primary.scatter), SOUGHT, level)
-    if needed is None or needed <= primary.dives:
+    if needed is None or needed <= primary.dives or size == _SOUGHT_SIZE:
         return f"{said}."
-    return f"{said}; {needed} dives: 10 %."
+    return f"{said}, while {needed} dives would show one of {_SOUGHT_SIZE}."
 
 
 def _plan_for_first_verdict(primary: PooledRow) -> str:
@@ -404,8 +407,7 @@ def _plan_for_first_verdict(primary: PooledRow) -> str:
     needed = dives_needed(scatter, SOUGHT, finite(primary.level_pct) / 100.0)
     if needed is None:
         return f"{said}."
-    these = "this one" if primary.dives == 1 else "these"
-    return f"{said}; about {needed} dives like {these} find a change of 10 %."
+    return f"{said}; about {needed} such dives would show a change of {_SOUGHT_SIZE}."
 
 
 def assay_line(rows: Sequence[PooledRow]) -> str:

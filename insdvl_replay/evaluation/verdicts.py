@@ -80,7 +80,7 @@ CONTRADICTIONS: Final = (
     "start_heading_contradiction",
     "track_contradiction",
 )
-SHARED: Final = "The reference shares sensors with the filters, so common errors cannot be seen."
+SHARED: Final = "The reference shares sensors with the filters, so errors that they have in common are not visible."
 
 
 # --- Verdicts over several rows.

@@ -26,7 +26,6 @@ from insdvl_replay.core.tables import (
 )
 from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.document.page import (
-    HOW_TO_READ,
     captioned,
     facts,
     page,
@@ -433,7 +432,10 @@ def tables_named(report: Report, *names: str) -> list[DisplayTable]:
 
 # --- The page, and the same document in other formats.
 
-MEANING: Final = "Background of panels over time: grey where the vehicle turns, ochre where the DVL has no velocity."
+MEANING: Final = (
+    "In panels over time the background is grey where the vehicle turns, and ochre where the DVL "
+    "has no velocity."
+)
 # Rows of a forest plot, by the number of candidates; with more candidates the fewest rows, and no plot by what the
 # vehicle does.
 _MOST_ROWS: Final = {1: 14, 2: 10}
@@ -517,9 +519,11 @@ def _first_screen(
     sections = [dive_section(report, name) for name in report.filters]
     caption = ""
     if panels:
-        caption = f"{HOW_TO_READ} {MEANING}"
+        caption = MEANING
     if len(panels) > 1:
-        caption = f"Errors over time: median and range of the runs from all starts. {caption}"
+        caption = (
+            f"Errors over time are the median and the range of the runs from all starts. {caption}"
+        )
     yield first_screen(
         sections, caption, pictures(panels), headline, explains_figures=bool(panels)
     )

@@ -278,8 +278,8 @@ def _where_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
 
 
 TO_REST: Final = (
-    "to rest: the ratio over that in the rest of the dive. A bin is notable if both intervals are beyond the band of a "
-    "factor 1.05 on the same side; they hold for all bins together. No verdict depends on it."
+    "to rest: the ratio over that in the rest of the dive. A bin is notable if both intervals, which are valid for "
+    "all bins together, are beyond the band of a factor 1.05 on the same side. No verdict depends on it."
 )
 
 
@@ -382,12 +382,26 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     for answer in answers:
         rows = where.get(answer.filter, [])
         drawn = rows if is_where_drawn(rows, len(answers)) else []
-        sections.append(_section_of(answer, reports, drawn, linked=linked))
+        common = _is_common_start(answers)
+        sections.append(_section_of(answer, reports, drawn, linked=linked, has_start=not common))
     if sections:
-        caption = (
-            "All dives: each is one sample. Dive by dive: one dive has no interval and no verdict."
-        )
-        yield Only(PAGE, (first_screen(sections, caption),))
+        yield Only(PAGE, (first_screen(sections, _caption(answers, reports)),))
+
+
+def _caption(answers: Sequence[CandidateAnswer], reports: Sequence[Report]) -> str:
+    """Return what all sections have in common; with several candidates also their starts."""
+    caption = "All dives: each dive is one sample. Dive by dive: a single dive has no interval and no verdict."
+    if _is_common_start(answers):
+        if start := start_text(reports):
+            caption += f" Start: {start}."
+        if initial := initial_text(reports[0].config):
+            caption += f" Drawn starts are as uncertain as [initial]: {initial}."
+    return caption
+
+
+def _is_common_start(answers: Sequence[CandidateAnswer]) -> bool:
+    """Return whether the start is named below all sections rather than in each: it is the same on the same dives."""
+    return len(answers) > 1 and len({answer.dives for answer in answers}) == 1
 
 
 def _title(outcomes: Sequence[Outcome], reports: Sequence[Report]) -> str:
@@ -408,10 +422,11 @@ def _section_of(
     where: Sequence[WhereRow],
     *,
     linked: bool,
+    has_start: bool,  # in its own sentences
 ) -> str:
     """Return the section of a candidate: over all dives, or of the only dive that has it."""
     if answer.log == EVERY_DIVE:
-        return _section(answer, reports, where, linked=linked)
+        return _section(answer, reports, where, linked=linked, has_start=has_start)
     by_name = {report.log.name: report for report in reports}
     title = f"Evidence on {answer.log} alone"
     return dive_section(by_name[answer.log], answer.filter, title)
@@ -427,6 +442,7 @@ def _section(
     where: Sequence[WhereRow],
     *,
     linked: bool,
+    has_start: bool,
 ) -> str:
     dives = dives_forest(answer, reports, linked=linked)
     if answer.verdict in WITHOUT_VERDICT:
@@ -436,8 +452,13 @@ def _section(
     if answer.evaluated < answer.dives:
         title = f"All dives, {answer.evaluated} of {answer.dives}"
     having = [report for report in reports if answer.filter in report.filters]
-    initial = initial_text(reports[0].config)
-    sentences = [grounds(answer), *answer_lines(answer, initial, start_text(having))]
+    initial = ""
+    start = ""
+    if has_start or answer.from_drawn_heading is not None:
+        start = start_text(having)
+    if has_start:
+        initial = initial_text(reports[0].config)
+    sentences = [grounds(answer), *answer_lines(answer, initial, start)]
     if line := where_line(notable(where)):
         sentences.append(line)
     evidence = evidence_forest(title, answer, _MOST_ROWS, where)
@@ -472,8 +493,8 @@ def _prediction_text(row: SummaryRow) -> str:
 
 
 def _candidate_position(row: SummaryRow) -> str:
-    """Write the error of a candidate; of the only filter it is the baseline's."""
-    if row.verdict:
+    """Write the error of a candidate, with or without a verdict; of the only filter it is the baseline's."""
+    if row.prediction is not None:
         return number(row.position_h_rmse_m)
     return MISSING
 

@@ -16,7 +16,7 @@ from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.tables import Number, PooledRow, WhereRow, finite
 from insdvl_replay.core.words import Role, Verdict
-from insdvl_replay.document.page import table_html
+from insdvl_replay.document.page import HOW_TO_READ, table_html
 from insdvl_replay.document.parts import DisplayTable, Html
 from insdvl_replay.document.tables import significant
 from insdvl_replay.evaluation.answers import Answer
@@ -244,9 +244,9 @@ def _interval(interval: tuple[float, float], middle: float, end: float) -> Itera
 
 # How to read the forest plots.
 READING: Final = (
-    "Ratio: error of the {} over that of the {}, with its interval over dives. Left of 1 is better. Shaded: the band "
-    "of a factor 1.05. An interval wholly left of it is better, wholly right worse, wholly inside equivalent. Bold: it "
-    "decides."
+    "Ratio: error of the {0} over that of the {1}, with its interval over dives. Left of 1 is better. The shaded band "
+    "is a factor of 1.05. An interval completely left of it means better, right of it worse, and inside equivalent. "
+    "The bold row decides."
 )
 MOST_PLOTS: Final = 2  # candidates whose drift by what the vehicle does is drawn, whatever it is
 MOST_DIVES: Final = 20  # With more dives, those with the largest effects are drawn.
@@ -260,7 +260,7 @@ def first_screen(
     tables: Sequence[DisplayTable] = (),
     compared: tuple[str, str] = ("candidate", "baseline"),
     *,
-    explains_figures: bool = False,  # the caption says how to read figures
+    explains_figures: bool = False,  # the caption begins with how to read figures
 ) -> Html:
     """Return sections of candidates with tables below and pictures next to them, and a caption."""
     aside = ""
@@ -268,7 +268,10 @@ def first_screen(
         aside = f'<div class="aside">{pictures}</div>'
     if any("<svg" in section for section in sections):
         caption = f"{READING.format(*compared)} {caption}"
-    note = f'<p class="footnote">{unbroken(caption.strip())}</p>'
+    reading = ""
+    if explains_figures:
+        reading = f'<span class="on-screen">{HOW_TO_READ}</span> '
+    note = f'<p class="footnote">{reading}{unbroken(caption.strip())}</p>'
     shown = "".join([*sections, *map(table_html, tables)])
     opening = f'<div class="opening"><div class="candidates">{shown}</div>{aside}</div>{note}'
     return Html(opening, explains_figures=explains_figures)
@@ -279,6 +282,7 @@ def section(
     sentences: Sequence[str],
     plots: Sequence[str] = (),
     footnote: str = "",  # why the last sentence is so
+    compared: str = "",  # what is compared; empty: the candidate against its baseline
 ) -> str:
     """Return the section of a candidate: the word, sentences that do not repeat it, and plots next to them."""
     name = answer.filter
@@ -290,9 +294,8 @@ def section(
         mark = "1".translate(_RAISED)
         said = said.removesuffix("</p>") + f" {mark}</p>"
         said += f'<p class="footnote">{mark}&nbsp;{unbroken(footnote)}.</p>'
-    against = (
-        f"<p><b>{escape(visible_lines(name))}</b> against {escape(visible_lines(baseline))}</p>"
-    )
+    compared = compared or f" against {visible_lines(baseline)}"
+    against = f"<p><b>{escape(visible_lines(name))}</b>{escape(compared)}</p>"
     word = f'<p class="word">{word_of(answer)}</p>'
     return (
         f'<section class="candidate {tone_class(answer.verdict)}"><div class="says">{word}{against}{said}</div>'

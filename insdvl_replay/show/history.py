@@ -16,6 +16,7 @@ from insdvl_replay.core.tables import Col, EvidenceRow, Number
 from insdvl_replay.core.words import EvidenceVerdict, Role
 from insdvl_replay.document.parts import (
     LIMIT,
+    POINT,
     Block,
     Callout,
     Curve,
@@ -50,8 +51,9 @@ _SPARE_OF_STEPS: Final = ((7, 8), (5, 6), 13)
 _SPARE_OF_VERSIONS: Final = (2, 3)
 _TONES: Final = {EvidenceVerdict.BETTER: "good", EvidenceVerdict.WORSE: "bad"}
 _CAPTION: Final = (
-    "Candidate over baseline, geometric mean over the dives of a version; below 1 it is better. Bars: interval of 95 % "
-    "for every look. Large points: steps. The tables have the numbers of the versions."
+    "Each point is the error of the candidate over that of the baseline, as a geometric mean over the dives of a "
+    "version, so below 1 the candidate is better. Bars are 95 % intervals, which stay valid however often you look. "
+    "A large point is a step. The table below says which version has which number."
 )
 
 
@@ -60,9 +62,9 @@ class VersionRow(Struct, frozen=True):
 
     title: ClassVar = "Versions of {filter}"
     footnote: ClassVar = (
-        "ratio: of the version's own dives, with the 95 % interval for every look. change: of this ratio against the "
-        "first version since the last step, on the dives of both. Its interval holds for all versions together. "
-        "verdict: of the change; a step is better or worse, beyond 5 %."
+        "ratio: over all dives of the version, with a 95 % interval that stays valid however often you look. change: "
+        "this ratio over that of the version under `against`, on the dives that both have; its interval allows for "
+        "the number of versions. verdict: of the change, which is a step if it is better or worse by more than 5 %."
     )
 
     filter: Annotated[str, Col("Candidate, quantity, and the number of the version in time.")]
@@ -120,7 +122,7 @@ class StepRow(Struct, frozen=True):
     filter: Annotated[str, Col("Candidate and quantity.", head="filter")]
     quantity: Annotated[str, Col(head="quantity", form="label")]
     verdict: Annotated[str, Col("better or worse.", head="verdict")]
-    name: Annotated[str, Col("The version from which on it is so, and its start.", head="at")]
+    name: Annotated[str, Col("The version from which on it is so, and its start.", head="step at")]
     started_at: Annotated[str, Col(head="since", form="day")]
     against: Annotated[
         str, Col("The version that it is compared with, and its start.", head="against")
@@ -200,10 +202,7 @@ def read_histories(lake: Path, quantity: str = "") -> tuple[list[FilterHistory],
     frame = read_lake(lake, _COLUMNS, wanted).to_pandas()
     frame = frame[~frame["filter_verdict"].isin(WITHOUT_VERDICT) & frame["ratio"].notna()]
     if not len(frame):
-        what = label(quantity) if quantity else "a quantity that decides"
-        raise ResultError(
-            f"{lake}: has no ratio of {what}", f"--quantity {PRIMARIES[0]}, or another name"
-        )
+        raise _no_ratio(lake, quantity)
     text = {name: frame[name].astype(str) for name in frame.columns if name != "ratio"}
     frame = frame.assign(**text)
     frame, left_out = _of_revisions(frame)
@@ -217,6 +216,23 @@ def read_histories(lake: Path, quantity: str = "") -> tuple[list[FilterHistory],
         rows = of_filter[of_filter["quantity"] == chosen]
         histories.append(_history(filter_, chosen, rows, level))
     return histories, left_out
+
+
+def _no_ratio(lake: Path, quantity: str) -> ResultError:
+    """Return the error of a lake without a ratio, with the number of replays whose filters have no verdict."""
+    what = label(quantity) if quantity else "a quantity that decides"
+    said = f"{lake}: has no ratio of {what}"
+    frame = read_lake(lake, ("replay", "filter_verdict")).to_pandas()
+    verdict = frame["filter_verdict"].astype(str)
+    left_out = frame[verdict.isin(WITHOUT_VERDICT)]
+    if not len(left_out):
+        return ResultError(said, f"--quantity {PRIMARIES[0]}, or another name")
+    words = " or ".join(sorted(verdict[left_out.index].unique()))
+    replays = counted(left_out["replay"].nunique(), "replay")
+    return ResultError(
+        f"{said}; left out: {replays} with filters that are {words}",
+        "the first line on each dive says why; settle this, then run the dives again with --lake",
+    )
 
 
 def _of_revisions(frame: "pd.DataFrame") -> "tuple[pd.DataFrame, str]":
@@ -460,7 +476,7 @@ def history_result(lake: Path, quantity: str = "") -> Result:
     steps = list(chain.from_iterable(map(step_rows, found)))
     sentences = list(chain.from_iterable(map(_sentences, found)))
     panels = tuple(_panel(each) for each in found)
-    legend = ((filter_style(0), "step"), (LIMIT, "band of 5 %"))
+    legend = ((f"{filter_style(0)} {POINT} {REACHED}", "step"), (LIMIT, "band of 5 %"))
     figure = Figure("Ratio over versions", _CAPTION, panels, legend)
     title = f"History of {lake.name or lake}"
     parts: list[Part] = [Title(title), *sentences]

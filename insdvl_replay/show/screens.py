@@ -155,7 +155,7 @@ def _plan_lines(answers: Sequence[CandidateAnswer]) -> Iterator[str]:
     for answer in answers:
         line = plan_line(answer)
         if line and answer.verdict == Verdict.UNDECIDED:
-            yield f"to decide on {answer.filter}: {line}"
+            yield f"for {answer.filter}: {line}"
             return
 
 

@@ -409,7 +409,7 @@ def ensemble_figure(
         )
     return Figure(
         title,
-        "For a consistent filter, sigma from P is equal to that of the ensemble.",
+        "If the filter is consistent, sigma from P is the same as that of the ensemble.",
         tuple(panels),
         (
             (SIGMA, "sigma from P"),

@@ -231,7 +231,8 @@ def _sentences(best: pd.DataFrame, differentiated_s: Sequence[float]) -> Iterato
         end = rows[rows["at"] == END].iloc[0]
         yield (
             f"{_ARM[str(arm)][0]}, {middle['n']} velocities give the best acceleration at the middle of their window, "
-            f"{number(middle['rmse_mps2'])} m/s^2 rms, and {end['n']} at its end, {number(end['rmse_mps2'])} m/s^2 rms."
+            f"{number(middle['rmse_mps2'])} m/s^2 rms, and {end['n']} at its end, {number(end['rmse_mps2'])} m/s^2 "
+            f"rms."
         )
     shortest_s = min(differentiated_s)
     longest_s = max(differentiated_s)
@@ -289,7 +290,7 @@ def window_figure(windows: pd.DataFrame) -> Figure:
     legend = [(style, f"{at} of the window") for at, style in _STYLES.items()]
     if windows["log"].nunique() > 1:
         legend.append((_ALONE, "single logs"))
-    caption = "Dots: number of velocities with the smallest error."
+    caption = "The dots mark the number of velocities with the smallest error."
     return Figure(
         "Acceleration errors by the number of velocities", caption, tuple(panels), tuple(legend)
     )

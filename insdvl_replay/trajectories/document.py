@@ -105,7 +105,7 @@ def trajectories_document(
     parts: list[Part] = [Title(_title(comparison))]
     parts.append(Only(PRINTED, tuple(_verdicts(answers))))
     sections = [_section(answer, comparison) for answer in answers]
-    caption = "All dives: each is one sample. Dive by dive: one dive has no interval."
+    caption = "All dives: each is one sample. Dive by dive: a single dive has no interval."
     parts.append(Only(PAGE, (first_screen(sections, caption, compared=("new track", "old one")),)))
     title = "all dives"
     if all(answer.dives == 1 for answer in answers):
@@ -234,9 +234,7 @@ def _pose_errors_table(comparison: TrajectoryComparison) -> Iterator[Part]:
     if rows:
         header = ("pose errors, rmse", "", *names)
         alignment = f"ll{'r' * len(names)}"
-        footnote = (
-            "as evo gives them, means over the dives. All numbers: --table trajectory_errors"
-        )
+        footnote = "These are the numbers of evo, as means over the dives. All numbers: --table trajectory_errors"
         yield Sentences(())
         yield DisplayTable("", header, alignment, tuple(rows), footnote)
 

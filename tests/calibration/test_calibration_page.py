@@ -137,6 +137,24 @@ def test_the_answer_is_first_and_without_held_out_dives_it_says_how_to_test(
     assert "--even-if-worse" in render(kept, "md")
 
 
+def test_the_command_has_the_settings_that_were_given_and_is_code_on_the_page(
+    found: Calibration, dives: list[ReadDive]
+) -> None:
+    result = calibration_result(found, dives[0].config, "new.toml", "--preset fog -c own.toml")
+    command = "insdvl-replay run LOG --preset fog -c own.toml -c new.toml"
+    assert f"<code>{command}</code>" in render(result, "html")
+    assert "-c ..." not in render(result, "md")
+
+
+def test_the_first_line_names_the_lever_arm_before_the_delay(found: Calibration) -> None:
+    line = answer_of(found).lines[0].text
+    names = (
+        line.removeprefix("New settings: ").partition(". ")[0].replace(" and ", ", ").split(", ")
+    )
+    assert names[0].removeprefix("lever arm") in ("", " x", " y", " z", " x/y", " y/z", " x/z")
+    assert "delay" in names[1:]
+
+
 def test_the_screen_says_what_to_copy_and_the_page_shows_the_arm_first(
     found: Calibration, dives: list[ReadDive]
 ) -> None:

@@ -853,3 +853,55 @@ def test_means_of_consistency_are_better_the_nearer_they_are_to_one(
         words(compared(tmp_path, before, after), table="evidence")["evidence", "nis", "value"]
         == word
     )
+
+
+def long_names(tmp_path: Path) -> Comparison:
+    """Two results whose values have names that are wider than 80 columns."""
+    old, new = content(), content()
+    for side, value in ((old, 0.8), (new, 0.6)):
+        side["tables"]["evidence"] = [
+            evidence_row(value) | {"filter": "aided_by_a_filter_with_a_name_of_many_words"}
+        ]
+    return compared(tmp_path, old, new)
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_all_values_have_a_line_each_in_a_pipe_and_fit_a_terminal(
+    tmp_path: Path, is_terminal: bool
+) -> None:
+    document = comparison_document(long_names(tmp_path), values=True)
+    console = Console(
+        width=80,
+        file=io.StringIO(),
+        record=True,
+        force_terminal=is_terminal,
+        color_system=None,
+    )
+    console.print(for_terminal(document), crop=False)
+    lines = console.export_text().split("\n")
+    name = "evidence aided_by_a_filter_with_a_name_of_many_words drift in 30 s: ratio"
+    [found] = [line for line in lines if "many_words" in line and ": ratio" in line] or [""]
+    assert found.startswith(name) != is_terminal
+    if is_terminal:
+        assert max(len(line.rstrip()) for line in lines) <= 80
+
+
+def test_a_page_has_all_evidence_and_names_no_option(tmp_path: Path) -> None:
+    names = ["drift_30s", "drift_60s", "position", "depth"]
+    for number in range(3):
+        for side, factor in (("old", 1.0), ("new", 0.8)):
+            made = content(f"dive_{number}")
+            made["tables"]["evidence"] = [
+                evidence_row(factor) | {"log": f"dive_{number}", "quantity": name}
+                for name in names
+            ]
+            write(tmp_path / side / f"dive_{number}", made)
+    comparison = only_changed(compare_results(tmp_path / "old", tmp_path / "new"))
+    document = comparison_document(comparison)
+    screen = as_markdown(document)
+    shown = page(document).decode()
+    assert "--all" in screen
+    assert not re.search(r"(?<![\w-])(--[a-z]+|-v)\b(?![^<]*[;:{])", shown.partition("<body>")[2])
+    assert "new result against old result" in shown
+    for name in ("drift in 30 s", "drift in 60 s", "position", "depth"):
+        assert f"<td class=l>{name}</td>" in shown

@@ -423,7 +423,7 @@ def test_three_candidates_have_a_row_each() -> None:
     text = rendered(list(dive_screen(several, "report.html")))
     assert len(screen_lines(text)) <= ROWS
     lines = text.split("\n")
-    assert any(line.startswith("to decide on aided: A verdict takes 3 dives") for line in lines)
+    assert any(line.startswith("for aided: A verdict takes 3 dives") for line in lines)
     assert [line.split()[0] for line in lines if line.startswith(tuple(filters))][:3] == list(
         filters
     )

@@ -461,7 +461,7 @@ def test_one_dive_confirms_nothing() -> None:
 def test_plan_says_what_these_dives_find() -> None:
     """Four dives with a scatter of 0.02 find some 8 %; those with 0.1 need more for 10 %."""
     precise = answer(dives_of({"position": tuple(np.exp([-0.02, 0.02, -0.02, 0.02]))}))
-    assert "find a change of 9 % in position in four of five cases." in plan_line(precise)
+    assert "would show a change of 9 % in position in four of five cases." in plan_line(precise)
     rough = answer(dives_of({"position": tuple(np.exp([-0.1, 0.1, -0.1, 0.1]))}))
-    assert "in four of five cases; " in plan_line(rough)
-    assert plan_line(rough).endswith("dives: 10 %.")
+    assert "in four of five cases, while " in plan_line(rough)
+    assert plan_line(rough).endswith("dives would show one of 10 %.")

@@ -244,7 +244,7 @@ def test_quotes_are_written_into_other_pages(cells: list[Cell], pages: Path) -> 
     sets = by_data_set(cells)
     benchmark.write_quotes(sets)
     said = quote(sets)
-    assert said.startswith("On one dive of set_one, the published update is ")
+    assert said.startswith("- On one dive of set_one, the published update is ")
     for name in ("README.md", "reproduction.md"):
         assert said in (pages / name).read_text("utf-8")
     assert "| `gyro_noise_x3` |" in (pages / "verdict.md").read_text("utf-8")

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -172,3 +173,22 @@ def test_it_has_a_page_a_table_and_json(lake: Path) -> None:
     content = json.loads(render(result, "json"))
     assert content["kind"] == "history"
     assert [row["name"] for row in content["tables"]["step"]] == ["v1.3"]
+
+
+def test_replays_without_an_evaluation_are_counted_with_the_reason(tmp_path: Path) -> None:
+    folder = tmp_path / "lake"
+    require_lake(folder, ())
+    writer = LakeWriter(folder, "v1.0")
+    for dive in range(4):
+        writer.add(replay(dive, 1.0, verdict=Verdict.NOT_EVALUATED))
+    writer.close()
+    with pytest.raises(ResultError) as caught:
+        history_result(folder)
+    assert f"4 replays with filters that are {Verdict.NOT_EVALUATED}" in str(caught.value)
+    assert "--lake" in caught.value.hint
+
+
+def test_a_step_has_the_key_of_its_point(lake: Path) -> None:
+    page = render(history_result(lake), "html")
+    assert re.search(r'<path class="points [^"]*reached" d="M20 5h0"/></svg>step', page)
+    assert re.search(r'<path class="line limit" d="M1 5H39"/></svg>band of 5 %', page)

@@ -175,3 +175,14 @@ def test_a_probability_is_never_zero(value: float | None, text: str) -> None:
     assert FORMS["probability"](value) == text
     column = layout_of("", PooledRow).columns["p"]
     assert column.form == "probability"
+
+
+def test_a_number_of_dives_for_the_change_that_is_found_already_is_left_out() -> None:
+    """Six dives that find 10.4 % would need a seventh for 10 %, which is the same in print."""
+    for spread in np.arange(0.02, 0.2, 0.0005):
+        ratios = list(np.exp(spread * np.array([-1.0, 1.0, -0.5, 0.5, -0.2, 0.2])))
+        line = plan_line(answer({"position": ratios}))
+        if "a change of 10 %" in line:
+            assert line.endswith("in four of five cases.")
+            return
+    pytest.fail("no spread has a change of 10 %")

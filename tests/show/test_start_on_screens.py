@@ -12,8 +12,10 @@ from insdvl_replay.core.dive_record import StartHeading
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.report import Report, build_report
 from insdvl_replay.core.words import HeadingSource
+from insdvl_replay.document.tables import number
 from insdvl_replay.document.text import for_terminal
 from insdvl_replay.preparation.replay import replay_dive
+from insdvl_replay.show.dives import index_page, summary_rows
 from insdvl_replay.show.screens import dive_screen, dives_screen
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -71,3 +73,34 @@ def test_one_dive_names_its_start_in_a_line(is_noted: bool) -> None:
 def test_early_reports_do_not_know_their_start() -> None:
     early = [replace(dive(name), start_heading=None) for name in "abc"]
     assert starts(list(dives_screen(early, "index.html"))) == []
+
+
+def candidate_twice(name: str) -> Report:
+    """Return a dive with a second candidate, which has the results of the first."""
+    made = dive(name)
+    (first,) = made.filters
+    again = replace(
+        made.tables,
+        evidence=[
+            *made.tables.evidence,
+            *(replace(row, filter="again") for row in made.tables.evidence if row.filter == first),
+        ],
+    )
+    return replace(made, filters={**made.filters, "again": made.filters[first]}, tables=again)
+
+
+def test_a_page_of_several_candidates_names_their_common_start_once() -> None:
+    page = index_page([candidate_twice(name) for name in "abc"]).decode()
+    assert page.count('class="candidate ') == 2
+    assert page.lower().count("start: heading of the reference (0.06 deg)") == 1
+    assert page.count("as uncertain as [initial]: level") == 1
+
+
+def test_a_page_has_the_error_of_a_candidate_without_a_verdict() -> None:
+    made = dive("a")
+    (name,) = made.filters
+    found = {row.filter: row for row in summary_rows([made, dive("b")])}
+    assert found[name].verdict is None
+    assert found[name].position_h_rmse_m is not None
+    text = number(found[name].position_h_rmse_m)
+    assert f"<td>{text}</td>" in index_page([made, dive("b")]).decode()

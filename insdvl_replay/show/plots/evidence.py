@@ -78,12 +78,12 @@ def outage_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator[F
     ]
     yield Figure(
         "DVL outage test: drift without the DVL",
-        f"Measured by the held-out velocities; no reference is needed. Left: median {how}. Right: each window, at its "
-        f"begin. {OutageRow.footnote}",
+        f"The drift is measured by the held-out velocities, so no reference is needed. Left: median {how}. Right: "
+        f"each window, at its start. {OutageRow.footnote}",
         (
             drift_panel(curves),
             Panel(
-                f"drift in {SHOWN_S} s, at the begin of each window [m]",
+                f"drift in {SHOWN_S} s, at the start of each window [m]",
                 clock.label,
                 filter_curves(by_window),
                 y_scale="log",
@@ -178,9 +178,10 @@ def convergence_figure(
     if panels:
         yield Figure(
             "Convergence",
-            "Measured: rms of the true errors of runs from random starts, over the last tenth of the elapsed time. A "
-            f"point marks the time from which a filter is as good as {names[0]} at the end. No point: the error does "
-            "not fall.",
+            "The curves are the rms of the true errors of runs from random starts, over the last tenth of the "
+            "elapsed time. A "
+            f"point marks the time from which a filter is as good as {names[0]} at the end. There is no point if the "
+            f"error does not fall.",
             tuple(panels),
             (
                 *filter_legend(names),

@@ -185,7 +185,8 @@ def motion_figure(replay: Replay, clock: Clock) -> Figure:
     down = [Curve(clock.time(track.time_ns), track.ned_m[:, 2], track.style) for track in tracks]
     return Figure(
         "Motion of the vehicle",
-        "Track and depth are relative to the start of the replay. Speed over ground and turn rate are the baseline's.",
+        "Track and depth are relative to the start of the replay. Speed over ground and turn rate are those of the "
+        "baseline.",
         (
             Panel(_TRACK, _EAST, dashes_on_top(above), equal=True),
             _speed_panel(replay.histories[0], clock),
