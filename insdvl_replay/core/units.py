@@ -116,7 +116,10 @@ def unit_of_name(name: str) -> str:
 
 
 def name_with_unit(name: str, unit: str) -> str:
-    """Return a name with the ending of its unit, such as ``dv_x`` in m/s as ``dv_x_mps``."""
+    """Return a name with the ending of its unit, such as ``dv_x`` in m/s as ``dv_x_mps``.
+
+    A unit that no ending means is a ValueError.
+    """
     for ending, meant in UNIT_ENDINGS.items():
         if meant == unit and ending.count("_") == 1:
             return name + ending
