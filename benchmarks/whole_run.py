@@ -166,13 +166,17 @@ def used_rows(medians: dict[str, Used]) -> list[str]:
     ]
 
 
+MOVING = "calibration"
+"""A scenario of which the vehicle rolls, pitches and sways for ever; that of others goes straight on at their end."""
+
+
 def growth(folder: Path, rounds: int = ROUNDS, most_hours: float = math.inf) -> list[str]:
     """Measure dives of more and more samples, each by its stages."""
     lengths = [length for length in LENGTHS if length.duration_s <= 3600.0 * most_hours]
     runs: dict[Length, list[dict[str, Any]]] = {length: [] for length in lengths}
     logs = {
         length: simulated(
-            folder / f"{length.name}.mcap", "lawnmower", length.duration_s, length.imu_rate_hz
+            folder / f"{length.name}.mcap", MOVING, length.duration_s, length.imu_rate_hz
         )
         for length in lengths
     }

@@ -106,7 +106,20 @@ class _Parts:
             part = bounded(whole)
             baseline_fit(part.dive, part.config)
         at_imu = replace(whole, dive=with_reference_at_imu(dive, config))
-        return cls(part, bounded(middle(at_imu)), imu_class(began.imu_in_span))
+        return cls(part, _fittable_middle(at_imu), imu_class(began.imu_in_span))
+
+
+def _fittable_middle(dive: ReadDive) -> ReadDive:
+    """Return the middle of a long dive; its beginning where the baseline cannot be run in the middle."""
+    inner = middle(dive)
+    part = bounded(inner)
+    if inner is dive:
+        return part
+    try:
+        baseline_fit(part.dive, part.config)
+    except UserError:
+        return bounded(beginning(dive))
+    return part
 
 
 def _fit_noise(parts: Sequence[_Parts], config: Config) -> FoundSettings:

@@ -9,7 +9,7 @@ import pytest
 from insdvl_replay.calibration import division
 from insdvl_replay.calibration.dives import calibrate_dives
 from insdvl_replay.calibration.division import LONGEST_S, Division, beginning, bounded
-from insdvl_replay.calibration.fitted_noise import fit_noise_of_logs
+from insdvl_replay.calibration.fitted_noise import _Parts, fit_noise_of_logs
 from insdvl_replay.calibration.innovations import NOISE, ReadDive
 from insdvl_replay.calibration.rows import NoiseRow
 from insdvl_replay.core.config import Config
@@ -20,6 +20,7 @@ from insdvl_replay.preparation.replay import replay_log
 from insdvl_replay.sim.dive import simulate_dive
 
 EVERY_SAMPLE = 10**9
+EVERY_SECOND = 1e9
 DIVE_S = 300.0
 RATE_HZ = 200.0
 
@@ -91,15 +92,32 @@ def test_the_same_noise_is_found_with_fewer_readings(
         assert of_few[key].after == pytest.approx(row.after, abs=row.sd)
 
 
+def test_where_the_middle_cannot_be_run_the_beginning_is_fitted(
+    dive: Dive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert dive.reference is not None
+    monkeypatch.setattr(division, "LONGEST_S", 100.0)
+    early_ns = dive.imu.time_ns[0] + int(90e9)  # the middle begins at 100 s
+    known = dive.reference.rows(dive.reference.time_ns < early_ns)
+    of_middle = _Parts.of(dive, Config()).middle
+    of_beginning = _Parts.of(replace(dive, reference=known), Config()).middle
+    assert of_middle.span_s == pytest.approx((100.0, 200.0), abs=1.0)
+    assert of_beginning.span_s == pytest.approx((0.0, 100.0), abs=1.5)
+
+
 @pytest.mark.nightly
-def test_a_fast_dive_gets_the_noise_and_the_word_of_all_its_readings(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("duration_s", "rate_hz"), [(600.0, 1000.0), (5400.0, 100.0)], ids=["fast", "long"]
+)
+def test_a_fast_or_long_dive_gets_the_noise_and_the_word_of_all_its_readings(
+    duration_s: float, rate_hz: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = tmp_path / "dive.mcap"
-    write_dive(log, simulate_dive("lawnmower", seed=4, duration_s=600.0, imu_rate_hz=1000.0))
+    write_dive(log, simulate_dive("lawnmower", seed=4, duration_s=duration_s, imu_rate_hz=rate_hz))
     config = load_config(overrides=["evaluation.starts=1"])
     found = fit_noise_of_logs([[log]], config).config
     monkeypatch.setattr(division, "MOST_SAMPLES", EVERY_SAMPLE)
+    monkeypatch.setattr(division, "LONGEST_S", EVERY_SECOND)
     of_all = fit_noise_of_logs([[log]], config).config
     assert found.noise == of_all.noise
     assert found.dvl.beam_sd_mps == pytest.approx(of_all.dvl.beam_sd_mps, rel=0.02)
