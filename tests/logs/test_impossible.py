@@ -65,7 +65,7 @@ def dive_with(
             "above 50 g or 2000 deg/s, or zero in all six readings (9999)",
         ),
         ("fix", 0, 91.0, "reference_impossible", "beyond the poles, in degrees (91)"),
-        ("fix", 1, -999.0, "reference_impossible", "stand for none (999)"),
+        ("fix", 1, -999.0, "reference_impossible", 'mean "no value" (999)'),
         (
             "fix",
             2,
@@ -74,7 +74,7 @@ def dive_with(
             "heights are of no water on Earth, in metres (9999)",
         ),
         ("fix", 4, 99.99, "reference_impossible", "above 20 m/s (99.99)"),
-        ("fix", 8, 9999.0, "reference_impossible", "stand for none (9999)"),
+        ("fix", 8, 9999.0, "reference_impossible", 'mean "no value" (9999)'),
         ("fix", 9, 99999.0, "depth_impossible", "of no water on Earth, in metres (99999)"),
     ],
 )

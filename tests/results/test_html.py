@@ -97,7 +97,7 @@ def test_verdict_comes_first_and_every_cell_of_every_table_is_there(
     assert start.startswith("Start: heading of the reference (")
     assert convergence.startswith("Convergence: ")
     assert re.match(
-        r"A verdict takes 3 dives; about \d+ dives like this one find a change of 10\s%\.$", plan
+        r"A verdict takes 3 dives; about \d+ such dives would show a change of 10\s%\.$", plan
     )
     assert predicted.startswith(f"Predicted: {aided.mean_improvement_pct:.1f}")
     assert "Not confirmed" in predicted
