@@ -30,6 +30,7 @@ from insdvl_replay.logs.formats.fields import (
 from insdvl_replay.logs.formats.known_formats import dvl_next_to, log_next_to
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
 from insdvl_replay.logs.formats.readers import channel_paths, column_of
+from insdvl_replay.logs.formats.table_rows import widths_of
 
 
 class KnownType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -593,8 +594,7 @@ class Topics:
         if all(_is_of_instrument(channels) for channels in self._channels.values()):
             return self._error_for_instruments(role, lack)
         if all(_is_table(channels) for channels in self._channels.values()):
-            topics = listed(sorted(self._channels))
-            what = f"{lack}: no setting names a table for it; it has {topics}"
+            what = f"{lack}: no setting names a table for it; it has {listed(self._tables())}"
             return LogError(what, _hint_for_tables(role))
         slow = sorted(topic for topic in self._channels if _TELEMETRY.search(topic))
         if role.name == "imu" and slow:
@@ -633,6 +633,14 @@ class Topics:
             "and give the folder"
         )
         return LogError(what, hint)
+
+    def _tables(self) -> list[str]:
+        """Name the tables, each with its columns."""
+        tables = []
+        for topic, channels in sorted(self._channels.items()):
+            columns = [name for channel in channels for name in widths_of(channel)]
+            tables.append(f"{topic} ({listed(columns)})")
+        return tables
 
     def _types(self) -> list[str]:
         """Name the types of the messages; of those without type, their topics."""

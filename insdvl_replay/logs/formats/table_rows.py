@@ -133,11 +133,16 @@ def clean_name(title: str) -> str:
     return re.sub(r"[^\w.]+", "_", title_without_unit(title).lower()).strip("_.")
 
 
+def widths_of(channel: LogChannel) -> dict[str, int]:
+    """Return the columns of a table by their names, each with its numbers in a row."""
+    return dict(msgspec.json.decode(channel.schema_data))
+
+
 class RowReader:
     """Reads some columns of the rows of a table."""
 
     def __init__(self, channel: LogChannel, paths: Sequence[str]) -> None:
-        widths: dict[str, int] = dict(msgspec.json.decode(channel.schema_data))
+        widths = widths_of(channel)
         known: dict[str, str] = {}
         places = {ROW: [0]}
         self._size = 1
