@@ -1,6 +1,6 @@
 """Who plays which role in a log, in which units and axes: all that could be the IMU or the DVL is tried."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -63,7 +63,7 @@ from insdvl_replay.logs.columns.tables import Table, read_tables
 from insdvl_replay.logs.columns.topics import Source
 from insdvl_replay.logs.file_clocks import align_files
 from insdvl_replay.logs.formats.recording import Recording, open_recording
-from insdvl_replay.logs.read import RoleColumns, find_roles, sources_of
+from insdvl_replay.logs.read import Finding, RoleColumns, find_roles, sources_of
 
 SAME_MOTION: Final = 0.9  # correlation of the rates of two IMUs of one vehicle
 LARGEST_APART: Final = 0.05  # share by which their scales may differ
@@ -158,13 +158,7 @@ def read_roles(
     with log.watched():
         proposed = {finding.role: finding for finding in find_roles(place, log.channels, draft)}
         by_type = {finding.role: finding for finding in find_roles(place, log.channels, given)}
-        needed = ["dvl", "imu"]
-        if given.reference.topic:
-            needed.append("reference")
-        for role in needed:
-            error = proposed[role].error
-            if error is not None:
-                raise error
+        _require_roles(proposed, given)
         align_files(log, sources_of(proposed.values()), draft)
         imu_sources = by_type["imu"].candidates or proposed["imu"].sources
         dvl_sources = by_type["dvl"].candidates or proposed["dvl"].sources
@@ -195,6 +189,17 @@ def read_roles(
         notes=(*left_out.notes, *_stamp_notes(proposal)),
         is_alone=frozenset(is_alone),
     )
+
+
+def _require_roles(proposed: Mapping[str, Finding], given: Config) -> None:
+    """Raise the error of the first role that nothing plays: the DVL, the IMU, or the reference that is named."""
+    needed = ["dvl", "imu"]
+    if given.reference.topic:
+        needed.append("reference")
+    for role in needed:
+        error = proposed[role].error
+        if error is not None:
+            raise error
 
 
 def _require_motion(place: str, dvls: Sequence[_DvlTopic]) -> None:
