@@ -264,7 +264,7 @@ def test_a_browser_shows_it_whole(
     html = tmp_path / "page.html"
     held = replace(found, held_out=(HeldOutRow("a", 2.0, 1.0, 3, 4.0, 1.5),))
     result = calibration_result(
-        held, dives[0].config, "found.toml", list(drawn(held, dives).values())
+        held, dives[0].config, "found.toml", figures=list(drawn(held, dives).values())
     )
     html.write_text(render(result, "html"), "utf-8")
     with opened_browser(tmp_path / "profile") as browser:

@@ -119,6 +119,7 @@ def test_example_runs_as_it_is(
         (folder / "calibrated.toml").unlink()
     if "run" in arguments:
         shutil.rmtree(folder / "replay")
+        shutil.rmtree(folder / "parts")
     arguments += next(
         (options for begin, options in SHORTER.items() if example.startswith(begin)), []
     )
