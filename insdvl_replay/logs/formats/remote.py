@@ -321,7 +321,8 @@ def _fetch(
         raise LogError(text, _LONGER, shown_url(url))
     _make_private(_logs(), _said(url).parent)
     _remove_abandoned(_logs())
-    with TemporaryDirectory(dir=_logs(), prefix=".part") as folder:
+    # A transfer that is stopped may write once more while its folder is removed; then what is left goes later.
+    with TemporaryDirectory(dir=_logs(), prefix=".part", ignore_cleanup_errors=True) as folder:
         part = Path(folder) / remote_name(url)
         if parts is None:
             offer.copy(part, state.get("size"))
