@@ -35,24 +35,6 @@ Dive readings_of(const std::string& path) {
   return dive;
 }
 
-// As the example goes through a dive, without its rows of a solution.
-void run(Filter& filter, const Dive& dive) {
-  int64_t now_ns = 0;
-  size_t ping = 0;
-  for (size_t i = 1; i < dive.imu.size(); ++i) {
-    const Reading &before = dive.imu[i - 1], &after = dive.imu[i];
-    Vector rate = plus({}, plus(before.first, after.first), 0.5);
-    Vector force = plus({}, plus(before.second, after.second), 0.5);
-    while (now_ns < after.time_ns) {
-      bool is_ping = ping < dive.dvl.size() && dive.dvl[ping].time_ns <= after.time_ns;
-      int64_t next_ns = is_ping ? dive.dvl[ping].time_ns : after.time_ns;
-      filter.propagate(rate, force, (next_ns - now_ns) * 1e-9);
-      if (is_ping) filter.update(dive.dvl[ping++].first, rate);
-      now_ns = next_ns;
-    }
-  }
-}
-
 int main(int, char** words) {
   Dive dive = readings_of(words[1]);
   std::vector<char> json = read_file(words[2]);
@@ -65,7 +47,7 @@ int main(int, char** words) {
   for (int left = std::atoi(words[3]); left > 0; --left) {
     filter = Filter(start);
     double start_s = processor_s();
-    run(filter, dive);
+    go_through(dive, filter, 0, [](int64_t, bool) {});
     least_s = std::min(least_s, processor_s() - start_s);
   }
   std::printf("%.9g", least_s);

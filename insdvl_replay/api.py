@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from insdvl_replay.batch.check import Check
     from insdvl_replay.batch.found import FoundDive
     from insdvl_replay.batch.jobs import ReplayJob
     from insdvl_replay.changes.gate_file import Gates
@@ -869,16 +870,12 @@ def check(
     ResultError
         A result that was given cannot be read.
     """
-    from insdvl_replay.batch.check import checked_dives, plan_check, write_badge
+    from insdvl_replay.batch.check import checked_dives, write_badge
     from insdvl_replay.batch.manifest import fetch_dives
     from insdvl_replay.batch.replaying import Replaying
     from insdvl_replay.changes.formats import check_result
-    from insdvl_replay.changes.gate_file import load_gates
 
-    found = load_gates(_path("gates", gates))
-    named = [str(path) for path in _paths(dives, "dives")] if dives else []
-    layers = _with_gates(_settings(config), found)
-    planned = plan_check(found, named, layers, local_settings=config is None)
+    planned = _planned_check(gates, dives, config)
     if badge is not None:
         planned.require_outputs({"badge": _path("badge", badge)})
     folder = _path("results", results)
@@ -886,6 +883,19 @@ def check(
     if badge is not None:
         write_badge(outcome, _path("badge", badge))
     return CommandResult(check_result(outcome))
+
+
+def _planned_check(gates: Text, dives: Paths, config: Settings | None) -> "Check":
+    """Find the dives of a check, and load its gates and settings."""
+    from insdvl_replay.batch.check import plan_check
+    from insdvl_replay.changes.gate_file import load_gates
+
+    found = load_gates(_path("gates", gates))
+    named = []
+    if dives:
+        named = [str(path) for path in _paths(dives, "dives")]
+    layers = _with_gates(_settings(config), found)
+    return plan_check(found, named, layers, local_settings=config is None)
 
 
 def _with_gates(layers: SettingsLayers, gates: "Gates") -> SettingsLayers:

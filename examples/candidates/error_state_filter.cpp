@@ -259,6 +259,26 @@ struct Filter {
   }
 };
 
+// Go through a dive from a time on; `after_each` is told the time after each reading of the IMU, and which is the last.
+template <typename AfterEach>
+void go_through(const Dive& dive, Filter& filter, int64_t now_ns, AfterEach after_each) {
+  size_t ping = 0;
+  while (ping < dive.dvl.size() && dive.dvl[ping].time_ns <= now_ns) ++ping;
+  for (size_t i = 1; i < dive.imu.size(); ++i) {
+    const Reading &before = dive.imu[i - 1], &after = dive.imu[i];
+    if (after.time_ns <= now_ns) continue;
+    Vector rate = plus({}, plus(before.first, after.first), 0.5), force = plus({}, plus(before.second, after.second), 0.5);
+    while (now_ns < after.time_ns) {
+      bool is_ping = ping < dive.dvl.size() && dive.dvl[ping].time_ns <= after.time_ns;
+      int64_t next_ns = is_ping ? dive.dvl[ping].time_ns : after.time_ns;
+      filter.propagate(rate, force, (next_ns - now_ns) * 1e-9);
+      if (is_ping) filter.update(dive.dvl[ping++].first, rate);
+      now_ns = next_ns;
+    }
+    after_each(now_ns, i + 1 == dive.imu.size());
+  }
+}
+
 int main(int count, char** words) {
   if (count < 4) return std::fprintf(stderr, "usage: %s DIVE START SOLUTION [ACCEL_WHITE GYRO_WHITE DVL_SD]\n", words[0]), 2;
   double* noise[] = {&accel_white, &gyro_white, &dvl_sd};
@@ -277,24 +297,11 @@ int main(int count, char** words) {
     std::fprintf(file, "time_ns,latitude_deg,longitude_deg,height_m,velocity_n_mps,velocity_e_mps,velocity_d_mps,roll_deg,"
                  "pitch_deg,heading_deg,velocity_n_mps_sd,velocity_e_mps_sd,velocity_d_mps_sd,roll_deg_sd,pitch_deg_sd,"
                  "heading_deg_sd\n");
-    size_t ping = 0;
-    while (ping < dive.dvl.size() && dive.dvl[ping].time_ns <= now_ns) ++ping;
-    for (size_t i = 1; i < dive.imu.size(); ++i) {
-      const Reading &before = dive.imu[i - 1], &after = dive.imu[i];
-      if (after.time_ns <= now_ns) continue;
-      Vector rate = plus({}, plus(before.first, after.first), 0.5), force = plus({}, plus(before.second, after.second), 0.5);
-      while (now_ns < after.time_ns) {
-        bool is_ping = ping < dive.dvl.size() && dive.dvl[ping].time_ns <= after.time_ns;
-        int64_t next_ns = is_ping ? dive.dvl[ping].time_ns : after.time_ns;
-        filter.propagate(rate, force, (next_ns - now_ns) * 1e-9);
-        if (is_ping) filter.update(dive.dvl[ping++].first, rate);
-        now_ns = next_ns;
-      }
-      if (now_ns >= row_ns || i + 1 == dive.imu.size()) {
-        filter.write_row(file, now_ns);
-        row_ns = now_ns + static_cast<int64_t>(kRowsEvery * 1e9);
-      }
-    }
+    go_through(dive, filter, now_ns, [&](int64_t time_ns, bool is_last) {
+      if (time_ns < row_ns && !is_last) return;
+      filter.write_row(file, time_ns);
+      row_ns = time_ns + static_cast<int64_t>(kRowsEvery * 1e9);
+    });
     std::fclose(file);
   } catch (const std::exception& error) {
     return std::fprintf(stderr, "%s\n", error.what()), 1;

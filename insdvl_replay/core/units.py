@@ -47,10 +47,24 @@ KNOWN_UNITS: Final[frozenset[str]] = frozenset().union(*UNITS_BY_KIND.values())
 
 # How names of columns and settings end, and the unit that this means; the longer endings come first.
 UNIT_ENDINGS: Final = {
-    "_accel_sd_mg": "mg", "_mps_rts": "m/s/sqrt(s)", "_rad_rts": "rad/sqrt(s)", "_mps2_rts": "m/s2/sqrt(s)",
-    "_radps_rts": "rad/s/sqrt(s)", "_kgpm3": "kg/m3", "_degph": "deg/h", "_degps": "deg/s", "_mps2": "m/s2",
-    "_mps": "m/s", "_mrad": "mrad", "_mg": "mg", "_deg": "deg", "_pct": "%", "_hz": "Hz", "_m": "m", "_s": "s",
-}  # fmt: skip
+    "_accel_sd_mg": "mg",
+    "_mps_rts": "m/s/sqrt(s)",
+    "_rad_rts": "rad/sqrt(s)",
+    "_mps2_rts": "m/s2/sqrt(s)",
+    "_radps_rts": "rad/s/sqrt(s)",
+    "_kgpm3": "kg/m3",
+    "_degph": "deg/h",
+    "_degps": "deg/s",
+    "_mps2": "m/s2",
+    "_mps": "m/s",
+    "_mrad": "mrad",
+    "_mg": "mg",
+    "_deg": "deg",
+    "_pct": "%",
+    "_hz": "Hz",
+    "_m": "m",
+    "_s": "s",
+}
 PERCENTAGE: Final = "_pct"
 """End of the name of a column of percentages, whose changes are in percentage points."""
 

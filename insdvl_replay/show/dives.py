@@ -278,8 +278,10 @@ def _where_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
 
 
 TO_REST: Final = (
-    "to rest: the ratio over that in the rest of the dive. A bin is notable if both intervals, which are valid for "
-    "all bins together, are beyond the band of a factor 1.05 on the same side. No verdict depends on it."
+    "to rest: the ratio over that in the rest of the dive. A bin is notable if both "
+    "intervals, which are valid for "
+    "all bins together, are beyond the band of a factor 1.05 on the same side. No verdict "
+    "depends on it."
 )
 
 

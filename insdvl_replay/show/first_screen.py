@@ -244,8 +244,10 @@ def _interval(interval: tuple[float, float], middle: float, end: float) -> Itera
 
 # How to read the forest plots.
 READING: Final = (
-    "Ratio: error of the {0} over that of the {1}, with its interval over dives. Left of 1 is better. The shaded band "
-    "is a factor of 1.05. An interval completely left of it means better, right of it worse, and inside equivalent. "
+    "Ratio: error of the {0} over that of the {1}, with its interval over dives. Left of 1 "
+    "is better. The shaded band "
+    "is a factor of 1.05. An interval completely left of it means better, right of it "
+    "worse, and inside equivalent. "
     "The bold row decides."
 )
 MOST_PLOTS: Final = 2  # candidates whose drift by what the vehicle does is drawn, whatever it is

@@ -51,8 +51,10 @@ _SPARE_OF_STEPS: Final = ((7, 8), (5, 6), 13)
 _SPARE_OF_VERSIONS: Final = (2, 3)
 _TONES: Final = {EvidenceVerdict.BETTER: "good", EvidenceVerdict.WORSE: "bad"}
 _CAPTION: Final = (
-    "Each point is the error of the candidate over that of the baseline, as a geometric mean over the dives of a "
-    "version, so below 1 the candidate is better. Bars are 95 % intervals, which stay valid however often you look. "
+    "Each point is the error of the candidate over that of the baseline, as a geometric "
+    "mean over the dives of a "
+    "version, so below 1 the candidate is better. Bars are 95 % intervals, which stay "
+    "valid however often you look. "
     "A large point is a step. The table below says which version has which number."
 )
 
@@ -62,9 +64,12 @@ class VersionRow(Struct, frozen=True):
 
     title: ClassVar = "Versions of {filter}"
     footnote: ClassVar = (
-        "ratio: over all dives of the version, with a 95 % interval that stays valid however often you look. change: "
-        "this ratio over that of the version under `against`, on the dives that both have; its interval allows for "
-        "the number of versions. verdict: of the change, which is a step if it is better or worse by more than 5 %."
+        "ratio: over all dives of the version, with a 95 % interval that stays valid "
+        "however often you look. change: "
+        "this ratio over that of the version under `against`, on the dives that both have; "
+        "its interval allows for "
+        "the number of versions. verdict: of the change, which is a step if it is better "
+        "or worse by more than 5 %."
     )
 
     filter: Annotated[str, Col("Candidate, quantity, and the number of the version in time.")]

@@ -82,8 +82,10 @@ def errors_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
         panels.append(Panel(title, clock.label, filter_curves(series)))
     yield Figure(
         "Errors against the reference (3 sigma)",
-        "The bands, shaded or between dotted lines, are 3 sigma of each filter to either side, and the errors of a "
-        "consistent filter fill much of them without leaving. A band that is wider than the panel is cut off. The "
+        "The bands, shaded or between dotted lines, are 3 sigma of each filter to either "
+        "side, and the errors of a "
+        "consistent filter fill much of them without leaving. A band that is wider than "
+        "the panel is cut off. The "
         "position has no band.",
         tuple(panel for panel in panels if is_known(panel.curves)),
         filter_legend(own.filter for own in found),
@@ -162,7 +164,8 @@ def sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
     drawn = [_DrawnSigma(history, _drawn_rows(history), clock) for history in histories]
     return Figure(
         "Predicted standard deviations",
-        "These are the square roots of the diagonal of P after each ping, and they grow in gaps. The steep fall at "
+        "These are the square roots of the diagonal of P after each ping, and they grow in "
+        "gaps. The steep fall at "
         "the start and short peaks may be cut off.",
         tuple(_sigma_panel(state, drawn, clock) for state in STATES),
         filter_legend(history.filter for history in histories),
@@ -269,7 +272,8 @@ def nis_figure(
             panels.append(Panel(title, clock.label, curves, levels=levels, y_scale="log"))
     return Figure(
         "Innovation consistency (NIS)",
-        "These are the normalised innovations squared. If most are above the interval, the filter is overconfident; "
+        "These are the normalised innovations squared. If most are above the interval, the "
+        "filter is overconfident; "
         "if below, conservative.",
         tuple(panels),
         (
