@@ -415,8 +415,9 @@ def heading_fit(
     found = np.einsum("ika,ka->i", weights, off_m)
     complex_weights: Complexes = np.asarray(weights @ [1.0, -1.0j])
     residuals: Complexes = np.asarray((off_m - columns @ found) @ np.array([1.0, 1.0j]))
-    span_s = float(time_ns[-1] - time_ns[0]) * 1e-9
-    length_s = min(AVERAGED_S, max(LEAST_AVERAGED_S, span_s / (FEWEST_AVERAGES + 1.5)))
+    # A pause of the reference fills one average, however long it is.
+    filled_s = float(np.minimum(np.diff(time_ns) * 1e-9, LEAST_AVERAGED_S).sum())
+    length_s = min(AVERAGED_S, max(LEAST_AVERAGED_S, filled_s / (FEWEST_AVERAGES + 1.5)))
     changes = _changes(time_ns, complex_weights, residuals, length_s).real
     if changes.shape[1] < FEWEST_AVERAGES:
         return None

@@ -10,7 +10,7 @@ import pytest
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_columns import Dive
+from insdvl_replay.core.dive_columns import Dive, ReferenceColumns
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.states import DEG_PER_HOUR
 from insdvl_replay.evaluation.drift import heading_fit
@@ -82,6 +82,48 @@ def test_heading_and_bias_err_as_much_as_is_said(long_truth: Dive) -> None:
         assert found.gyro_bias_sd_degph < 10.0
     of_sd = np.sqrt(np.mean(np.square(errors), axis=0))
     assert ((of_sd > 0.6) & (of_sd < 1.5)).all(), of_sd
+
+
+@pytest.mark.nightly
+def test_fixes_at_both_ends_of_a_dive_give_a_heading_that_errs_as_much_as_is_said(
+    truth: Dive,
+) -> None:
+    """A vehicle has fixes before it dives and after it surfaces, and none in between."""
+    reference = reference_of(truth)
+    start_deg = heading_deg(reference.mat_nb[0])
+    config = load_config("tactical", overrides=[FIT])
+    errors = []
+    for seed in range(20):
+        dive = surfaced(among_positions(truth, seed, 1.0, "tactical"), 40.0)
+        found = fitted_start(with_reference_at_imu(dive, config), config)
+        errors.append(turned_deg(found.heading_deg, start_deg) / found.heading_sd_deg)
+    assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+def reference_of(dive: Dive) -> ReferenceColumns:
+    assert dive.reference is not None
+    return dive.reference
+
+
+def surfaced(dive: Dive, length_s: float) -> Dive:
+    """Leave a reference the positions of the beginning and of the end, each so long."""
+    reference = reference_of(dive)
+    time_s = (reference.time_ns - reference.time_ns[0]) * 1e-9
+    position = reference.position.copy()
+    position[(time_s > length_s) & (time_s < time_s[-1] - length_s)] = np.nan
+    return replace(dive, reference=replace(reference, position=position))
+
+
+def test_a_pause_of_the_reference_does_not_hide_a_heading(truth: Dive) -> None:
+    """Half a minute of fixes before and behind a pause are enough, as a minute without one is."""
+    config = load_config("tactical", overrides=[FIT])
+    dive = surfaced(among_positions(truth, 3, 0.0, "tactical"), 30.0)
+    found = fitted_start(with_reference_at_imu(dive, config), config)
+    start_deg = heading_deg(reference_of(truth).mat_nb[0])
+    assert found.heading_sd_deg < 2.0
+    assert turned_deg(found.heading_deg, start_deg) == pytest.approx(
+        0.0, abs=4.0 * found.heading_sd_deg
+    )
 
 
 def test_a_replay_starts_from_what_it_fits_and_says_so(truth: Dive) -> None:
