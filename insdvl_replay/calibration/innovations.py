@@ -24,6 +24,7 @@ from insdvl_replay.core.dive_columns import (
     Mask,
     ReferenceColumns,
     nanoseconds,
+    seconds,
 )
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import Innovations
@@ -34,7 +35,13 @@ from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, rpy_f
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
-from insdvl_replay.preparation.prepared import Prepared, read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import (
+    Prepared,
+    find_gaps,
+    gaps_that_split,
+    read_checked_dive,
+    with_reference_at_imu,
+)
 from insdvl_replay.preparation.run import prepare_with_heading, run_one
 
 
@@ -222,11 +229,21 @@ class ReadDive:
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """Start and end of the settings' span, as far as the IMU reaches, s since its first sample."""
+        """Start and end of what is replayed of the settings' span, s since the first sample of the IMU."""
         span = self.config.span
         time_ns = self.dive.imu.time_ns
-        length_s = float(time_ns[-1] - time_ns[0]) / NS_PER_S
-        return span.start_s or 0.0, min(span.end_s or np.inf, length_s)
+        first_ns = int(time_ns[0])
+        start_s = span.start_s or 0.0
+        end_s = min(span.end_s or np.inf, float(time_ns[-1] - first_ns) / NS_PER_S)
+        start_ns = first_ns + nanoseconds(start_s)
+        end_ns = first_ns + nanoseconds(end_s)
+        gaps = find_gaps(time_ns, self.config.imu).within(start_ns, end_ns)
+        split = gaps_that_split(gaps, self.config.imu)
+        if not len(split.start_ns):
+            return start_s, end_s
+        kept_ns = np.array(split.longest_stretch(start_ns, end_ns))
+        kept_start_s, kept_end_s = seconds(kept_ns, first_ns).tolist()
+        return kept_start_s, kept_end_s
 
     @property
     def imu_in_span(self) -> ImuColumns:

@@ -372,6 +372,18 @@ def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
     return Gaps(start_ns, end_ns, density, imu.gap_rate_degps * DEG)
 
 
+def _possible_turn(gaps: Gaps) -> Floats:
+    """Return how far the vehicle may turn in each gap, rad."""
+    return np.asarray(gaps.rate_sd_radps * gaps.length_s)
+
+
+def gaps_that_split(gaps: Gaps, imu: Imu) -> Gaps:
+    """Return the gaps that are not bridged: the dive is replayed on one side of them."""
+    if imu.long_gaps == "split":
+        return gaps
+    return gaps.where(_possible_turn(gaps) > WIDEST_ATTITUDE_RAD)
+
+
 def apply_gap_policy(
     gaps: Gaps,
     imu: Imu,
@@ -382,16 +394,13 @@ def apply_gap_policy(
     """Bridge or split at the long gaps of a span; return the span that is left, ns, with notes."""
     bridged = gaps.within(start_ns, end_ns)
     notes = list[Note]()
-    turned_rad = bridged.rate_sd_radps * bridged.length_s  # turn that is possible in a gap
-    split = bridged
-    if imu.long_gaps != "split":
-        split = bridged.where(turned_rad > WIDEST_ATTITUDE_RAD)
+    split = gaps_that_split(bridged, imu)
     if len(split.start_ns):
         kept_start_ns, kept_end_ns = split.longest_stretch(start_ns, end_ns)
         hint = "to bridge shorter gaps: --set imu.long_gaps=grow"
         why = ""
         if imu.long_gaps == "grow":
-            unknown_deg = turned_rad.max() / DEG
+            unknown_deg = _possible_turn(bridged).max() / DEG
             why = f" (at {imu.gap_rate_degps:g} deg/s the attitude may change by {unknown_deg:.0f} deg in a gap)"
             hint = "if the vehicle cannot turn so fast, set a smaller imu.gap_rate_degps to bridge the gaps"
         notes.append(

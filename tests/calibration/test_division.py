@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from insdvl_replay.calibration.division import LONGEST_S, By, Division, middle
 from insdvl_replay.calibration.innovations import ReadDive
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import ImuColumns, seconds
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -97,7 +99,20 @@ def test_both_parts_get_other_settings(read: ReadDive) -> None:
 def test_of_a_long_dive_the_middle_is_taken(read: ReadDive) -> None:
     assert middle(read) is read
     longer_s = LONGEST_S + 100.0
-    late_ns = read.dive.imu.time_ns.copy()
-    late_ns[-1] = late_ns[0] + int(longer_s * 1e9)
-    long = ReadDive(replace(read.dive, imu=replace(read.dive.imu, time_ns=late_ns)), read.config)
+    time_ns = np.arange(round(5.0 * longer_s) + 1) * 200_000_000
+    nothing = np.zeros((len(time_ns), 3))
+    long = ReadDive(replace(read.dive, imu=ImuColumns(time_ns, nothing, nothing)), read.config)
     assert spans_s([middle(long)]) == [(50.0, LONGEST_S + 50.0)]
+
+
+def test_a_part_that_is_not_replayed_is_neither_fitted_nor_held_out(read: ReadDive) -> None:
+    """The longer side of a pause is replayed, so that it is what is divided."""
+    time_ns = read.dive.imu.time_ns
+    at_s = seconds(time_ns, int(time_ns[0]))
+    later_ns = np.where(at_s > 10.0, 3_600_000_000_000, 0)
+    paused = replace(read.dive, imu=replace(read.dive.imu, time_ns=time_ns + later_ns))
+    division = Division.found([ReadDive(paused, read.config)])
+    (fitted,) = division.fitted
+    (held_out,) = division.held_out
+    assert fitted.span_s == pytest.approx((3610.2, 3625.1))
+    assert held_out.span_s == pytest.approx((3625.1, 3600.0 + LENGTH_S))
