@@ -18,6 +18,7 @@ from insdvl_replay.core.dive_columns import (
     DvlColumns,
     Floats,
     ImuColumns,
+    Mask,
     ReferenceColumns,
     TimeNs,
     in_pauses,
@@ -40,7 +41,10 @@ LARGEST_SCALE_ERROR: Final = 0.1
 COHERENT: Final = 0.97  # only what follows the reference this well can be measured by it
 INCOHERENT: Final = 0.95  # what follows the reference worse than this contradicts it
 
+LEAST_MOVED_M: Final = 3.0  # in ten seconds, above the noise of a satellite fix
+
 Rows = NDArray[np.intp]
+Complexes = NDArray[np.complex128]
 _SCALES: Final = np.concatenate([[DEG], np.geomspace(0.3, 3.0, 93), [1.0 / DEG]])
 
 
@@ -219,8 +223,11 @@ class TrackFit:
 
     gyro_scale: float | None  # None where the vehicle turned too little to tell
     dvl_scale: float
-    heading: float  # rad, at the start of the replay
+    heading: (
+        float | None
+    )  # rad, at the start of the replay; None where a pause of the IMU comes before the track
     coherence: float
+    is_in_radians: bool = False  # the positions fit only if what was read as degrees are radians
 
 
 def _pairs_of_fixes(fix_ns: TimeNs, ping_ns: TimeNs, sample_ns: TimeNs) -> tuple[Rows, Rows]:
@@ -238,6 +245,29 @@ def _pairs_of_fixes(fix_ns: TimeNs, ping_ns: TimeNs, sample_ns: TimeNs) -> tuple
     return first[usable], last[usable]
 
 
+def _side_of_pauses(time_ns: TimeNs, sample_ns: TimeNs) -> tuple[int, Mask]:
+    """Between which long pauses of the IMU most times lie, counted from 0, and which times these are.
+
+    How far the vehicle turned in a pause is unknown, so that one rotation fits the track of one side alone.
+    """
+    ends_ns = sample_ns[1:][np.diff(sample_ns) > nanoseconds(LONGEST_STEP_S)]
+    side = np.searchsorted(ends_ns, time_ns, "right")
+    longest = int(np.bincount(side).argmax())
+    return longest, side == longest
+
+
+def _moved_m(position: Floats, first: Rows, last: Rows) -> Complexes | None:
+    """Return by how much pairs of positions, (k, 3), are apart, north and east; None where that may be their noise."""
+    if np.abs(position[:, 0]).max() > np.pi / 2.0:
+        return None
+    north_m, east_m = north_east_m(position, position[0], position[0])
+    fixes_m = north_m + 1j * east_m
+    moved_m = fixes_m[last] - fixes_m[first]
+    if np.sqrt(np.mean(np.abs(moved_m) ** 2)) < LEAST_MOVED_M:
+        return None
+    return np.asarray(moved_m)
+
+
 def track_by_positions(
     imu: ImuColumns,
     dvl: DvlColumns,
@@ -253,12 +283,19 @@ def track_by_positions(
     fix_ns = reference.time_ns[fixes]
     position = reference.position[fixes]
     first, last = _pairs_of_fixes(fix_ns, ping_ns, imu.time_ns)
+    if not len(first):
+        return None
+    side, kept = _side_of_pauses(fix_ns[first], imu.time_ns)
+    first = first[kept]
+    last = last[kept]
     if len(first) < ENOUGH:
         return None
-    north_m, east_m = north_east_m(position, position[0], position[0])
-    fixes_m = north_m + 1j * east_m
-    true = fixes_m[last] - fixes_m[first]
-    if np.sqrt(np.mean(np.abs(true) ** 2)) < 3.0:  # m, above the noise of a satellite fix
+    true = _moved_m(position, first, last)
+    is_in_radians = False
+    if true is None:
+        true = _moved_m(position / DEG, first, last)
+        is_in_radians = True
+    if true is None:
         return None
 
     at_s = np.concatenate([[config.span.start_s or 0.0], seconds(ping_ns, imu.time_ns[0])])
@@ -284,5 +321,13 @@ def track_by_positions(
         if 1.0 - fitted(other).coherence < (1.0 - best.coherence) / 2.0:
             gyro_scale = other
             best = fitted(other)
-    heading = float(wrap_angle(np.asarray(start_yaw / gyro_scale - best.turn)))
-    return TrackFit(gyro_scale if turns else None, best.scale, heading, best.coherence)
+    heading = None
+    if side == 0:
+        heading = float(wrap_angle(np.asarray(start_yaw / gyro_scale - best.turn)))
+    if is_in_radians and (
+        best.coherence < COHERENT or abs(best.scale - 1.0) > LARGEST_SCALE_ERROR
+    ):
+        return None  # the vehicle stays where it is
+    return TrackFit(
+        gyro_scale if turns else None, best.scale, heading, best.coherence, is_in_radians
+    )

@@ -242,13 +242,16 @@ def _track_remarks(
     dvl: DvlColumns,
     config: Config,
 ) -> Iterator[Remark]:
+    if track.is_in_radians:
+        yield refusal("reference_in_radians", place)
+        return
     if track.coherence < INCOHERENT:
         yield note("track_contradiction", len(dvl.time_ns), coherence=track.coherence)
     if track.coherence < COHERENT:
         return
     yield from scale_remarks(place, track.dvl_scale, dvl, config)
     heading_deg = config.initial.heading_deg
-    if not isinstance(heading_deg, float | int):
+    if track.heading is None or not isinstance(heading_deg, float | int):
         return
     # Gyro bias turns a track by less during a dive.
     if abs(float(wrap_angle(np.asarray(heading_deg * DEG - track.heading)))) > 30.0 * DEG:

@@ -48,6 +48,11 @@ _REFUSALS: Final = {
         "the largest component of a ping is {speed_mps:g} m/s (median of all pings)",
         _UNIT_HINT,
     ),
+    "reference_in_radians": (
+        "the reference's positions follow the DVL's track only if their angles are in radians; in degrees they move "
+        "57 times too little",
+        'reference.angle_unit = "rad"',
+    ),
 }
 # Errors that say what a note says where less is wrong: its code, and their own hint.
 _AS_NOTES: Final = {

@@ -5,7 +5,7 @@ the noise and the geometry of the DVL are found, and what cannot be found gets a
 a note. The same settings as a file repeat the replay.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -47,7 +47,12 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.found_geometry import GROUPS, calibrated, pings_later, with_noise_of
 from insdvl_replay.inspection.proposal import propose_settings
-from insdvl_replay.inspection.roles import UNKNOWN_LATITUDE_DEG, read_roles, with_roles
+from insdvl_replay.inspection.roles import (
+    UNKNOWN_LATITUDE_DEG,
+    Topics,
+    read_roles,
+    with_roles,
+)
 from insdvl_replay.inspection.settings import Setting, settings_toml
 from insdvl_replay.inspection.trials import CONSISTENT
 from insdvl_replay.logs.columns.topics import TYPES
@@ -104,11 +109,8 @@ def find_settings(
     whole = given
     given = replace(given, config=given.config.without_code())
     notes: list[Note] = []
-    first, config, cost = _first_with_roles(dives, given, notes, allow_damaged=allow_damaged)
-    report_stage("reading the log")
-    proposed_s = config.reference.latency_s
-    dive, config = _read_with_reference(
-        first, config, given, cost, notes, allow_damaged=allow_damaged
+    first, dive, config, proposed_s = _first_with_reference(
+        dives, given, notes, allow_damaged=allow_damaged
     )
     digests = {tuple(first): dive.sha256}
     others = [paths for paths in dives if paths != first]
@@ -195,14 +197,57 @@ def _read_alike(
                 yield paths, other
 
 
-def _first_with_roles(
+@dataclass(frozen=True)
+class _Roles:
+    """A dive whose roles are found."""
+
+    paths: Paths
+    config: Config
+    cost: float  # of the trial
+    reference_topics: Topics
+    has_other_references: bool  # that can be tried in its place
+
+
+def _first_with_reference(
     dives: Sequence[Paths],
     given: Given,
     notes: list[Note],
     *,
     allow_damaged: bool,
-) -> tuple[Paths, Config, float]:
-    """Find the roles by the first dive that shows them, short ones last; the cost of its trial is returned, too.
+) -> tuple[Paths, Dive, Config, float]:
+    """Read the first dive that shows the roles, with the first reference that IMU and DVL do not contradict.
+
+    The latency of the reference, s, is returned as well, as it was before the reference was found late.
+    """
+    reasons: dict[Topics, str] = {}  # why references are not used
+    while True:
+        found: list[Note] = []
+        roles = _first_with_roles(dives, given, found, reasons, allow_damaged=allow_damaged)
+        report_stage("reading the log")
+        dive, config, why = _read_with_reference(roles, given, found, allow_damaged=allow_damaged)
+        if why:
+            reasons[roles.reference_topics] = why
+        if not why or not roles.has_other_references:
+            break
+    notes += found
+    is_without = config.reference.ignore
+    if is_without and reasons:
+        _, last = reasons.popitem()
+        notes.append(note("found_reference", why=last))
+    for topics, reason in reasons.items():
+        notes.append(note("found_left_out contradicts", topic=topics[0], why=reason))
+    return roles.paths, dive, config, roles.config.reference.latency_s
+
+
+def _first_with_roles(
+    dives: Sequence[Paths],
+    given: Given,
+    notes: list[Note],
+    without: Collection[Topics],
+    *,
+    allow_damaged: bool,
+) -> _Roles:
+    """Find the roles by the first dive that shows them, short ones last, without some references.
 
     If none shows them, the error is that of the first dive as they are given, whose result it becomes.
     """
@@ -210,14 +255,19 @@ def _first_with_roles(
     for paths in sorted(dives, key=_is_short):
         found: list[Note] = []
         try:
-            readings = read_roles(paths, given.config, allow_damaged=allow_damaged)
+            readings = read_roles(
+                paths, given.config, allow_damaged=allow_damaged, without=without
+            )
             raise_if_span_is_empty(readings.place, readings.imus[0].columns, given.config.span)
             config, cost = with_roles(readings, given, found)
         except UserError as error:
             failures[paths[0]] = error
             continue
         notes += found
-        return paths, _with_latitude(as_given(config, given), readings.reference, notes), cost
+        config = _with_latitude(as_given(config, given), readings.reference, notes)
+        return _Roles(
+            paths, config, cost, readings.reference_topics, readings.has_other_references
+        )
     raise failures[dives[0][0]]
 
 
@@ -258,28 +308,34 @@ def _without_short(read: Sequence[Dive], notes: list[Note]) -> list[Dive]:
 
 
 def _read_with_reference(
-    paths: Paths,
-    config: Config,
+    roles: _Roles,
     given: Given,
-    cost: float,
     notes: list[Note],
     *,
     allow_damaged: bool,
-) -> tuple[Dive, Config]:
-    """Read a dive, without its reference where that contradicts IMU and DVL, which agree."""
-    is_free = cost < CONSISTENT and not given.has("reference") and not config.reference.ignore
+) -> tuple[Dive, Config, str]:
+    """Read a dive, without its reference where that contradicts IMU and DVL, which agree; return the reason as well."""
+    paths = roles.paths
+    config = roles.config
+    is_free = (
+        roles.cost < CONSISTENT and not given.has("reference") and not config.reference.ignore
+    )
     try:
         dive = read_checked_dive(paths, config, allow_damaged=allow_damaged)
     except LogError as error:
-        without = with_values(config, "reference", ignore=True)
         if not is_free:
             raise
+        in_radians = with_values(config, "reference", angle_unit="rad")
+        without = with_values(config, "reference", ignore=True)
+        with suppress(UserError):
+            dive = read_checked_dive(paths, in_radians, allow_damaged=allow_damaged)
+            notes.append(note("found_reference radians"))
+            return dive, in_radians, ""
         try:
             dive = read_checked_dive(paths, without, allow_damaged=allow_damaged)
         except UserError:
             raise error from None
-        notes.append(note("found_reference", why=error.what))
-        return dive, without
+        return dive, without, error.what
     late_s = _late_reference_s(dive, given)
     if late_s and not config.reference.ignore:
         config = with_values(
@@ -290,15 +346,15 @@ def _read_with_reference(
         dive = read_checked_dive(paths, config, allow_damaged=allow_damaged)
     contradictions = [note for note in dive.notes if note.code in CONTRADICTIONS]
     if not contradictions or not is_free:
-        return dive, config
-    notes.append(note("found_reference", why=contradictions[0].text))
+        return dive, config, ""
     config = with_values(config, "reference", ignore=True)
     if (
         config.initial.latitude_deg is None and dive.reference is not None
     ):  # which its position still shows
         latitude_deg = round(float(np.nanmedian(dive.reference.position[:, 0])) / DEG, 3)
         config = with_values(config, "initial", latitude_deg=latitude_deg)
-    return read_checked_dive(paths, config, allow_damaged=allow_damaged), config
+    without_reference = read_checked_dive(paths, config, allow_damaged=allow_damaged)
+    return without_reference, config, contradictions[0].text
 
 
 def _late_reference_s(dive: Dive, given: Given) -> float:

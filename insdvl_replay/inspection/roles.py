@@ -1,6 +1,6 @@
 """Who plays which role in a log, in which units and axes: all that could be the IMU or the DVL is tried."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -63,7 +63,13 @@ from insdvl_replay.logs.columns.tables import Table, read_tables
 from insdvl_replay.logs.columns.topics import Source
 from insdvl_replay.logs.file_clocks import align_files
 from insdvl_replay.logs.formats.recording import Recording, open_recording
-from insdvl_replay.logs.read import Finding, RoleColumns, find_roles, sources_of
+from insdvl_replay.logs.read import (
+    Finding,
+    RoleColumns,
+    find_roles,
+    single_references,
+    sources_of,
+)
 
 SAME_MOTION: Final = 0.9  # correlation of the rates of two IMUs of one vehicle
 LARGEST_APART: Final = 0.05  # share by which their scales may differ
@@ -78,6 +84,7 @@ BODY_KEYS: Final = (
     "reference.mounting_rpy_deg",
 )
 UNKNOWN_LATITUDE_DEG: Final = 45.0
+Topics = tuple[str, ...]  # that a role reads
 
 
 @dataclass(frozen=True)
@@ -109,6 +116,8 @@ class RoleReadings:
     imus: Sequence[_ImuTopic]
     dvls: Sequence[_DvlTopic]
     reference: ReferenceColumns | None
+    reference_topics: Topics = ()  # of the reference
+    has_other_references: bool = False  # that can be tried in its place
     clocks: tuple[Setting, ...] = ()  # that correct the times of tables
     notes: tuple[Note, ...] = ()  # topics that were left out, with the reason
     is_alone: frozenset[str] = frozenset()  # roles for which the log has one topic
@@ -128,8 +137,10 @@ class _LeftOut:
         topic: str,
         error: UserError,
     ) -> None:
-        """Leave out a topic."""
-        self.errors.setdefault(topic, error)
+        """Leave out a topic, for the first reason that there is."""
+        if topic in self.errors:
+            return
+        self.errors[topic] = error
         reason = error.inside(self.place, topic)
         name = role.upper() if role in ("imu", "dvl") else role
         self.notes.append(
@@ -144,11 +155,16 @@ class _LeftOut:
 
 
 def read_roles(
-    paths: Path | Sequence[Path], given: Config, *, allow_damaged: bool
+    paths: Path | Sequence[Path],
+    given: Config,
+    *,
+    allow_damaged: bool,
+    without: Collection[Topics] = (),
 ) -> RoleReadings:
-    """Read all topics that could be the IMU or the DVL, and the reference; LogError where there is none.
+    """Read all topics that could be the IMU or the DVL, and the first usable reference that is not left out.
 
-    A topic that cannot be used is left out with a note, as long as another one can.
+    A topic that cannot be used is left out with a note, as long as another one can. LogError where no topic is the IMU
+    or the DVL.
     """
     proposal = propose_settings(paths, given, allow_damaged=allow_damaged)
     draft = with_settings(given, proposal.settings)
@@ -163,17 +179,14 @@ def read_roles(
         imu_sources = by_type["imu"].candidates or proposed["imu"].sources
         dvl_sources = by_type["dvl"].candidates or proposed["dvl"].sources
         imus = _imu_topics(log, imu_sources, draft, left_out)
-        references = [proposed["reference"].sources]
-        references += [(source,) for source in by_type["reference"].candidates]
-        reference, draft = _first_reference(log, references, draft, given, left_out)
+        singles = single_references(place, log.channels, given)
+        references = _References(log, draft, given, left_out, proposed["reference"].sources)
+        references.wait(singles, without)
+        reference = references.read_next()
         dvls = _dvl_topics(log, dvl_sources, draft, given, reference, left_out)
-    _require_motion(place, dvls)
-    if reference is not None and not given.reference.topic:
-        topic = _topic_of_reference(reference, dvls)
-        if topic is not None:
-            left_out.notes.append(note("found_reference same_velocities", topic=topic))
-            reference = None
-            draft = with_values(draft, "reference", ignore=True)
+        _require_motion(place, dvls)
+        if given.reference.topic is None:
+            reference = references.independent(reference, dvls)
     is_alone = set()
     if len(imu_sources) == 1:
         is_alone.add("imu")
@@ -181,10 +194,12 @@ def read_roles(
         is_alone.add("dvl")
     return RoleReadings(
         place=place,
-        draft=draft,
+        draft=references.draft,
         imus=imus,
         dvls=dvls,
         reference=reference,
+        reference_topics=references.topics,
+        has_other_references=bool(references.waiting),
         clocks=proposal.table_clocks,
         notes=(*left_out.notes, *_stamp_notes(proposal)),
         is_alone=frozenset(is_alone),
@@ -218,34 +233,95 @@ def _topic_of_reference(reference: ReferenceColumns, dvls: Sequence[_DvlTopic]) 
     return None
 
 
-def _first_reference(
-    log: Recording,
-    tried: Sequence[Sequence[Source]],
-    draft: Config,
-    given: Config,
-    left_out: _LeftOut,
-) -> tuple[ReferenceColumns | None, Config]:
-    """Return the first reference that can be read, and the settings with it; they ignore it where none can."""
-    for sources in tried:
-        if not sources:
-            continue
-        columns = RoleColumns(str(log.path), draft)
-        try:
-            columns.decode("reference", read_tables(log, sources))
-        except UserError as error:
-            left_out.add("reference", sources[0].topic, error)
-            continue
-        if columns.reference is None or not says_anything(columns.reference):
-            continue
-        if sources is not tried[0]:
-            draft = with_values(draft, "reference", topic=sources[0].topic)
-        return columns.reference, draft
-    is_chosen = given.reference.topic is not None or given.reference.fix is not None
-    is_free = not is_chosen and not draft.reference.ignore
-    by_proposal = tried[0]
-    if is_free and by_proposal and by_proposal[0].topic in left_out.errors:
-        draft = with_values(draft, "reference", ignore=True)
-    return None, draft
+class _References:
+    """What could be the reference: what is proposed, then each topic by itself, which is read where others fail."""
+
+    def __init__(
+        self,
+        log: Recording,
+        draft: Config,
+        given: Config,
+        left_out: _LeftOut,
+        proposed: Sequence[Source],
+    ) -> None:
+        self.log = log
+        self.proposed_draft = draft
+        self.draft = (
+            draft  # with the reference that was read last; it ignores all where none can be used
+        )
+        self.left_out = left_out
+        self.proposed = proposed
+        asked = given.reference
+        self.is_asked = asked.topic is not None or asked.fix is not None or draft.reference.ignore
+        self.is_reduced = False  # by those that contradict the other sensors
+        self.topics: Topics = ()  # of the reference that was read last
+        self.waiting: list[Sequence[Source]] = []
+        self.repeating: dict[str, str] = {}  # topic of a DVL whose velocities each repeats
+
+    def wait(self, singles: Iterable[Source], without: Collection[Topics]) -> None:
+        """Put what can be tried in order, each once."""
+        known = set(without)
+        self.is_reduced = bool(known)
+        for sources in (self.proposed, *((single,) for single in singles)):
+            topics = _topics_of(sources)
+            if topics and topics not in known:
+                self.waiting.append(sources)
+                known.add(topics)
+
+    def read_next(self) -> ReferenceColumns | None:
+        """Return the next one that can be read and says anything."""
+        while self.waiting:
+            sources = self.waiting.pop(0)
+            if sources[0].topic in self.repeating:
+                continue
+            draft = self.proposed_draft
+            if sources is not self.proposed:
+                draft = with_values(draft, "reference", topic=sources[0].topic)
+            columns = RoleColumns(str(self.log.path), draft)
+            try:
+                columns.decode("reference", read_tables(self.log, sources))
+            except UserError as error:
+                self.left_out.add("reference", sources[0].topic, error)
+                continue
+            if columns.reference is not None and says_anything(columns.reference):
+                self.draft = draft
+                self.topics = _topics_of(sources)
+                return columns.reference
+        self.topics = ()
+        self.draft = self.proposed_draft
+        if self._misleads():
+            self.draft = with_values(self.draft, "reference", ignore=True)
+        return None
+
+    def independent(
+        self, reference: ReferenceColumns | None, dvls: Sequence[_DvlTopic]
+    ) -> ReferenceColumns | None:
+        """Return a reference, or the next one, whose velocities are not those of a DVL."""
+        while reference is not None:
+            of_dvl = _topic_of_reference(reference, dvls)
+            if of_dvl is None:
+                break
+            self.repeating[self.topics[0]] = of_dvl
+            reference = self.read_next()
+        for topic, of_dvl in self.repeating.items():
+            if reference is not None:
+                self.left_out.notes.append(
+                    note("found_left_out same_velocities", topic=topic, dvl=of_dvl)
+                )
+            else:
+                self.left_out.notes.append(note("found_reference same_velocities", topic=of_dvl))
+        return reference
+
+    def _misleads(self) -> bool:
+        """Return whether a replay would read a proposed reference that cannot be used, and that nobody asked for."""
+        if self.is_asked or not self.proposed:
+            return False
+        first = self.proposed[0].topic
+        return self.is_reduced or first in self.left_out.errors or first in self.repeating
+
+
+def _topics_of(sources: Sequence[Source]) -> Topics:
+    return tuple(source.topic for source in sources)
 
 
 def _dvl_topics(
@@ -551,6 +627,11 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     rate = measured_vectors(table, "angular_rate", "rate", known)
     sizes = np.linalg.norm(force, axis=1)
     size = _median(sizes[sizes > 0.0])
+    place = str(log.path)
+    if np.isnan(size):
+        raise LogError(
+            "has no specific force: all readings are 0 or missing", "", place, source.topic
+        )
     turning = _median(np.linalg.norm(rate, axis=1))
     values: dict[str, Any] = {"topic": source.topic, "axes": FRD, "specific_force_axes": FRD}
     values["mounting_rpy_deg"] = Imu().mounting_rpy_deg
@@ -561,7 +642,6 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
         values["angular_rate_unit"] = "deg/s"
     settings = msgspec.structs.replace(own, **values)
     columns, _ = decode_imu(table, settings)
-    place = str(log.path)
     if len(columns.time_ns) < ENOUGH:
         what = f"has {counted(len(columns.time_ns), 'sample')}, too few to try settings"
         raise LogError(what, "", place, source.topic)

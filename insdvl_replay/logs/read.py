@@ -334,6 +334,21 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     return imu, dvl, reference, *others
 
 
+def single_references(
+    place: str, channels: Sequence[LogChannel], config: Config
+) -> Iterator[Source]:
+    """Yield each topic that could be the reference by itself, solutions before fixes; none where settings name it."""
+    reference = config.reference
+    if reference.ignore or reference.topic is not None or reference.fix is not None:
+        return
+    topics = Topics(place, channels)
+    role = role_with("reference", reference)
+    for kind in (role, role_with("reference", reference, "fix", "fix")):
+        for topic in topics.candidates(kind, ()):
+            with suppress(LogError):
+                yield topics.source(role, topic)
+
+
 def sources_of(findings: Iterable[Finding]) -> list[Source]:
     """Return the topics that a replay reads, role by role."""
     sources: list[Source] = []

@@ -18,7 +18,9 @@ from insdvl_replay.core.dive_columns import (
     DvlColumns,
     Floats,
     ImuColumns,
+    Mask,
     ReferenceColumns,
+    TimeNs,
     seconds,
 )
 from insdvl_replay.core.errors import LogError, Note
@@ -168,6 +170,52 @@ def test_fixes_in_a_pause_of_the_dvl_do_not_count_against_the_reference(
         0.0, abs=1.0 * DEG
     )
     assert not notes_of(dive)
+
+
+@pytest.mark.parametrize(
+    ("from_s", "to_s", "is_first"), [(120.0, 150.0, True), (50.0, 80.0, False)]
+)
+def test_a_turn_that_nobody_saw_does_not_count_against_the_reference(
+    from_s: float, to_s: float, is_first: bool, turning: Dive
+) -> None:
+    """A recorder that pauses hides how far the vehicle turned: one rotation fits one side of the pause alone."""
+
+    def recorded(time_ns: TimeNs) -> Mask:
+        time_s = seconds(time_ns, turning.imu.time_ns[0])
+        return np.asarray((time_s < from_s) | (time_s > to_s))
+
+    reference = reference_of(positions_only(turning))
+    dive = replace(
+        turning,
+        imu=turning.imu.rows(recorded(turning.imu.time_ns)),
+        dvl=turning.dvl.rows(recorded(turning.dvl.time_ns)),
+        reference=reference.rows(recorded(reference.time_ns)),
+    )
+    track = track_by_positions(dive.imu, dive.dvl, reference_of(dive), Config())
+    assert track is not None
+    assert track.coherence > 0.9999
+    assert (track.heading is not None) == is_first
+    assert "track_contradiction" not in notes_of(dive)
+
+
+def test_radians_that_are_read_as_degrees_are_refused(turning: Dive) -> None:
+    reference = reference_of(positions_only(turning))
+    misread = reference.position.copy()
+    misread[:, :2] *= DEG
+    dive = replace(turning, reference=replace(reference, position=misread))
+    with pytest.raises(LogError, match="57 times too little") as refused:
+        notes_of(dive)
+    assert refused.value.hint == 'reference.angle_unit = "rad"'
+
+
+def test_a_fix_that_stays_is_not_taken_for_radians(turning: Dive) -> None:
+    """Its noise of 0.2 m moves it by about as little, but not as the DVL says."""
+    reference = reference_of(positions_only(turning))
+    noise = 0.2 / 6.37e6 * np.random.default_rng(1).standard_normal(reference.position.shape)
+    still = reference.position[:1] + noise * [1.0, 1.0, 0.0]
+    dive = replace(turning, reference=replace(reference, position=still))
+    assert track_by_positions(dive.imu, dive.dvl, reference_of(dive), Config()) is None
+    notes_of(dive)
 
 
 def test_positions_that_freeze_under_way_count_as_missing(turning: Dive) -> None:

@@ -2,12 +2,15 @@
 
 import json
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import damaged
 import msgspec
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from insdvl_replay import replay_log
 from insdvl_replay.calibration.found import Given
@@ -162,6 +165,76 @@ def test_a_reference_that_moves_otherwise_is_not_used(good: Dive, tmp_path: Path
     assert found.config.reference.ignore
     assert "found_reference" in {note.code for note in found.notes}
     assert replayed(log, found.config).dive.reference is None
+
+
+def test_a_reference_that_moves_otherwise_gives_way_to_another(good: Dive, tmp_path: Path) -> None:
+    folder = tmp_path / "other"
+    folder.mkdir()
+    log = tmp_path / "dive.mcap"
+    write_dive(log, good)
+    both = with_its_reference(log, wandering(good, folder), "/a_wrong")
+    found = find_settings([[both]], Given(load_config()))
+    assert found.config.reference.topic == "/reference"
+    assert not found.config.reference.ignore
+    (left_out,) = [note for note in found.notes if note.code == "found_left_out"]
+    assert "/a_wrong is not used as reference: " in left_out.text
+    assert "while IMU and DVL agree" in left_out.text
+    assert replayed(both, found.config).dive.reference is not None
+
+
+def test_latitudes_in_radians_are_found_by_the_track(good: Dive, tmp_path: Path) -> None:
+    folder = tables_with(good, 1.0, tmp_path)
+    found = find_settings([[folder]], Given(load_config()))
+    assert found.config.reference.angle_unit == "rad"
+    assert "the reference's angles are in radians" in " ".join(note.text for note in found.notes)
+    in_degrees = find_settings(
+        [[tables_with(good, np.rad2deg(1.0), tmp_path)]], Given(load_config())
+    )
+    assert in_degrees.config.reference.angle_unit != "rad"
+
+
+def tables_with(dive: Dive, angle_size: float, folder: Path) -> Path:
+    """Write a dive as tables whose titles say nothing of the unit of positions, each radian as so many of it."""
+    reference = dive.reference
+    velocity = dive.dvl.velocity_d
+    assert reference is not None
+    assert velocity is not None
+    readings = {
+        "imu": (dive.imu.time_ns, [dive.imu.specific_force_b, dive.imu.angular_rate_b]),
+        "dvl": (dive.dvl.time_ns, [velocity]),
+        "gps": (reference.time_ns, [angle_size * reference.position[:, :2]]),
+    }
+    titles = {"imu": "time,ax,ay,az,gx,gy,gz", "dvl": "time,vx,vy,vz", "gps": "time,lat,lon"}
+    target = folder / f"tables_{angle_size:.0f}"
+    target.mkdir()
+    for name, (time_ns, columns) in readings.items():
+        rows = np.column_stack([(time_ns - dive.imu.time_ns[0]) * 1e-9, *columns])
+        np.savetxt(target / f"{name}.csv", rows, "%.10f", ",", header=titles[name], comments="")
+    return target
+
+
+def with_its_reference(log: Path, other: Path, topic: str) -> Path:
+    """Add the reference of another log to a log, in front of its own."""
+    stream = BytesIO()
+    writer = Writer(stream)
+    writer.start(profile="ros2")
+    for path, is_other in ((other, True), (log, False)):
+        ids: dict[str, int] = {}
+        for schema, channel, message in make_reader(BytesIO(path.read_bytes())).iter_messages():
+            assert schema
+            if is_other and channel.topic != "/reference":
+                continue
+            if channel.topic not in ids:
+                name = topic if is_other else channel.topic
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.topic] = writer.register_channel(name, "cdr", schema_id)
+            writer.add_message(
+                ids[channel.topic], message.log_time, message.data, message.publish_time
+            )
+    writer.finish()
+    target = log.with_name("both.mcap")
+    target.write_bytes(stream.getvalue())
+    return target
 
 
 def test_defaults_are_used_with_a_warning_where_nothing_is_found(

@@ -115,6 +115,57 @@ def test_an_imu_that_cannot_be_read_is_left_out_and_named(tmp_path: Path) -> Non
     assert "/a_few" in left_out(found)
 
 
+def test_an_imu_that_is_dead_is_left_out_and_named(tmp_path: Path) -> None:
+    still = {"linear_acceleration": xyz((0.0, 0.0, 0.0)), "angular_velocity": xyz((0.0, 0.0, 0.0))}
+    dead = [(*row[:3], row[3] | still) for row in imu("/a_dead")]
+    found = read(tmp_path, imu(), dead, dvl("/bottom"))
+    assert [found_imu.topic for found_imu in found.imus] == ["/imu"]
+    assert "/a_dead is not used as IMU: has no specific force" in left_out(found)
+    with pytest.raises(LogError, match="has no specific force"):
+        read(tmp_path, dead, dvl("/bottom"))
+
+
+def fixes(topic: str) -> list[Message]:
+    return [
+        (
+            topic,
+            "sensor_msgs/msg/NavSatFix",
+            time_s,
+            {"header": header(time_s), "latitude": 32.0 + 1e-5 * time_s, "longitude": 34.0},
+        )
+        for time_s in PINGS[::5].tolist()
+    ]
+
+
+def test_fixes_beside_dead_reckoning_of_the_dvl_are_the_reference(tmp_path: Path) -> None:
+    found = read(tmp_path, imu(), dvl("/bottom"), odometry("/dvl/odom"), fixes("/gps"))
+    assert found.reference is not None
+    assert (found.reference_topics, found.draft.reference.topic) == (("/gps",), "/gps")
+    assert not found.draft.reference.ignore
+    assert "/dvl/odom is not used as reference: its velocities are those of /bottom" in left_out(
+        found
+    )
+
+
+def test_references_are_tried_one_after_the_other(tmp_path: Path) -> None:
+    path = write_log(
+        tmp_path / "dive.mcap",
+        sorted(
+            [*imu(), *dvl("/bottom"), *odometry("/ins", off_mps=0.01), *fixes("/a"), *fixes("/b")],
+            key=lambda row: row[2],
+        ),
+    )
+    without: list[tuple[str, ...]] = []
+    while True:
+        found = read_roles(path, Config(), allow_damaged=False, without=without)
+        if found.reference is None:
+            break
+        assert found.has_other_references == (found.reference_topics != ("/b",))
+        without.append(found.reference_topics)
+    assert without == [("/a",), ("/ins",), ("/b",)]
+    assert found.draft.reference.ignore
+
+
 def test_a_reference_that_cannot_be_read_gives_way_to_another(tmp_path: Path) -> None:
     broken = [(*row[:3], row[3] | {"header": header(0.0)}) for row in odometry("/a_broken")]
     found = read(tmp_path, imu(), dvl("/bottom"), broken, odometry("/b_good", off_mps=0.01))
@@ -191,7 +242,7 @@ def test_short_dives_and_those_that_fail_do_not_decide_for_the_others(
 ) -> None:
     tried: list[str] = []
 
-    def roles(paths: Sequence[Path], given: Config, *, allow_damaged: bool) -> Any:
+    def roles(paths: Sequence[Path], given: Config, **_: Any) -> Any:
         tried.append(paths[0].stem)
         if paths[0].stem == "bad":
             raise LogError("no velocities")
@@ -205,11 +256,11 @@ def test_short_dives_and_those_that_fail_do_not_decide_for_the_others(
     monkeypatch.setattr(automatic, "raise_if_span_is_empty", lambda *_: None)
     monkeypatch.setattr(automatic, "_is_short", lambda paths: paths[0].stem == "short")
     dives = [[Path("short.mcap")], [Path("bad.mcap")], [Path("good.mcap")]]
-    first, config, _ = automatic._first_with_roles(dives, Given(Config()), [], allow_damaged=False)
-    assert (tried, first) == (["bad", "good"], dives[2])
-    assert config.imu.axes == "flu"
+    found = automatic._first_with_roles(dives, Given(Config()), [], (), allow_damaged=False)
+    assert (tried, found.paths) == (["bad", "good"], dives[2])
+    assert found.config.imu.axes == "flu"
     with pytest.raises(LogError, match="no velocities"):
-        automatic._first_with_roles(dives[1:2], Given(Config()), [], allow_damaged=False)
+        automatic._first_with_roles(dives[1:2], Given(Config()), [], (), allow_damaged=False)
 
 
 def test_a_dive_of_some_seconds_does_not_count_beside_others() -> None:

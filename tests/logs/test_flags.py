@@ -118,6 +118,15 @@ def test_a_flag_that_no_setting_names_is_a_warning(tmp_path: Path, title: str) -
     assert f'dvl.valid = "{title}"' in note.hint
 
 
+def test_a_flag_that_is_never_0_has_to_be_written_anew(tmp_path: Path) -> None:
+    """Settings compare a flag with 0 alone, so that naming this one would leave no ping out."""
+    quality = [{"1": "95", "0": "3"}[code] for code in CODES]
+    read = read_dive(dive(tmp_path / "dive", "quality", quality), Config(imu=IMU, dvl=DVL))
+    (note,) = (note for note in read.notes if note.code == "dvl_unused_flag")
+    assert note.count == np.count_nonzero(BAD)
+    assert note.hint == "write a column that is 0 where a ping is bad, and name it as dvl.valid"
+
+
 def test_a_status_that_nothing_explains_is_open(tmp_path: Path) -> None:
     settings = propose_settings(
         dive(tmp_path / "dive", "status", CODES, "none"), Config()

@@ -14,7 +14,7 @@ from made_tables import FORMATS, HARMS, SECTIONS, recorded, settings, tables_of,
 from scipy.io import loadmat, savemat
 from table_bombs import TABLE_BOMBS, zeros
 
-from insdvl_replay.core.config import Config, Dvl, Imu
+from insdvl_replay.core.config import Config, Dvl, Imu, Reference
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.inspection.survey import inspect_log
@@ -488,3 +488,27 @@ def test_an_error_holds_nothing_of_what_was_read(tmp_path: Path) -> None:
     cause = raised.value.__cause__
     assert cause is not None
     assert cause.__traceback__ is None
+
+
+def test_rows_of_other_sensors_in_one_table_hide_no_fix(tmp_path: Path) -> None:
+    """A row that lacks the reference must not take the place of the fix that has the same time."""
+    lines = ["time,ax,ay,az,gx,gy,gz,vx,vy,vz,lat,lon"]
+    for row in range(3000):
+        lines.append(f"{0.02 * row:.2f},0.1,0.0,-9.8,0.0,0.0,0.01,,,,,")
+        if row % 10 == 0:
+            lines.append(f"{0.02 * row:.2f},,,,,,,{1.0 + 0.01 * (row % 7):.2f},0.0,0.0,,")
+        if row % 50 == 0:
+            lines.append(f"{0.02 * row:.2f},,,,,,,,,,{32.0 + 1.7e-7 * row:.8f},34.0")
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join([*lines, ""]))
+    config = Config(
+        imu=Imu(topic="log.csv", specific_force="ax, ay, az", angular_rate="gx, gy, gz"),
+        dvl=Dvl(topic="log.csv", velocity="vx, vy, vz"),
+        reference=Reference(topic="log.csv", latitude="lat", longitude="lon"),
+    )
+    read = read_dive(log, config)
+    assert read.reference is not None
+    assert len(read.reference.time_ns) == 60
+    assert read.reference.has_position
+    (empty,) = [note for note in read.notes if note.code == "reference_empty"]
+    assert empty.count == 3300

@@ -125,6 +125,8 @@ def _note_unused_flags(table: Table, cleaner: Cleaner) -> None:
         code = "unused_flag"
         if not is_sure:
             code = "unused_flag unsure"
+        if not (flag == 0.0).any():
+            code = "unused_flag never_zero"  # no setting compares a flag with anything but 0
         cleaner.note(
             code,
             count,

@@ -15,10 +15,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay.core.config import MOST_BYTES, Heading, Initial, Navigation, Reference, Solution
+from insdvl_replay.core.config import (
+    MOST_BYTES,
+    TOPIC_KEYS,
+    Heading,
+    Initial,
+    Navigation,
+    Reference,
+    Solution,
+)
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Floats,
+    Mask,
     ReferenceColumns,
     SolutionColumns,
     StatedErrors,
@@ -47,9 +56,11 @@ from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, skew, wrap_angle
 from insdvl_replay.logs.columns.clean import Cleaner, note_lost_samples, stand_for_none
+from insdvl_replay.logs.columns.named_columns import PLACE
 from insdvl_replay.logs.columns.tables import Table, rows_among
 from insdvl_replay.logs.columns.topics import BOW_DOWN
 from insdvl_replay.logs.columns.tum import TUM_FORMAT, tum_poses
+from insdvl_replay.logs.formats.fields import TABLE
 
 # PX4's frames, and that of the messages before 1.13.
 _NED: Final = 1
@@ -131,6 +142,8 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
     note_lost_samples(cleaner)
     position = _position(table, settings, initial, cleaner)
     reported = None if position is None else position.copy()
+    if position is not None and table.source.type_name == TABLE:
+        cleaner.keep(_holds_motion(table, position), "empty")
     if position is not None:
         _drop_beyond_poles(cleaner, position[:, 0])
         _clear_zero(cleaner, position)
@@ -164,6 +177,17 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
         cleaner.note_missing("attitudes", found["mat_nb"].reshape(-1, 9))
     kept = {name: cleaner.kept(values) for name, values in found.items() if values is not None}
     return cleaner, kept
+
+
+def _holds_motion(table: Table, position: Floats) -> Mask:
+    """Return which rows hold a position or another number of the reference; those of other sensors hold none."""
+    holds = np.asarray(np.isfinite(position).any(axis=1))
+    if holds.all():
+        return holds
+    for quantity in TOPIC_KEYS:
+        if quantity in table and quantity not in PLACE:
+            holds |= np.isfinite(table.values(quantity)).any(axis=1)
+    return holds
 
 
 def _clear_zero(cleaner: Cleaner, position: Floats) -> None:
