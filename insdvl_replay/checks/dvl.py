@@ -5,7 +5,7 @@ Horizontal vectors are complex numbers: forward or north, plus i times starboard
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,9 +223,8 @@ class TrackFit:
 
     gyro_scale: float | None  # None where the vehicle turned too little to tell
     dvl_scale: float
-    heading: (
-        float | None
-    )  # rad, at the start of the replay; None where a pause of the IMU comes before the track
+    # rad, at the start of the replay; None where a pause of the IMU comes before the track
+    heading: float | None
     coherence: float
     is_in_radians: bool = False  # the positions fit only if what was read as degrees are radians
 
@@ -268,6 +267,40 @@ def _moved_m(position: Floats, first: Rows, last: Rows) -> Complexes | None:
     return np.asarray(moved_m)
 
 
+class _Moves(NamedTuple):
+    """By how much pairs of fixes, ten seconds apart, are apart, on one side of the pauses of the IMU."""
+
+    fix_ns: TimeNs
+    first: Rows  # of the fixes of each pair
+    last: Rows
+    moved_m: Complexes  # north, and east as the imaginary part
+    is_first_side: bool  # before any pause
+    is_in_radians: bool
+
+
+def _moves_of(reference: ReferenceColumns, ping_ns: TimeNs, sample_ns: TimeNs) -> _Moves | None:
+    """Return how the reference moves while DVL and IMU measure; None where it does so too little."""
+    fixes = np.flatnonzero(np.isfinite(reference.position[:, :2]).all(axis=1))
+    if len(ping_ns) < ENOUGH or len(fixes) < ENOUGH:
+        return None
+    fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
+    fix_ns = reference.time_ns[fixes]
+    position = reference.position[fixes]
+    first, last = _pairs_of_fixes(fix_ns, ping_ns, sample_ns)
+    if not len(first):
+        return None
+    side, kept = _side_of_pauses(fix_ns[first], sample_ns)
+    first = first[kept]
+    last = last[kept]
+    if len(first) < ENOUGH:
+        return None
+    for read, is_in_radians in ((position, False), (position / DEG, True)):
+        moved_m = _moved_m(read, first, last)
+        if moved_m is not None:
+            return _Moves(fix_ns, first, last, moved_m, side == 0, is_in_radians)
+    return None
+
+
 def track_by_positions(
     imu: ImuColumns,
     dvl: DvlColumns,
@@ -276,41 +309,22 @@ def track_by_positions(
 ) -> TrackFit | None:
     """Fit the track of gyros and DVL to positions, by the scale of the gyros at which it follows them best."""
     ping_ns, measured_b = velocities_b(dvl, config)
-    fixes = np.flatnonzero(np.isfinite(reference.position[:, :2]).all(axis=1))
-    if len(ping_ns) < ENOUGH or len(fixes) < ENOUGH:
+    moves = _moves_of(reference, ping_ns, imu.time_ns)
+    if moves is None:
         return None
-    fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
-    fix_ns = reference.time_ns[fixes]
-    position = reference.position[fixes]
-    first, last = _pairs_of_fixes(fix_ns, ping_ns, imu.time_ns)
-    if not len(first):
-        return None
-    side, kept = _side_of_pauses(fix_ns[first], imu.time_ns)
-    first = first[kept]
-    last = last[kept]
-    if len(first) < ENOUGH:
-        return None
-    true = _moved_m(position, first, last)
-    is_in_radians = False
-    if true is None:
-        true = _moved_m(position / DEG, first, last)
-        is_in_radians = True
-    if true is None:
-        return None
-
     at_s = np.concatenate([[config.span.start_s or 0.0], seconds(ping_ns, imu.time_ns[0])])
     yaw = turned_by(imu, at_s)[:, 2] - config.initial.gyro_bias_degph[2] * DEG_PER_HOUR * at_s
     start_yaw = yaw[0]
     turned = yaw[1:]
     measured = horizontal(measured_b)
     ping_s = seconds(ping_ns, ping_ns[0])
-    fix_s = seconds(fix_ns, ping_ns[0])
+    fix_s = seconds(moves.fix_ns, ping_ns[0])
 
     def fitted(gyro_scale: float) -> Fit:
         velocity = measured * np.exp(1j * turned / gyro_scale)
         moved_m = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(ping_s)))
         track = np.asarray(np.interp(fix_s, ping_s, moved_m))
-        return fit(track[last] - track[first], true)
+        return fit(track[moves.last] - track[moves.first], moves.moved_m)
 
     turns = float(np.ptp(turned)) > np.pi / 2.0
     gyro_scale = 1.0
@@ -321,13 +335,12 @@ def track_by_positions(
         if 1.0 - fitted(other).coherence < (1.0 - best.coherence) / 2.0:
             gyro_scale = other
             best = fitted(other)
+    is_alike = best.coherence >= COHERENT and abs(best.scale - 1.0) <= LARGEST_SCALE_ERROR
+    if moves.is_in_radians and not is_alike:
+        return None  # the fixes stay where they are
     heading = None
-    if side == 0:
+    if moves.is_first_side:
         heading = float(wrap_angle(np.asarray(start_yaw / gyro_scale - best.turn)))
-    if is_in_radians and (
-        best.coherence < COHERENT or abs(best.scale - 1.0) > LARGEST_SCALE_ERROR
-    ):
-        return None  # the vehicle stays where it is
     return TrackFit(
-        gyro_scale if turns else None, best.scale, heading, best.coherence, is_in_radians
+        gyro_scale if turns else None, best.scale, heading, best.coherence, moves.is_in_radians
     )
