@@ -1,5 +1,6 @@
 """A recorder whose clock was set in a dive: the longest side with one clock is used, and its messages are in order."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,10 @@ import pytest
 from rosbag_messages import START_NS, Message, header, write_log, xyz
 
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.tables import with_one_clock
-from insdvl_replay.logs.formats.recorder_clock import one_clock
+from insdvl_replay.logs.formats.recorder_clock import one_clock, one_side
 
 DAY_NS = 86_400 * 10**9
 
@@ -67,7 +69,12 @@ def test_stamps_of_messages_under_way_are_moved() -> None:
     stamp_ns = log_ns - 10**8
     old_ns = stamp_ns.copy()
     old_ns[:3] -= 10**18
-    np.testing.assert_array_equal(with_one_clock(old_ns, log_ns), stamp_ns)
+    moved_ns = with_one_clock(old_ns, log_ns, ahead_ns=10**9)
+    np.testing.assert_array_equal(moved_ns, stamp_ns)
+    ahead_ns = stamp_ns.copy()
+    ahead_ns[:3] += 2 * 10**9
+    moved_ns = with_one_clock(ahead_ns, log_ns, ahead_ns=10**9)
+    np.testing.assert_array_equal(moved_ns, stamp_ns)
 
 
 def test_a_log_with_a_clock_that_is_set_is_read(tmp_path: Path) -> None:
@@ -103,3 +110,164 @@ def test_a_log_with_a_clock_that_is_set_is_read(tmp_path: Path) -> None:
     assert not [
         note for note in dive.notes if "wrong_stamps" in note.code or "missing" in note.code
     ]
+
+
+# Set back by less than a day
+
+SECOND_NS = 10**9
+
+
+def channels(*parts: tuple[int, int, int]) -> dict[int, np.ndarray]:
+    """Make channels of 10, 2 and 1/60 Hz, of which the last is too slow to show a step of seconds."""
+    times = steps(*parts)
+    return {0: times, 1: times[::5] + 10**6, 2: times[7::600] + 2 * 10**6}
+
+
+@pytest.mark.parametrize("back_s", [2, 30, 3600])
+@pytest.mark.parametrize("set_s", [70, 190])
+def test_the_longest_side_of_a_step_back_is_used_in_each_channel(back_s: int, set_s: int) -> None:
+    times = channels((0, set_s, 10**6), (set_s, 300, 10**6 - back_s))
+    side = one_side(times)
+    assert side is not None
+    assert side.back_ns * 1e-9 == pytest.approx(back_s, abs=0.11)
+    assert side.set_s == pytest.approx(set_s, abs=0.61)
+    is_first = set_s > 150
+    assert side.rows[0] == ((0, 10 * set_s) if is_first else (10 * set_s, 3000))
+    assert side.rows[1] == ((0, 2 * set_s) if is_first else (2 * set_s, 600))
+    assert (2 in side.rows) == (back_s > 60)
+    used = 0
+    for channel_id, log_ns in times.items():
+        held = side.holds_rows(channel_id, 0, log_ns)
+        used += np.count_nonzero(held)
+        recorded_s = (np.arange(log_ns.size) * {0: 0.1, 1: 0.5, 2: 60.0}[channel_id]) + 0.7 * (
+            channel_id == 2
+        )
+        # None of the other side, and of the slow channel none at times that both sides have.
+        assert np.all((recorded_s[held] < set_s) == is_first)
+    assert side.unused == 3605 - used
+    text = side.note.text
+    assert "was set back" in text
+    assert side.note.code == "clock_set"
+
+
+def test_a_clock_that_is_set_back_twice_has_three_sides() -> None:
+    side = one_side(channels((0, 60, 100), (60, 100, 70), (100, 300, 50)))
+    assert side is not None
+    assert side.rows == {0: (1000, 3000), 1: (200, 600)}
+    assert len(side.others) == 2
+
+
+def shuffled(times: np.ndarray) -> np.ndarray:
+    return np.random.default_rng(1).permutation(times)
+
+
+def with_late(times: np.ndarray) -> np.ndarray:
+    """Write one message two seconds late, and a batch of three seconds after the next five."""
+    late = np.insert(np.delete(times, 100), 120, times[100])
+    return np.concatenate([late[:300], late[330:380], late[300:330], late[380:]])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        shuffled,
+        with_late,
+        lambda times: np.roll(times, times.size // 3),
+        lambda times: times[::-1],
+        lambda times: np.sort(np.append(times, times[::2] - SECOND_NS)),
+    ],
+    ids=["shuffled", "late", "joined", "backwards", "sorted"],
+)
+def test_messages_in_another_order_are_no_sides(
+    change: Callable[[np.ndarray], np.ndarray],
+) -> None:
+    assert one_side({0: change(steps((0, 300, 0))), 1: change(steps((0, 300, 0))[::5])}) is None
+
+
+def test_a_step_that_another_channel_does_not_show_is_not_of_the_recorder() -> None:
+    set_back = steps((0, 70, 100), (70, 300, 70))
+    assert one_side({0: set_back, 1: set_back[::5]}) is not None
+    assert one_side({0: set_back, 1: steps((0, 300, 100))[::5]}) is None
+
+
+def test_a_channel_that_pauses_at_the_step_hides_it_from_none() -> None:
+    """The pause is as long as the step, so that the channel never goes back."""
+    times = steps((0, 70, 100), (70, 300, 70))
+    is_paused = (np.arange(times.size) >= 500) & (np.arange(times.size) < 900)
+    side = one_side({0: times, 1: times[~is_paused][::5]})
+    assert side is not None
+    assert side.rows == {0: (700, 3000)}
+
+
+def test_a_pause_of_an_hour_is_no_step_back() -> None:
+    assert one_side(channels((0, 70, 0), (70, 300, 3600))) is None
+
+
+def set_back_log(path: Path, back_s: float, copies: bool = False) -> Path:
+    """Write a log whose clock is set back 8 s in; pings are logged 0.1 s late, one of them behind the step.
+
+    Or one that was joined from the logs of two recorders, of which the second repeats messages of the first.
+    """
+
+    def on_clock(time_s: float) -> float:
+        return time_s - (back_s if time_s >= 8.0 and not copies else 0.0)
+
+    rows: list[tuple[float, Message]] = []
+    for i in range(2000):
+        time_s = 0.01 * i
+        stamped = {"header": header(on_clock(time_s - 0.002))}
+        flying = {
+            "linear_acceleration": xyz((0.001 * i, 0.2, -9.8)),
+            "angular_velocity": xyz((0.01, 0.02, 0.03)),
+        }
+        message = ("/imu", "sensor_msgs/msg/Imu", on_clock(time_s), stamped | flying)
+        rows.append((time_s, message))
+    for i in range(1, 99):
+        time_s = 0.2 * i - 0.05
+        velocity = xyz((1.0 + 0.01 * i, 0.1, 0.0))
+        ping = {"header": header(on_clock(time_s)), "twist": {"linear": velocity}}
+        logged_s = on_clock(time_s + 0.1)
+        rows.append((time_s + 0.1, ("/dvl", "geometry_msgs/msg/TwistStamped", logged_s, ping)))
+    rows.sort(key=lambda row: row[0])
+    if copies:
+        first = [row for row in rows if row[0] < 8.0]
+        rows = first + [row for row in rows if row[0] >= 8.0 - back_s]
+    return write_log(path, [message for _, message in rows])
+
+
+def test_a_log_with_a_clock_that_is_set_back_is_read_from_one_side(tmp_path: Path) -> None:
+    dive = read_dive(set_back_log(tmp_path / "back.mcap", 5.0), Config())
+    (note,) = [note for note in dive.notes if note.code == "clock_set"]
+    assert "set back 5.0 s, 8.0 s in" in note.text
+    np.testing.assert_allclose(
+        dive.imu.specific_force_b[:, 0], 0.001 * np.arange(800, 2000), rtol=0, atol=1e-12
+    )
+    # The ping under way is stamped by the clock before, and is moved.
+    assert dive.dvl.time_ns[0] == START_NS + round((7.95 - 5.0) * 1e9)
+    np.testing.assert_allclose(
+        dive.dvl.velocity_d[:, 0], 1.0 + 0.01 * np.arange(40, 99), rtol=0, atol=1e-12
+    )
+    codes = {note.code for note in dive.notes}
+    assert not [code for code in codes if "same_times" in code or "wrong_stamps" in code]
+
+
+def test_logs_of_two_recorders_in_one_file_are_no_sides(tmp_path: Path) -> None:
+    dive = read_dive(set_back_log(tmp_path / "copies.mcap", 5.0, copies=True), Config())
+    assert "clock_set" not in {note.code for note in dive.notes}
+    assert len(dive.imu.time_ns) == 2000
+    assert len(dive.dvl.time_ns) == 98
+
+
+def test_a_step_back_in_one_of_several_files_is_refused(tmp_path: Path) -> None:
+    set_back_log(tmp_path / "a.mcap", 5.0)
+    rows = [
+        ("/gps", "sensor_msgs/msg/NavSatFix", 0.5 * i, {"header": header(0.5 * i)})
+        for i in range(40)
+    ]
+    write_log(tmp_path / "b.mcap", rows)
+    with pytest.raises(
+        LogError, match=r"clock was set back 5\.0 s in this file, 8\.0 s in"
+    ) as refused:
+        read_dive([tmp_path / "a.mcap", tmp_path / "b.mcap"], Config())
+    assert "insdvl-replay run" in refused.value.hint
+    assert read_dive(tmp_path / "a.mcap", Config()).notes

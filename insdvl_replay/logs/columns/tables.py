@@ -10,6 +10,7 @@ import math
 import re
 import sys
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -97,8 +98,8 @@ class Table:
     others: int = 0  # messages without a row, less the rows that some messages have beyond one
     # Rows of the `SAMPLED` quantities.
     sampled: Rows = field(default_factory=lambda: np.empty(0, np.int64))
-    # Whether the recorder's clock was set, so that stamps of messages under way have the old one.
-    was_set: bool = False
+    # Where the recorder's clock was set, stamps of messages under way have the old one, and are off by more than this.
+    old_clock_ns: int | None = None
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -160,8 +161,8 @@ class Table:
         """
         stamp = self.source.stamp
         time_ns = self._stamps_ns()
-        if self.was_set:
-            time_ns = with_one_clock(time_ns, self.columns["log_time"][:, 0])
+        if self.old_clock_ns is not None:
+            time_ns = with_one_clock(time_ns, self.columns["log_time"][:, 0], self.old_clock_ns)
         if time_ns.size > 1 and time_ns.min() == time_ns.max():
             text = f"stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages"
             raise LogError(text, f'{self.source.role}.stamp = "log_time"', *self.where)
@@ -228,11 +229,19 @@ def _counted_ns(stamp: str, numbers: Array, log_time_ns: TimeNs) -> Array:
     return np.asarray(numbers * unit_ns)
 
 
-def with_one_clock(time_ns: TimeNs, log_time_ns: TimeNs) -> TimeNs:
-    """Return stamps, those of the clock before it was set moved to the usual time before their log times."""
+def with_one_clock(
+    time_ns: TimeNs,
+    log_time_ns: TimeNs,
+    ahead_ns: int,
+) -> TimeNs:
+    """Return stamps, those of the clock before it was set moved to the usual time before their log times.
+
+    They are ahead by more than so much, or far behind.
+    """
     behind_ns = log_time_ns - time_ns
     usual_ns = int(np.median(behind_ns))
-    is_old = np.abs(behind_ns - usual_ns) > nanoseconds(LEAP_S)
+    is_old = behind_ns - usual_ns > nanoseconds(LEAP_S)
+    is_old |= usual_ns - behind_ns > ahead_ns
     few = np.count_nonzero(is_old) <= _UNDER_WAY
     if few:
         return np.where(is_old, log_time_ns - usual_ns, time_ns)
@@ -342,6 +351,7 @@ class _Builder:
         announced = sum(channel.messages for channel in source.channels)
         self.every = max(1, math.ceil(announced / MOST_SAMPLED))
         self.count = 0
+        self.seen = Counter[int]()  # messages by channel
         self.others = 0
         self.has_whole_times = False
         self.runs: list[
@@ -370,12 +380,13 @@ class _Builder:
         """Read a block if it is of this topic."""
         if block.channel_id not in self.readers:
             return
+        count = len(block)
+        block = self._of_one_clock(block)
+        self.others += count - len(block)
+        if not len(block):
+            return
         for whole, fields in self._readable(self.readers[block.channel_id], block):
             part = whole.part(fields[ROWS][:, 0]) if ROWS in fields else whole
-            if self.log.one_clock is not None:
-                used = self.log.one_clock.holds(part.log_time)
-                part = part.part(np.flatnonzero(used))
-                fields = {path: values[used] for path, values in fields.items()}
             self.others += len(whole) - len(part)
             if not len(part):
                 continue
@@ -391,6 +402,17 @@ class _Builder:
                     column.add(values)
             self.runs.append((part.channel_id, len(part)))
             self.count += len(part)
+
+    def _of_one_clock(self, block: Block) -> Block:
+        """Return the messages of a block with the clock that is used. Rows of a side count among those of its part."""
+        if self.log.one_clock is not None:
+            block = block.part(np.flatnonzero(self.log.one_clock.holds(block.log_time)))
+        if self.log.one_side is not None:
+            first = self.seen[block.channel_id]
+            self.seen[block.channel_id] += len(block)
+            used = self.log.one_side.holds_rows(block.channel_id, first, block.log_time)
+            block = block.part(np.flatnonzero(used))
+        return block
 
     def _readable(self, reader: FieldReader, block: Block) -> Iterator[tuple[Block, Columns]]:
         """Read a block, in halves and halves of halves where some of it cannot be read, part by part."""
@@ -435,7 +457,7 @@ class _Builder:
             has_whole_times=self.has_whole_times,
             others=self.others,
             sampled=sampled_rows,
-            was_set=self.log.one_clock is not None,
+            old_clock_ns=_old_clock_ns(self.log),
         )
         if self.unreadable_ns and not self.log.allow_damaged:
             raise table.damage_error()
@@ -458,6 +480,15 @@ class _Builder:
         asked = f"has no transform from {' to '.join(element.texts)}" if element.texts else ""
         hint = f"it has {listed(pairs)}" if pairs else "its messages are empty"
         return LogError(asked or "has transforms of many frames", hint, *self.where)
+
+
+def _old_clock_ns(log: Recording) -> int | None:
+    """Return how far stamps of a clock that was set are off at least; None where none was set."""
+    if log.one_side is not None:
+        return log.one_side.back_ns // 2
+    if log.one_clock is not None:
+        return nanoseconds(LEAP_S)
+    return None
 
 
 def _files_of(channel_ids: Rows) -> Rows | None:

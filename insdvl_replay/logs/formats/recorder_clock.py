@@ -1,8 +1,13 @@
-"""A recorder whose clock was set during a recording: which part of the log has one clock, and is used."""
+"""A recorder whose clock was set during a recording: which part of the log has one clock, and is used.
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+After a step of more than a day, the log times alone tell the parts. A step back of less than a day leads into times
+that the log has already, so that the order of the messages in the file tells the sides. Messages that were only written
+late, or files that were joined, are no sides: only a clock that was set gives the same times twice in every channel.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +17,21 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.notes import note
 from insdvl_replay.core.units import TIME_UNITS_NS
 
+Span = tuple[int, int]
+
 # No recorder waits for longer in the middle of a dive: after a larger step its clock was set.
 CLOCK_SET_NS: Final = TIME_UNITS_NS["d"]
+# Messages are not under way for longer, and recorders write them within this time.
+SET_BACK_NS: Final = NS_PER_S
+# Messages of a log with more steps back are not in the order of recording.
+_MOST_STEPS: Final = 4
+# Where times go by twice, messages of both sides alternate. A single late one, or a batch, does not.
+_LEAST_CHANGES: Final = 10
+_LEAST_SHARE: Final = 0.1  # of the messages at these times
+# Parts of a dive that were joined in another order follow one another sooner than this.
+_JOINED_NS: Final = 60 * NS_PER_S
+# A channel that goes on without a longer pause, in usual steps, shows that its clock was not set.
+_PAUSE_STEPS: Final = 5
 
 
 @dataclass(frozen=True)
@@ -44,6 +62,52 @@ class OneClock:
             before=before,
             after=after,
             length_s=length_s,
+        )
+
+
+@dataclass(frozen=True)
+class OneSide(OneClock):
+    """The longest side of a recording whose clock was set back by less than a day."""
+
+    rows: Mapping[
+        int, Span
+    ]  # by channel that shows the step, its first row of this side and the end
+    others: tuple[Span, ...]  # first and last log time of the other sides
+
+    @property
+    def back_ns(self) -> int:
+        """By how much the clock was set back for the first time."""
+        return self.from_ns - self.to_ns
+
+    def holds_rows(
+        self,
+        channel_id: int,
+        first: int,
+        log_time_ns: TimeNs,
+    ) -> Mask:
+        """Return which messages of a channel, from a row on, are of this side.
+
+        Of a channel that is too slow to show the step, these are the messages at times that no other side has.
+        """
+        if channel_id in self.rows:
+            begin, end = self.rows[channel_id]
+            row = np.arange(first, first + log_time_ns.size)
+            return np.asarray((row >= begin) & (row < end))
+        held = self.holds(log_time_ns)
+        for first_ns, last_ns in self.others:
+            held &= (log_time_ns < first_ns) | (log_time_ns > last_ns)
+        return held
+
+    @property
+    def note(self) -> Note:
+        """Report by how much the clock was set back, and what is used."""
+        return note(
+            "clock_set back",
+            self.unused,
+            back_s=self.back_ns / NS_PER_S,
+            set_s=self.set_s,
+            before=np.datetime64(self.from_ns, "ns").astype("M8[s]"),
+            length_s=(self.last_ns - self.first_ns) / NS_PER_S,
         )
 
 
@@ -92,3 +156,133 @@ def one_clock(log_times: Sequence[TimeNs]) -> OneClock | None:
 def _between_ns(earlier_ns: TimeNs, later_ns: TimeNs) -> NDArray[np.uint64]:
     """Return what lies between times. Damaged ones may be 600 years apart, which a signed number does not hold."""
     return np.asarray(later_ns.astype(np.uint64) - earlier_ns.astype(np.uint64))
+
+
+# --- A clock that is set back by less than a day.
+
+
+class _Step(NamedTuple):
+    """A step back: the log times of the messages around it, ns."""
+
+    before_ns: int
+    after_ns: int
+
+
+def may_be_set_back(log_times: Mapping[int, TimeNs]) -> bool:
+    """Return whether the channel with the most messages steps back a few times, each channel in the file's order."""
+    often = max(log_times.values(), key=len, default=np.empty(0, np.int64))
+    return 0 < _drops(often, SET_BACK_NS).size <= _MOST_STEPS
+
+
+def one_side(log_times: Mapping[int, TimeNs]) -> OneSide | None:
+    """Find the longest side of a clock that was set back; None where it was not. Channels are in the file's order."""
+    if not may_be_set_back(log_times):
+        return None
+    often = max(log_times.values(), key=len)
+    steps = []
+    for row in _steps_of(often):
+        step = _Step(int(often[row - 1]), int(often[row]))
+        if not any(_goes_on(times, step) for times in log_times.values()):
+            steps.append(step)
+    if not steps:
+        return None
+    bounds: dict[int, list[int]] = {}
+    for channel_id, times in log_times.items():
+        cuts = _cuts(times, steps)
+        if len(cuts) == len(steps):
+            bounds[channel_id] = [0, *cuts, times.size]
+    return _longest_side(log_times, bounds, steps[0])
+
+
+def _drops(times: TimeNs, least_ns: int) -> NDArray[np.int64]:
+    """Return the rows whose time is before that of the row before, by more than so much and less than a day."""
+    steps_ns = np.diff(times)
+    return 1 + np.flatnonzero((steps_ns < -least_ns) & (steps_ns > -CLOCK_SET_NS))
+
+
+def _steps_of(often: TimeNs) -> list[int]:
+    """Return the rows of a channel behind which it goes through times again."""
+    bounds = [0, *_drops(often, SET_BACK_NS).tolist(), often.size]
+    rows = []
+    for begin, row, end in zip(bounds, bounds[1:], bounds[2:], strict=False):
+        if _are_sides(often[begin:row], often[row:end]):
+            rows.append(row)
+    return rows
+
+
+def _are_sides(before: TimeNs, after: TimeNs) -> bool:
+    """Return whether messages around a step back are two sides, and not one recording in another order."""
+    first_ns = max(int(before.min()), int(after.min()))
+    last_ns = min(int(before.max()), int(after.max()))
+    if first_ns > last_ns:
+        return int(before.min()) - int(after.max()) > _JOINED_NS
+    times = np.concatenate([before, after])
+    is_after = np.arange(times.size) >= before.size
+    twice = (times >= first_ns) & (times <= last_ns)
+    order = np.argsort(times[twice], kind="stable")
+    changes = np.count_nonzero(np.diff(is_after[twice][order]))
+    return bool(changes >= max(_LEAST_CHANGES, _LEAST_SHARE * order.size))
+
+
+def _goes_on(times: TimeNs, step: _Step) -> bool:
+    """Return whether a channel has no step back where another has, although it goes through all times there."""
+    if _cuts(times, [step]):
+        return False
+    ordered = np.sort(times)
+    begin = int(np.searchsorted(ordered, step.after_ns)) - 1
+    end = int(np.searchsorted(ordered, step.before_ns, "right"))
+    if begin < 0 or end >= ordered.size or end - begin < _LEAST_CHANGES:
+        return False
+    steps_ns = np.diff(ordered)
+    return bool(steps_ns[begin:end].max() <= _PAUSE_STEPS * np.median(steps_ns))
+
+
+def _cuts(times: TimeNs, steps: Sequence[_Step]) -> list[int]:
+    """Return the rows of a channel that are the first ones behind steps back, of those that it shows."""
+    cuts = [0]
+    for step in steps:
+        back_ns = step.before_ns - step.after_ns
+        rows = _drops(times, back_ns // 2)
+        before_ns = times[rows - 1]
+        after_ns = times[rows]
+        fits = (rows > cuts[-1]) & (before_ns - after_ns <= back_ns + 2 * SET_BACK_NS)
+        fits &= before_ns <= step.before_ns + SET_BACK_NS
+        fits &= after_ns >= step.after_ns - SET_BACK_NS
+        if fits.any():
+            largest = int(np.argmax((before_ns - after_ns)[fits]))
+            cuts.append(int(rows[fits][largest]))
+    return cuts[1:]
+
+
+def _longest_side(
+    log_times: Mapping[int, TimeNs],
+    bounds: Mapping[int, Sequence[int]],
+    first_step: _Step,
+) -> OneSide:
+    """Return the longest side; the bounds are the rows at which the sides of a channel begin, and its end."""
+    spans: list[Span] = []
+    for side in range(len(next(iter(bounds.values()))) - 1):
+        parts = [log_times[id_][rows[side] : rows[side + 1]] for id_, rows in bounds.items()]
+        spans.append(
+            (
+                min(int(part.min()) for part in parts),
+                max(int(part.max()) for part in parts),
+            )
+        )
+    lengths_ns = [last - first for first, last in spans]
+    longest = int(np.argmax(lengths_ns))
+    first_ns, last_ns = spans.pop(longest)
+    found = OneSide(
+        first_ns=first_ns,
+        last_ns=last_ns,
+        set_s=lengths_ns[0] / NS_PER_S,
+        from_ns=first_step.before_ns,
+        to_ns=first_step.after_ns,
+        unused=0,
+        rows={id_: (rows[longest], rows[longest + 1]) for id_, rows in bounds.items()},
+        others=tuple(spans),
+    )
+    unused = 0
+    for channel_id, times in log_times.items():
+        unused += int(np.count_nonzero(~found.holds_rows(channel_id, 0, times)))
+    return replace(found, unused=unused)

@@ -5,7 +5,7 @@ import math
 import os
 import re
 import shlex
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -13,7 +13,9 @@ from itertools import chain
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
-from insdvl_replay.core.dive_columns import TimeNs
+import numpy as np
+
+from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
 from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
 from insdvl_replay.core.errors import (
     LogError,
@@ -45,12 +47,21 @@ from insdvl_replay.logs.formats.log_file import (
     joined_bounds,
 )
 from insdvl_replay.logs.formats.mcap_file import MAGIC, McapFile
-from insdvl_replay.logs.formats.recorder_clock import OneClock, one_clock, spans_a_step
+from insdvl_replay.logs.formats.recorder_clock import (
+    SET_BACK_NS,
+    OneClock,
+    OneSide,
+    may_be_set_back,
+    one_clock,
+    one_side,
+    spans_a_step,
+)
 from insdvl_replay.logs.formats.table_rows import RowsFile
 
 _COMMON_CLOCK_NS: Final = 10**17  # times after 1973 are those of a clock that counts from 1970
 PACKED_MAGIC: Final = b"\x28\xb5\x2f\xfd"  # of files that are compressed as a whole with zstd
 CHANNELS_OF_A_PART: Final = 1 << 16  # a channel id has 16 bits
+_COMPARED: Final = 200  # messages behind a step back that may repeat others
 Step = TypeVar("Step")
 
 
@@ -154,6 +165,8 @@ class Recording:
             notes.append(note("log_damaged whole", why=error.message))
         if self.one_clock is not None:
             notes.append(self.one_clock.note)
+        if self.one_side is not None:
+            notes.append(self.one_side.note)
         if len(self.parts) > 1:
             notes += self._notes_on_clocks()
         notes += self.notes_on_files
@@ -187,20 +200,47 @@ class Recording:
         spans = [part.span_ns for part in self._logs()]
         return [span for span in spans if span is not None]
 
-    @cached_property
+    @property
     def one_clock(self) -> OneClock | None:
-        """The part of a recording with one clock that is used; None where its clock was not set."""
-        spans = self._spans_of_logs()
-        if not spans:
-            return None
-        first_ns = min(first for first, _ in spans)
-        last_ns = max(last for _, last in spans)
-        if not spans_a_step(first_ns, last_ns):
-            return None
+        """The part of a recording with one clock that is used; None where it was not set by more than a day."""
+        return self._clocks[0]
+
+    @property
+    def one_side(self) -> OneSide | None:
+        """The side of this part that is used; None where the clock was not set back by less than a day."""
+        return self._clocks[1]
+
+    @cached_property
+    def _clocks(self) -> tuple[OneClock | None, OneSide | None]:
+        """Find where the recorder's clock was set. Both read the same times, which take long to collect."""
+        by_file = {}
+        for number, part in enumerate(self.parts):
+            if not _holds_tables(part):
+                by_file[number] = part.log_times()
         times: list[TimeNs] = []
-        for part in self._logs():
-            times += part.log_times().values()
-        return one_clock(times)
+        for channels in by_file.values():
+            times += [time_ns for time_ns in channels.values() if time_ns.size]
+        if not times:
+            return None, None
+        clock = None
+        first_ns = min(int(time_ns.min()) for time_ns in times)
+        last_ns = max(int(time_ns.max()) for time_ns in times)
+        if spans_a_step(first_ns, last_ns):
+            clock = one_clock(times)
+        side = None
+        for number, channels in by_file.items():
+            if may_be_set_back(_held(channels, clock)):
+                known = _times_as_read(self.parts[number], channels.keys())
+                side = one_side(_held(known, clock))
+            if side is None or _repeats_messages(self.parts[number], clock, side):
+                side = None
+                continue
+            if len(by_file) > 1:
+                raise _set_back_in_one_file(self.parts[number].path, side)
+            first = number * CHANNELS_OF_A_PART
+            rows = {channel_id + first: span for channel_id, span in side.rows.items()}
+            return clock, replace(side, rows=rows)
+        return clock, None
 
     def log_times(self) -> dict[int, TimeNs]:
         """Return the log times of all messages by channel, (k,) ns."""
@@ -288,6 +328,64 @@ def _begin(part: LogFile) -> tuple[float, str]:
 def _holds_tables(part: LogFile) -> bool:
     """Return whether a part has tables, whose times are their own, or nothing."""
     return all(channel.encoding == TABLE for channel in part.channels)
+
+
+def _held(times: Mapping[int, TimeNs], clock: OneClock | None) -> Mapping[int, TimeNs]:
+    """Return the times of the part with one clock, by channel."""
+    if clock is None:
+        return times
+    return {channel_id: time_ns[clock.holds(time_ns)] for channel_id, time_ns in times.items()}
+
+
+def _times_as_read(part: LogFile, channel_ids: Collection[int]) -> dict[int, TimeNs]:
+    """Return the log times of the messages that can be read, by channel, in the order in which they are read.
+
+    Indexes may be sorted, or name messages that cannot be read.
+    """
+    times: dict[int, list[TimeNs]] = {}
+    for block in part.blocks(channel_ids):
+        times.setdefault(block.channel_id, []).append(block.log_time)
+    return {channel_id: np.concatenate(blocks) for channel_id, blocks in times.items()}
+
+
+def _repeats_messages(
+    part: LogFile,
+    clock: OneClock | None,
+    side: OneSide,
+) -> bool:
+    """Return whether a side repeats messages of the other, as where logs of two recorders were put into one file."""
+    channel_id = max(side.rows, key=lambda id_: side.rows[id_][1] - side.rows[id_][0])
+    begin, end = side.rows[channel_id]
+    step = begin or end  # the row of the first message behind a step back
+    times = _held(_times_as_read(part, [channel_id]), clock)[channel_id]
+    some = times[step : step + _COMPARED]
+    around = times >= some.min() - SET_BACK_NS
+    around &= times <= some.max() + SET_BACK_NS
+    around[step + _COMPARED :] = False
+    before: set[bytes] = set()
+    repeated = 0
+    first = 0
+    for block in part.blocks([channel_id]):
+        if clock is not None:
+            block = block.part(np.flatnonzero(clock.holds(block.log_time)))
+        for i in np.flatnonzero(around[first : first + len(block)]).tolist():
+            offset = int(block.offsets[i])
+            payload = bytes(block.buffer[offset : offset + int(block.sizes[i])])
+            if first + i < step:
+                before.add(payload)
+            else:
+                repeated += payload in before
+        first += len(block)
+    return repeated > some.size / 2
+
+
+def _set_back_in_one_file(path: Path, side: OneSide) -> LogError:
+    """Refuse files of one dive: which of them have the clock from before the step, nobody knows."""
+    text = (
+        f"the recorder's clock was set back {side.back_ns / NS_PER_S:.1f} s in this file, {side.set_s:.1f} s in, "
+        "and it is one of several files of a dive"
+    )
+    return LogError(text, f"replay it alone: `insdvl-replay run {shlex.quote(str(path))}`", path)
 
 
 def _has_times_of_rows(part: LogFile) -> bool:
