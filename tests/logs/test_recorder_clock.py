@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import other_bags
 import pytest
 from rosbag_messages import START_NS, Message, header, write_log, xyz
 
@@ -249,6 +250,24 @@ def test_a_log_with_a_clock_that_is_set_back_is_read_from_one_side(tmp_path: Pat
     )
     codes = {note.code for note in dive.notes}
     assert not [code for code in codes if "same_times" in code or "wrong_stamps" in code]
+
+
+def as_bag(log: Path) -> Path:
+    return other_bags.bag(log.with_suffix(".bag"), log=log.read_bytes())
+
+
+def as_sqlite(log: Path) -> Path:
+    return other_bags.ros2_bag(log.with_suffix(""), log=log.read_bytes())
+
+
+@pytest.mark.parametrize("convert", [as_bag, as_sqlite])
+def test_bags_give_the_same_side(tmp_path: Path, convert: Callable[[Path], Path]) -> None:
+    log = set_back_log(tmp_path / "back.mcap", 5.0)
+    expected = read_dive(log, Config())
+    dive = read_dive(convert(log), Config())
+    assert "clock_set" in {note.code for note in dive.notes}
+    np.testing.assert_array_equal(dive.imu.time_ns, expected.imu.time_ns)
+    np.testing.assert_array_equal(dive.dvl.velocity_d, expected.dvl.velocity_d)
 
 
 def test_logs_of_two_recorders_in_one_file_are_no_sides(tmp_path: Path) -> None:

@@ -227,20 +227,27 @@ class Recording:
         last_ns = max(int(time_ns.max()) for time_ns in times)
         if spans_a_step(first_ns, last_ns):
             clock = one_clock(times)
-        side = None
+        return clock, self._side(clock, by_file)
+
+    def _side(
+        self,
+        clock: OneClock | None,
+        by_file: Mapping[int, Mapping[int, TimeNs]],
+    ) -> OneSide | None:
+        """Return the longest side of a clock that was set back; files and their channels have their log times, ns."""
         for number, channels in by_file.items():
-            if may_be_set_back(_held(channels, clock)):
-                known = _times_as_read(self.parts[number], channels.keys())
-                side = one_side(_held(known, clock))
-            if side is None or _repeats_messages(self.parts[number], clock, side):
-                side = None
+            if not may_be_set_back(_held(channels, clock)):
+                continue
+            part = self.parts[number]
+            side = one_side(_held(_times_as_read(part, channels.keys()), clock))
+            if side is None or _repeats_messages(part, clock, side):
                 continue
             if len(by_file) > 1:
-                raise _set_back_in_one_file(self.parts[number].path, side)
+                raise _set_back_in_one_file(part.path, side)
             first = number * CHANNELS_OF_A_PART
             rows = {channel_id + first: span for channel_id, span in side.rows.items()}
-            return clock, replace(side, rows=rows)
-        return clock, None
+            return replace(side, rows=rows)
+        return None
 
     def log_times(self) -> dict[int, TimeNs]:
         """Return the log times of all messages by channel, (k,) ns."""
