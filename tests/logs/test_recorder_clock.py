@@ -158,6 +158,14 @@ def test_a_clock_that_is_set_back_twice_has_three_sides() -> None:
     assert len(side.others) == 2
 
 
+def test_steps_that_are_nearly_alike_are_told_apart() -> None:
+    """Both steps lead from about 150 s to about 130 s, and the second one is larger by a second."""
+    side = one_side(channels((0, 150, 0), (150, 170, -19), (170, 300, -40)))
+    assert side is not None
+    assert side.rows[0] == (0, 1500)
+    assert len(side.others) == 2
+
+
 def shuffled(times: np.ndarray) -> np.ndarray:
     return np.random.default_rng(1).permutation(times)
 

@@ -178,16 +178,20 @@ def one_side(log_times: Mapping[int, TimeNs]) -> OneSide | None:
     """Find the longest side of a clock that was set back; None where it was not. Channels are in the file's order."""
     if not may_be_set_back(log_times):
         return None
-    often = max(log_times.values(), key=len)
+    often_id = max(log_times, key=lambda channel_id: len(log_times[channel_id]))
+    often = log_times[often_id]
+    rows = []
     steps = []
     for row in _steps_of(often):
         step = _Step(int(often[row - 1]), int(often[row]))
         if not any(_goes_on(times, step) for times in log_times.values()):
+            rows.append(row)
             steps.append(step)
     if not steps:
         return None
-    bounds: dict[int, list[int]] = {}
-    for channel_id, times in log_times.items():
+    bounds = {often_id: [0, *rows, often.size]}
+    for channel_id in log_times.keys() - {often_id}:
+        times = log_times[channel_id]
         cuts = _cuts(times, steps)
         if len(cuts) == len(steps):
             bounds[channel_id] = [0, *cuts, times.size]
@@ -233,8 +237,9 @@ def _goes_on(times: TimeNs, step: _Step) -> bool:
     end = int(np.searchsorted(ordered, step.before_ns, "right"))
     if begin < 0 or end >= ordered.size or end - begin < _LEAST_CHANGES:
         return False
+    # The mean, because many messages may be recorded at once.
     steps_ns = np.diff(ordered)
-    return bool(steps_ns[begin:end].max() <= _PAUSE_STEPS * np.median(steps_ns))
+    return bool(steps_ns[begin:end].max() <= _PAUSE_STEPS * steps_ns.mean())
 
 
 def _cuts(times: TimeNs, steps: Sequence[_Step]) -> list[int]:
