@@ -193,10 +193,19 @@ def test_messages_in_another_order_are_no_sides(
     assert one_side({0: change(steps((0, 300, 0))), 1: change(steps((0, 300, 0))[::5])}) is None
 
 
-def test_a_step_that_another_channel_does_not_show_is_not_of_the_recorder() -> None:
-    set_back = steps((0, 70, 100), (70, 300, 70))
+@pytest.mark.parametrize("back_s", [30, 3600])
+def test_a_step_that_another_channel_does_not_show_is_not_of_the_recorder(back_s: int) -> None:
+    set_back = steps((0, 70, 10**4), (70, 300, 10**4 - back_s))
     assert one_side({0: set_back, 1: set_back[::5]}) is not None
-    assert one_side({0: set_back, 1: steps((0, 300, 100))[::5]}) is None
+    assert one_side({0: set_back, 1: steps((0, 300, 10**4))[::5]}) is None
+
+
+@pytest.mark.parametrize("row", [0, 1500, 2999])
+@pytest.mark.parametrize("off_s", [-7200, 7200])
+def test_a_single_message_with_a_wrong_time_is_no_side(row: int, off_s: int) -> None:
+    times = steps((0, 300, 10**4))
+    times[row] += off_s * SECOND_NS
+    assert one_side({0: times, 1: steps((0, 300, 10**4))[::5]}) is None
 
 
 def test_a_channel_that_pauses_at_the_step_hides_it_from_none() -> None:
@@ -212,13 +221,22 @@ def test_a_pause_of_an_hour_is_no_step_back() -> None:
     assert one_side(channels((0, 70, 0), (70, 300, 3600))) is None
 
 
-def set_back_log(path: Path, back_s: float, copies: bool = False) -> Path:
+def set_back_log(
+    path: Path,
+    back_s: float,
+    *,
+    copies: bool = False,
+    begins_s: float = -1.0,
+) -> Path:
     """Write a log whose clock is set back 8 s in; pings are logged 0.1 s late, one of them behind the step.
 
-    Or one that was joined from the logs of two recorders, of which the second repeats messages of the first.
+    Or one that was joined from the logs of two recorders, of which the second repeats messages of the first. Until it
+    begins, its clock is days behind.
     """
 
     def on_clock(time_s: float) -> float:
+        if time_s < begins_s:
+            return time_s - 1e6
         return time_s - (back_s if time_s >= 8.0 and not copies else 0.0)
 
     rows: list[tuple[float, Message]] = []
@@ -258,6 +276,18 @@ def test_a_log_with_a_clock_that_is_set_back_is_read_from_one_side(tmp_path: Pat
     )
     codes = {note.code for note in dive.notes}
     assert not [code for code in codes if "same_times" in code or "wrong_stamps" in code]
+
+
+def test_a_clock_that_is_set_by_days_and_then_back_is_read_from_one_side(tmp_path: Path) -> None:
+    log = set_back_log(tmp_path / "both.mcap", 5.0, begins_s=2.0)
+    dive = read_dive(log, Config())
+    texts = [note.text for note in dive.notes if note.code == "clock_set"]
+    assert len(texts) == 2
+    assert "set 2.0 s in, from" in texts[0]
+    assert "set back 5.0 s, 6.0 s in" in texts[1]
+    np.testing.assert_allclose(
+        dive.imu.specific_force_b[:, 0], 0.001 * np.arange(800, 2000), rtol=0, atol=1e-12
+    )
 
 
 def as_bag(log: Path) -> Path:

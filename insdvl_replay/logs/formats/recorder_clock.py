@@ -5,7 +5,7 @@ that the log has already, so that the order of the messages in the file tells th
 late, or files that were joined, are no sides: only a clock that was set gives the same times twice in every channel.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -162,10 +162,12 @@ def _between_ns(earlier_ns: TimeNs, later_ns: TimeNs) -> NDArray[np.uint64]:
 
 
 class _Step(NamedTuple):
-    """A step back: the log times of the messages around it, ns."""
+    """A step back of a channel."""
 
-    before_ns: int
+    row: int  # of the first message behind it
+    before_ns: int  # log times of the messages around it
     after_ns: int
+    is_apart: bool  # whether no times are gone through twice
 
 
 def may_be_set_back(log_times: Mapping[int, TimeNs]) -> bool:
@@ -180,16 +182,13 @@ def one_side(log_times: Mapping[int, TimeNs]) -> OneSide | None:
         return None
     often_id = max(log_times, key=lambda channel_id: len(log_times[channel_id]))
     often = log_times[often_id]
-    rows = []
     steps = []
-    for row in _steps_of(often):
-        step = _Step(int(often[row - 1]), int(often[row]))
+    for step in _steps_of(often):
         if not any(_goes_on(times, step) for times in log_times.values()):
-            rows.append(row)
             steps.append(step)
     if not steps:
         return None
-    bounds = {often_id: [0, *rows, often.size]}
+    bounds = {often_id: [0, *[step.row for step in steps], often.size]}
     for channel_id in log_times.keys() - {often_id}:
         times = log_times[channel_id]
         cuts = _cuts(times, steps)
@@ -204,22 +203,25 @@ def _drops(times: TimeNs, least_ns: int) -> NDArray[np.int64]:
     return 1 + np.flatnonzero((steps_ns < -least_ns) & (steps_ns > -CLOCK_SET_NS))
 
 
-def _steps_of(often: TimeNs) -> list[int]:
-    """Return the rows of a channel behind which it goes through times again."""
+def _steps_of(often: TimeNs) -> Iterator[_Step]:
+    """Give the steps back of a channel around which there are two sides, and not one recording in another order."""
     bounds = [0, *_drops(often, SET_BACK_NS).tolist(), often.size]
-    rows = []
     for begin, row, end in zip(bounds, bounds[1:], bounds[2:], strict=False):
-        if _are_sides(often[begin:row], often[row:end]):
-            rows.append(row)
-    return rows
+        before = often[begin:row]
+        after = often[row:end]
+        ahead_ns = int(before.min()) - int(after.max())
+        is_apart = ahead_ns > 0
+        are_sides = _alternate(before, after)
+        if is_apart:
+            are_sides = ahead_ns > _JOINED_NS and min(before.size, after.size) >= _LEAST_CHANGES
+        if are_sides:
+            yield _Step(row, int(often[row - 1]), int(often[row]), is_apart)
 
 
-def _are_sides(before: TimeNs, after: TimeNs) -> bool:
-    """Return whether messages around a step back are two sides, and not one recording in another order."""
+def _alternate(before: TimeNs, after: TimeNs) -> bool:
+    """Return whether messages before and behind a step alternate at the times that both have."""
     first_ns = max(int(before.min()), int(after.min()))
     last_ns = min(int(before.max()), int(after.max()))
-    if first_ns > last_ns:
-        return int(before.min()) - int(after.max()) > _JOINED_NS
     times = np.concatenate([before, after])
     is_after = np.arange(times.size) >= before.size
     twice = (times >= first_ns) & (times <= last_ns)
@@ -234,7 +236,12 @@ def _goes_on(times: TimeNs, step: _Step) -> bool:
         return False
     ordered = np.sort(times)
     begin = int(np.searchsorted(ordered, step.after_ns)) - 1
-    end = int(np.searchsorted(ordered, step.before_ns, "right"))
+    end_ns = step.before_ns
+    if step.is_apart:
+        # Whoever goes on behind the last time before the step has the old clock.
+        begin = max(begin, 0)
+        end_ns += SET_BACK_NS
+    end = int(np.searchsorted(ordered, end_ns, "right"))
     if begin < 0 or end >= ordered.size or end - begin < _LEAST_CHANGES:
         return False
     # The mean, because many messages may be recorded at once.
