@@ -21,7 +21,7 @@ demo: .venv/run.stamp
 paper: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --preset levy-klein --output replay --force --rerun
 
-# Nine minutes on two cores. Style, types and imports are looked at beside the tests, and told of if they fail.
+# Six minutes on two cores. Style, types and imports are looked at beside the tests, and told of if they fail.
 test: .venv/test.stamp
 	@$(MAKE) --no-print-directory style > .venv/style.log 2>&1 & style=$$!; \
 	$(COMPILE) && $(PYTEST) -m "not nightly"; tests=$$?; \

@@ -88,11 +88,11 @@ def read_package(folder: Path) -> list[Page]:
 
 def read_page(source: str, name: str) -> Page:
     """Take a file apart into its tree and its lines of code."""
-    tree = ast.parse(source)
+    nodes = tuple(ast.walk(ast.parse(source)))
     lines = source.splitlines()
     identifiers = 0
     code = set[int]()
-    documentation = _documentation_lines(tree)
+    documentation = _documentation_lines(nodes)
     for token in _tokens_of_code(source):
         code.update(range(token.start[0], token.end[0] + 1))
         if token.start[0] not in documentation and _is_identifier(token):
@@ -100,16 +100,16 @@ def read_page(source: str, name: str) -> Page:
     code -= documentation
     return Page(
         name,
-        tuple(ast.walk(tree)),
+        nodes,
         tuple(lines[number - 1] for number in sorted(code)),
         identifiers,
     )
 
 
-def _documentation_lines(tree: ast.Module) -> set[int]:
+def _documentation_lines(nodes: Iterable[ast.AST]) -> set[int]:
     """Return the numbers of the lines of docstrings, and of strings that stand behind a name."""
     found = set[int]()
-    for node in ast.walk(tree):
+    for node in nodes:
         if not isinstance(node, ast.Module | ast.ClassDef | FunctionNode):
             continue
         for statement in node.body:

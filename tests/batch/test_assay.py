@@ -100,6 +100,7 @@ def test_pings_of_the_control_with_a_delay_count_as_earlier(dive: Dive) -> None:
     np.testing.assert_array_equal(delayed.imu.time_ns, dive.imu.time_ns)
 
 
+@pytest.mark.nightly
 def test_every_control_does_something_to_the_errors(rows: list[AssayRow]) -> None:
     assert list(dict.fromkeys(row.filter for row in rows)) == list(CONTROLS)
     for control in CONTROLS:

@@ -49,6 +49,7 @@ def without_tool(report: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in report.items() if key not in ("tool", "files")}
 
 
+@pytest.mark.nightly
 def test_a_dive_without_a_noise_gets_one_that_fits_and_a_line_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -143,6 +144,7 @@ def test_a_result_with_another_noise_is_not_replaced(dives: list[Path], tmp_path
         ("dvl.velocity_sd_mps=0.02", "dvl.velocity_sd_mps", 0.02),
     ],
 )
+@pytest.mark.nightly
 def test_both_sides_of_a_change_have_the_noise_before_it(
     change: str, key: str, value: float, dives: list[Path], tmp_path: Path
 ) -> None:

@@ -108,6 +108,7 @@ def merge_in(text: str) -> str:
     return found[1]
 
 
+@pytest.mark.nightly
 def test_a_slurm_array(vehicle: Path, tmp_path: Path) -> None:
     text = (FLEET / "slurm.sh").read_text("utf-8")
     assert subprocess.run(["bash", "-n", FLEET / "slurm.sh"], check=False).returncode == 0
@@ -123,6 +124,7 @@ def test_a_slurm_array(vehicle: Path, tmp_path: Path) -> None:
     assert_whole([*calls, merge_in(text)], vehicle, tmp_path)
 
 
+@pytest.mark.nightly
 def test_an_array_job_of_aws_batch(vehicle: Path, tmp_path: Path) -> None:
     text = (FLEET / "aws_batch.sh").read_text("utf-8")
     assert subprocess.run(["bash", "-n", FLEET / "aws_batch.sh"], check=False).returncode == 0
@@ -175,6 +177,7 @@ def test_a_matrix_of_github_jobs(vehicle: Path, tmp_path: Path) -> None:
     assert_whole(calls, vehicle, tmp_path)
 
 
+@pytest.mark.nightly
 def test_a_workflow_of_snakemake(vehicle: Path, tmp_path: Path) -> None:
     """Its targets are the files that shards leave, and its commands make them."""
     rules = dict(

@@ -169,6 +169,7 @@ def test_several_files_and_a_change(archive: Path, tmp_path: Path) -> None:
         insdvl_replay.calibrate([archive / "one.mcap", archive / "tuesday" / "two.mcap"])
 
 
+@pytest.mark.nightly
 def test_inspect_studies_and_check_use_it(archive: Path, tmp_path: Path) -> None:
     log = archive / "one.mcap"
     for command in (["inspect"], ["study", "observability"], ["study", "window"]):

@@ -138,6 +138,7 @@ def test_merged_shards_are_one_run(whole: Path, parts: Path) -> None:
 
 
 @pytest.mark.parametrize("options", [("--format", "csv"), ("--table", "pooled"), ("-q",), ("-v",)])
+@pytest.mark.nightly
 def test_a_merge_prints_what_a_run_prints(
     archive: Path, whole: Path, parts: Path, options: tuple[str, ...]
 ) -> None:
@@ -151,6 +152,7 @@ def test_a_merge_prints_what_a_run_prints(
     assert done.stdout == run.stdout.replace("whole/", "elsewhere/")
 
 
+@pytest.mark.nightly
 def test_shards_have_the_noise_that_one_run_fits(archive: Path, tmp_path: Path) -> None:
     logs = Path(shutil.copytree(archive, tmp_path / "logs"))
     whole = one_run(logs, *QUICK)
@@ -187,6 +189,7 @@ def test_a_single_dive_has_no_overviews(archive: Path, tmp_path: Path) -> None:
     assert bytes_of(tmp_path / "merged") == bytes_of(tmp_path / "whole")
 
 
+@pytest.mark.nightly
 def test_a_shard_fetches_its_own_logs_and_those_that_the_noise_is_fitted_to(
     archive: Path, tmp_path: Path, cache: Path
 ) -> None:
@@ -202,6 +205,7 @@ def test_a_shard_fetches_its_own_logs_and_those_that_the_noise_is_fitted_to(
             assert server.asked.count("GET") == fetched
 
 
+@pytest.mark.nightly
 def test_a_check_of_a_shard_has_the_noise_of_all_dives(archive: Path, tmp_path: Path) -> None:
     gate = '[[gate]]\nname = "near"\ntable = "evidence"\nrow = "position"\ncolumn = "ratio"\nmax = 9.0'
     (tmp_path / "gates.toml").write_text(f'dives = ["{archive}/dive_*.mcap"]\n{gate}\n')

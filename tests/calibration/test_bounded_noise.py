@@ -77,6 +77,7 @@ def test_a_long_dive_begins_with_its_first_ping(dive: Dive) -> None:
     assert span.end_s == pytest.approx(LONGEST_S + 100.0, abs=2.0)
 
 
+@pytest.mark.nightly
 def test_the_same_noise_is_found_with_fewer_readings(
     dive: Dive, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -105,6 +105,7 @@ def held_out(drift_m: float, nis: float) -> tuple[HeldOutRow, ...]:
         (0.763, 0.9, ("Use the new settings: .*", "Change the noise: .*"), (True, True)),
     ],
 )
+@pytest.mark.nightly
 def test_what_is_worse_on_held_out_dives_is_not_written(
     drift_m: float,
     nis: float,

@@ -222,6 +222,7 @@ def commented(folder: Path) -> str:
     return (folder / "called").read_text().splitlines()[-1]
 
 
+@pytest.mark.nightly
 def test_the_job_of_a_part_runs_as_it_stands(archive: Path) -> None:
     """One of four dives: what is installed, the names of caches and pages, and the comment."""
     runner = checked(archive, "1/4")

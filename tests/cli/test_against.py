@@ -62,6 +62,7 @@ def test_it_prints_what_compare_prints(
     assert {path.name for path in results.iterdir()} == {"before", "after"}
 
 
+@pytest.mark.nightly
 def test_several_are_one_change_of_any_section(
     dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

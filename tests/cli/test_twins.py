@@ -139,6 +139,7 @@ def test_settings_in_a_file_are_used_without_a_search(logs: Path, tmp_path: Path
 # --- run --shard, merge
 
 
+@pytest.mark.nightly
 def test_shards_and_their_merge(logs: Path, tmp_path: Path) -> None:
     config = load_config(settings=ONE_START)
     for number in (1, 2):

@@ -175,6 +175,7 @@ def test_a_full_disk_costs_the_time_to_compile(tmp_path: Path) -> None:
     assert files_in(tmp_path / "cache") == []
 
 
+@pytest.mark.nightly
 def test_code_in_a_folder_that_cannot_be_written_is_used(tmp_path: Path) -> None:
     cache, script = tmp_path / "cache", tmp_path / "script.py"
     squares(cache, script)

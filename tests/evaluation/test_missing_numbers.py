@@ -182,6 +182,7 @@ def test_reference_of_nan_alone_is_none(dive: Dive) -> None:
 @pytest.mark.parametrize(
     "quantities", [("position",), ("velocity_n",), ("mat_nb",), tuple(OF_QUANTITY)]
 )
+@pytest.mark.nightly
 def test_pages_and_trajectories_of_a_reference_that_ends_are_whole(
     tmp_path: Path, dive: Dive, quantities: tuple[str, ...]
 ) -> None:

@@ -183,14 +183,16 @@ def test_a_reference_that_moves_otherwise_gives_way_to_another(good: Dive, tmp_p
 
 
 def test_latitudes_in_radians_are_found_by_the_track(good: Dive, tmp_path: Path) -> None:
-    folder = tables_with(good, 1.0, tmp_path)
-    found = find_settings([[folder]], Given(load_config()))
+    found = find_settings([[tables_with(good, 1.0, tmp_path)]], Given(load_config()))
     assert found.config.reference.angle_unit == "rad"
     assert "the reference's angles are in radians" in " ".join(note.text for note in found.notes)
-    in_degrees = find_settings(
-        [[tables_with(good, np.rad2deg(1.0), tmp_path)]], Given(load_config())
-    )
-    assert in_degrees.config.reference.angle_unit != "rad"
+
+
+@pytest.mark.nightly
+def test_latitudes_in_degrees_stay(good: Dive, tmp_path: Path) -> None:
+    folder = tables_with(good, np.rad2deg(1.0), tmp_path)
+    found = find_settings([[folder]], Given(load_config()))
+    assert found.config.reference.angle_unit != "rad"
 
 
 def tables_with(dive: Dive, angle_size: float, folder: Path) -> Path:

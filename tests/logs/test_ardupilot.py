@@ -52,6 +52,7 @@ def heads_in(content: bytes) -> list[int]:
     return [head.start() for head in re.finditer(rb"\xa3\x95", content) if head.start() >= begin]
 
 
+@pytest.mark.nightly
 def test_replay_of_the_increments_is_that_of_the_mcap(tmp_path: Path) -> None:
     log = whole_log(dive())
     apart_mps, apart_m = instrument_logs.compare(

@@ -278,6 +278,7 @@ def test_a_straight_dive_by_two_clocks_is_refused_with_what_to_set(tmp_path: Pat
 
 
 @pytest.mark.parametrize(("scenario", "is_said"), [("straight", True), ("at sea", False)])
+@pytest.mark.nightly
 def test_clocks_that_no_motion_confirms_are_said(
     scenario: str, is_said: bool, tmp_path: Path
 ) -> None:

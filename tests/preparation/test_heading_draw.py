@@ -161,6 +161,7 @@ def test_all_filters_start_from_the_same_drawn_heading(dive: Dive) -> None:
         np.testing.assert_array_equal(own.position, other.position)
 
 
+@pytest.mark.nightly
 def test_a_filter_of_the_user_s_runs_from_the_drawn_heading_of_the_baseline() -> None:
     """The baseline as a class has the errors of the baseline from both starts, which differ."""
     dive = simulate_dive("lawnmower", seed=3, duration_s=120.0, imu_rate_hz=20.0)

@@ -212,6 +212,7 @@ def rms_m(replay: Replay) -> dict[str, float]:
     return found
 
 
+@pytest.mark.nightly
 def test_on_a_simulated_dive_the_jacobian_helps_and_the_tuned_filter_is_as_good_as_the_built_in() -> (
     None
 ):

@@ -168,6 +168,7 @@ def test_a_program_is_run_again(is_random: bool, dive: Dive, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("is_random", [False, True])
+@pytest.mark.nightly
 def test_a_program_that_reads_the_log_has_a_second_run_and_no_other(
     is_random: bool, dive: Dive, tmp_path: Path
 ) -> None:
@@ -205,6 +206,7 @@ def test_repeats_can_be_switched_off(short: Dive) -> None:
     assert not notes_of(replay, "answers_repeat") + notes_of(replay, "answers_differ")
 
 
+@pytest.mark.nightly
 def test_the_example_repeats_to_the_last_bit(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     replay = replay_dive(dive, config(Filter(candidate="dead_reckoning:DeadReckoning")))

@@ -136,6 +136,7 @@ def rows_of_others(replay: Replay) -> bytes:
 # --- The same evidence.
 
 
+@pytest.mark.nightly
 def test_the_baseline_as_a_class_has_no_effect_in_any_evidence(dive: Dive, alone: Replay) -> None:
     replay = replay_dive(dive, config(Filter(candidate=f"{HERE}:Baseline")))
     rows = evidence(replay)

@@ -134,6 +134,7 @@ def matrix_rows(page: str) -> dict[str, list[str]]:
     return rows
 
 
+@pytest.mark.nightly
 def test_a_cell_has_ratio_word_and_link_of_its_results(cells: list[Cell], place: Place) -> None:
     evidence = read_result(place.build / "published" / "set_one" / "one").tables["evidence"]
     cell = cell_of(cells, "published", "set_one")

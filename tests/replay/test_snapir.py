@@ -148,6 +148,7 @@ def test_the_example_is_as_noisy_as_it_says_along_each_axis(fitted: dict[str, Re
                 assert 0.4 < finite(row.mean_nis) / row.dof < 1.6, (run, row.measurement)
 
 
+@pytest.mark.nightly
 def test_the_example_keeps_the_depth(fitted: dict[str, Replay]) -> None:
     """After 400 s without a depth sensor: what a pitch of the mounting is off by shows here alone."""
     for run, replay in fitted.items():

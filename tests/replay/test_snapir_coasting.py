@@ -44,6 +44,7 @@ def levy_klein(snapir: Path) -> dict[str, Floats]:
     return drifts_m(snapir, "levy-klein")
 
 
+@pytest.mark.nightly
 def test_a_minute_without_velocities_costs_less_than_a_metre(
     levy_klein: dict[str, Floats],
 ) -> None:

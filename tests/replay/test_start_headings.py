@@ -94,6 +94,7 @@ def test_no_start_makes_a_compass_better_that_another_makes_worse(bias_deg: floa
         assert {one, other} != {Verdict.BETTER, Verdict.WORSE}
 
 
+@pytest.mark.nightly
 def test_a_compass_that_is_worse_than_a_perfect_start_and_better_than_the_vehicle_s_is_mixed() -> (
     None
 ):

@@ -202,6 +202,7 @@ def test_the_fingerprint_of_a_long_dive_is_small_and_finds_its_parts() -> None:
     assert names([made("part", part), made("long", long)]) == (["long"], ["dives_same"])
 
 
+@pytest.mark.nightly
 def test_thousand_dives_are_compared_in_seconds() -> None:
     draw = np.random.default_rng(1)
     at_s = tuple(range(0, 3000, 10))

@@ -163,6 +163,7 @@ def test_panels_share_the_time_and_the_track_has_the_reference(folder: Path) -> 
         result.figure("eror")
 
 
+@pytest.mark.nightly
 def test_formats_are_what_they_say_and_the_same_bytes(folder: Path, tmp_path: Path) -> None:
     begin = {"pdf": b"%PDF", "png": b"\x89PNG", "svg": b"<?xml"}
     for format_, magic in begin.items():
@@ -181,6 +182,7 @@ def test_formats_are_what_they_say_and_the_same_bytes(folder: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("format_", ["pdf", "svg", "png"])
+@pytest.mark.nightly
 def test_a_full_disk_is_reported(
     format_: str,
     folder: Path,

@@ -467,6 +467,7 @@ def test_one_run_is_printed_in_every_format_and_writes_nothing(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.nightly
 def test_interruption_leaves_nothing_and_ends_at_once(tmp_path: Path) -> None:
     arguments = [
         "study",

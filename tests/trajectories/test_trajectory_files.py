@@ -195,6 +195,7 @@ def test_times_are_exact_however_they_are_written(tmp_path: Path, line: str) -> 
 # --- Topics of logs.
 
 
+@pytest.mark.nightly
 def test_topics_of_logs_are_compared_dive_by_dive(tmp_path: Path) -> None:
     for number in range(3):
         write_odometry(tmp_path / "dives" / f"dive_{number}.mcap", number)
