@@ -579,6 +579,7 @@ def test_a_log_of_six_hours_takes_two_requests_and_512_kib(chunk_s: float) -> No
         ({"announced": 100}, "other bytes"),
     ],
 )
+@pytest.mark.nightly
 def test_a_summary_that_cannot_be_trusted_is_refused(
     server: LogServer, monkeypatch: pytest.MonkeyPatch, fault: dict[str, Any], said: str
 ) -> None:
@@ -622,6 +623,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     service.stop()
 
 
+@pytest.mark.nightly
 def test_logs_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None:
     bucket.pipe("dives/dive.mcap", LOG)
     url = "s3://dives/dive.mcap"
@@ -639,6 +641,7 @@ def test_logs_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None:
         fetched("s3://dives/none.mcap")
 
 
+@pytest.mark.nightly
 def test_of_a_log_in_a_bucket_that_a_camera_fills_parts_are_fetched(
     bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -162,6 +162,7 @@ def test_shards_have_the_noise_that_one_run_fits(archive: Path, tmp_path: Path) 
     assert bytes_of(tmp_path / "merged") == bytes_of(whole)
 
 
+@pytest.mark.nightly
 def test_all_shards_may_be_in_one_folder_and_in_that_of_the_results(
     archive: Path, whole: Path, tmp_path: Path
 ) -> None:

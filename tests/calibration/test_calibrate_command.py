@@ -266,6 +266,7 @@ def test_an_interruption_leaves_nothing(
     assert list(tmp_path.rglob("*")) == [made]
 
 
+@pytest.mark.nightly
 def test_a_terminal_sees_how_far_it_is(
     dives: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -557,6 +557,7 @@ def test_a_dive_that_was_not_fitted_says_whether_it_helped(found: Calibration) -
     assert finite(row.drift_after_m) < finite(row.drift_before_m)
 
 
+@pytest.mark.nightly
 def test_perfect_settings_are_left_where_they_are() -> None:
     exact = as_read(exact_dive("figure-eight", duration_s=250.0))
     found = calibrated(exact)

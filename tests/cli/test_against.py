@@ -43,6 +43,7 @@ def against(dives: Path, results: Path, *arguments: str) -> int:
     return run_command_line(["run", str(dives), "-o", str(results), *SETTLED, *arguments])
 
 
+@pytest.mark.nightly
 def test_it_prints_what_compare_prints(
     dives: Path, results: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -135,6 +135,7 @@ class Noise(UserNoise):
 """
 
 
+@pytest.mark.nightly
 def test_code_that_ends_its_process_fails_one_dive_and_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

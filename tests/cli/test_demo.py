@@ -32,6 +32,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("short")
+@pytest.mark.nightly
 def test_each_stage_has_a_line_and_each_answer_a_page(tmp_path: Path) -> None:
     done = done_here("demo", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")

@@ -178,6 +178,7 @@ def test_annotations_are_commands_of_ours_alone() -> None:
     assert not ACTING.search(first)
 
 
+@pytest.mark.nightly
 def test_run_and_its_folder(hostile: Path) -> None:
     dive = f"{DIVE}.mcap"
     for text in spoken(["run", dive, "-v"], hostile, 0):

@@ -28,6 +28,7 @@ sys.exit(int(_get_madvise_hugepage()))
     sys.platform != "linux", reason="only Linux has huge pages that numpy asks for"
 )
 @pytest.mark.parametrize("wish", ["0", "1", None])
+@pytest.mark.nightly
 def test_numpy_asks_for_huge_pages_only_if_the_user_wants_it(wish: str | None) -> None:
     environment = {
         name: value for name, value in os.environ.items() if name != "NUMPY_MADVISE_HUGEPAGE"

@@ -62,6 +62,7 @@ def proposed(path: Path, found: list[Message], **initial: Any) -> dict[str, Sett
 
 
 @pytest.mark.parametrize("in_world", [False, True])
+@pytest.mark.nightly
 def test_velocity_in_the_world_is_reported_by_the_positions(
     in_world: bool, tmp_path: Path
 ) -> None:

@@ -161,6 +161,7 @@ def test_a_straight_dive_tells_nothing(grade: str, seed: int) -> None:
     assert clock_by_motion(dive.imu, [velocities(dive)]) is None
 
 
+@pytest.mark.nightly
 def test_another_dive_is_not_taken_for_this_one() -> None:
     dive = simulated(at_sea(6), 6)
     other = simulated(at_sea(7), 7)
@@ -288,6 +289,7 @@ def test_clocks_that_no_motion_confirms_are_said(
     assert ("file_clock_unconfirmed" in codes) == is_said
 
 
+@pytest.mark.nightly
 def test_pings_of_outages_are_held_back_by_the_clock_of_the_imu(tmp_path: Path) -> None:
     dive = simulated(at_sea(10), 10, imu_hz=50.0)
     paths = written(tmp_path, dive, OFFSET_S)

@@ -173,6 +173,7 @@ def test_variables_without_a_prefix_are_a_table(tmp_path: Path) -> None:
     assert [channel.topic for channel in open_recording(tmp_path / "m.alog").channels] == ["X"]
 
 
+@pytest.mark.nightly
 def test_table_that_is_too_wide_is_refused_before_it_is_made(tmp_path: Path) -> None:
     lines = ["%% LOGSTART 1000000000"]
     for number in range(40_000):

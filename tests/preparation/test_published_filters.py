@@ -268,6 +268,7 @@ class WithoutCorrelation(correlated_noise.CorrelatedNoise):
     rho = 0.0
 
 
+@pytest.mark.nightly
 def test_correlation_shrinks_sigma_and_none_is_the_usual_filter(dive: Dive) -> None:
     usual = solution_of(kalman_filter.KalmanFilter, dive)
     without = solution_of(WithoutCorrelation, dive)

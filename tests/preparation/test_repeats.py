@@ -338,6 +338,7 @@ def test_one_sample_in_ten_thousand_is_repeated() -> None:
 # --- Processor time.
 
 
+@pytest.mark.nightly
 def test_the_processor_time_of_each_filter_is_known(short: Dive) -> None:
     replay = replay_dive(short, config(of_class("Burning"), repeats=False))
     assert replay.cpu_s.keys() == {"baseline", "mine"}

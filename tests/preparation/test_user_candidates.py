@@ -458,6 +458,7 @@ def test_a_class_that_hangs_is_ended(short: Dive, short_alone: Replay) -> None:
     assert rows_of_others(replay) == rows_of_others(short_alone)
 
 
+@pytest.mark.nightly
 def test_a_process_that_a_class_left_behind_is_not_waited_for(short: Dive) -> None:
     began_s = time.monotonic()
     replay = replay_dive(short, config(Filter(candidate=f"{FAILING}:Daemon")))

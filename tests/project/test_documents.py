@@ -312,6 +312,7 @@ def test_every_page_of_the_site_can_be_reached(tmp_path: Path) -> None:
             )
 
 
+@pytest.mark.nightly
 def test_the_site_is_built_strictly(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="needs mkdocs")
     pytest.importorskip("latex2mathml", reason="needs latex2mathml")

@@ -48,6 +48,7 @@ def test_commands_of_the_screens_have_their_output(name: Path) -> None:
 
 
 @pytest.mark.parametrize("name", pictures.PICTURES)
+@pytest.mark.nightly
 def test_pictures_are_what_the_program_draws(name: str) -> None:
     """Places may differ by the last digit that is written, a tenth of a pixel: machines round in their own ways."""
     shown, drawn = (pictures.PROJECT / name).read_text("utf-8"), pictures.PICTURES[name]().decode()

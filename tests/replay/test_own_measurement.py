@@ -58,6 +58,7 @@ def test_it_is_met_evaluated_and_shown() -> None:
 
 
 @pytest.mark.parametrize("name", ["PlainSpeed", "ImportingSpeed"])
+@pytest.mark.nightly
 def test_what_cannot_be_compiled_gives_the_same_and_says_so(name: str) -> None:
     compiled, plain = replayed("own_sensors:Speed", 20.0), replayed(f"own_sensors:{name}", 20.0)
     np.testing.assert_allclose(

@@ -468,6 +468,7 @@ def killed_at_random(lake: Path, seed: int) -> None:
     pd.testing.assert_frame_equal(rows_of(lake), before, obj=f"rows after a kill, seed {seed}")
 
 
+@pytest.mark.nightly
 def test_a_kill_at_a_random_moment_keeps_each_row_once(twelve: Path) -> None:
     killed_at_random(twelve, seed=0)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 import pandas as pd
+import pytest
 from made_reports import report, tables, unreferenced
 from taken_apart import Document, forest_rows
 
@@ -153,6 +154,7 @@ def test_index_allows_its_own_script_alone() -> None:
     assert len(document.texts["script"]) == 1
 
 
+@pytest.mark.nightly
 def test_page_of_a_study_shows_its_findings_pictures_tables_and_losses(tmp_path: Path) -> None:
     figure = singular_value_figure("Singular values", VALUES, 1e-6)
     save_result(replace(study(), figures={"singular_values": figure}), tmp_path, png=True)
