@@ -1,7 +1,8 @@
-"""Compile every filter that the tests run, one after the other in this process.
+"""Compile every filter that the tests of a commit run, one after the other in this process.
 
 Each number of states is a filter of its own to the compiler, with or without a measurement of a user's. What they
-share is compiled once in a process. Two workers that meet a filter at the same time would both compile it.
+share is compiled once in a process. Two workers that meet a filter at the same time would both compile it. Those that
+only tests of the night run are compiled when they meet them.
 """
 
 from insdvl_replay.cli import run_command_line
@@ -14,10 +15,7 @@ BUILT_IN = ("velocity",)
 WITH_A_USERS = ("velocity", "own_sensors:Speed")
 FILTERS = {
     "twelve": Filter(aiding=BUILT_IN),
-    "thirteen": Filter(aiding=BUILT_IN, states=("dvl_scale",)),
     "fifteen": Filter(aiding=BUILT_IN, states=("position",)),
-    "sixteen": Filter(aiding=BUILT_IN, states=("position", "dvl_scale")),
-    "seventeen": Filter(aiding=BUILT_IN, states=("position", "dvl_scale", "dvl_yaw")),
     "twelve_and_a_users": Filter(aiding=WITH_A_USERS),
     "fifteen_and_a_users": Filter(aiding=WITH_A_USERS, states=("position",)),
 }

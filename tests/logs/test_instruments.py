@@ -51,9 +51,11 @@ def written(folder: Path, kind: str) -> tuple[Written, Told, list[Path]]:
 @pytest.mark.parametrize(
     "kind",
     [
-        pytest.param(kind, marks=pytest.mark.nightly) if kind.startswith("pd") else kind
+        kind
+        if kind in ("nucleus", "water_linked_serial")
+        else pytest.param(kind, marks=pytest.mark.nightly)
         for kind in FORMATS
-    ],  # `test_teledyne` replays those of Teledyne each day
+    ],  # one that has an IMU and one that has none; `test_teledyne` replays those of Teledyne each day
 )
 def test_replay_is_that_of_the_mcap(kind: str, tmp_path: Path) -> None:
     known, dive, paths = written(tmp_path, kind)

@@ -662,6 +662,7 @@ def test_a_held_out_sensor_that_is_misread_is_reported_without_a_reference(
     ] == told
 
 
+@pytest.mark.nightly
 def test_what_a_filter_estimates_of_its_sensors_is_noted() -> None:
     dive = simulated(duration_s=300.0, position=SensorErrors(1.0, 1.0))
     scaled = Filter(aiding=("velocity", "position"), states=("dvl_scale",))
