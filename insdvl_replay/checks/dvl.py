@@ -245,7 +245,7 @@ def _pairs_of_fixes(fix_ns: TimeNs, ping_ns: TimeNs, sample_ns: TimeNs) -> tuple
 
 
 def _side_of_pauses(time_ns: TimeNs, sample_ns: TimeNs) -> tuple[int, Mask]:
-    """Between which long pauses of the IMU most times lie, counted from 0, and which times these are.
+    """Return on which side of the IMU's long pauses most times lie, counted from 0, and which times these are.
 
     How far the vehicle turned in a pause is unknown, so that one rotation fits the track of one side alone.
     """

@@ -329,8 +329,9 @@ def _read_with_reference(
         without = with_values(config, "reference", ignore=True)
         with suppress(UserError):
             dive = read_checked_dive(paths, in_radians, allow_damaged=allow_damaged)
-            notes.append(note("found_reference radians"))
-            return dive, in_radians, ""
+            if not _contradictions(dive):
+                notes.append(note("found_reference radians"))
+                return dive, in_radians, ""
         try:
             dive = read_checked_dive(paths, without, allow_damaged=allow_damaged)
         except UserError:
@@ -344,7 +345,7 @@ def _read_with_reference(
             latency_s=round(config.reference.latency_s + late_s, LATENCY_DIGITS),
         )
         dive = read_checked_dive(paths, config, allow_damaged=allow_damaged)
-    contradictions = [note for note in dive.notes if note.code in CONTRADICTIONS]
+    contradictions = _contradictions(dive)
     if not contradictions or not is_free:
         return dive, config, ""
     config = with_values(config, "reference", ignore=True)
@@ -355,6 +356,11 @@ def _read_with_reference(
         config = with_values(config, "initial", latitude_deg=latitude_deg)
     without_reference = read_checked_dive(paths, config, allow_damaged=allow_damaged)
     return without_reference, config, contradictions[0].text
+
+
+def _contradictions(dive: Dive) -> list[Note]:
+    """Return the notes that the reference of a dive contradicts its other sensors."""
+    return [note for note in dive.notes if note.code in CONTRADICTIONS]
 
 
 def _late_reference_s(dive: Dive, given: Given) -> float:

@@ -246,9 +246,8 @@ class _References:
     ) -> None:
         self.log = log
         self.proposed_draft = draft
-        self.draft = (
-            draft  # with the reference that was read last; it ignores all where none can be used
-        )
+        # With the reference that was read last; it ignores all where none can be used.
+        self.draft = draft
         self.left_out = left_out
         self.proposed = proposed
         asked = given.reference
@@ -303,6 +302,8 @@ class _References:
                 break
             self.repeating[self.topics[0]] = of_dvl
             reference = self.read_next()
+        if reference is None and self.repeating:
+            self.draft = with_values(self.draft, "reference", ignore=True)
         for topic, of_dvl in self.repeating.items():
             if reference is not None:
                 self.left_out.notes.append(
@@ -316,8 +317,7 @@ class _References:
         """Return whether a replay would read a proposed reference that cannot be used, and that nobody asked for."""
         if self.is_asked or not self.proposed:
             return False
-        first = self.proposed[0].topic
-        return self.is_reduced or first in self.left_out.errors or first in self.repeating
+        return self.is_reduced or self.proposed[0].topic in self.left_out.errors
 
 
 def _topics_of(sources: Sequence[Source]) -> Topics:

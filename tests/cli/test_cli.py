@@ -468,6 +468,7 @@ def test_our_error_is_exit_4_and_shows_its_place_only_when_asked(
     assert re.search(r"error: internal error: ZeroDivisionError: a slip; hint: ", err)
 
 
+@pytest.mark.nightly
 def test_a_reader_that_goes_away_ends_the_printing_not_the_work(
     dive: Path, tmp_path: Path
 ) -> None:

@@ -10,7 +10,7 @@ import pytest
 from rosbag_messages import START_NS, Message, header, write_log, xyz
 
 from insdvl_replay.calibration.found import Given
-from insdvl_replay.core.config import Config, Imu
+from insdvl_replay.core.config import Config, Imu, Reference
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note
@@ -145,6 +145,13 @@ def test_fixes_beside_dead_reckoning_of_the_dvl_are_the_reference(tmp_path: Path
     assert "/dvl/odom is not used as reference: its velocities are those of /bottom" in left_out(
         found
     )
+    # Fixes that are named belong to the solution beside them, which is the DVL's.
+    named = Config(reference=Reference(fix="/gps"))
+    beside = read(
+        tmp_path, imu(), dvl("/bottom"), odometry("/dvl/odom"), fixes("/gps"), config=named
+    )
+    assert beside.reference is None
+    assert beside.draft.reference.ignore
 
 
 def test_references_are_tried_one_after_the_other(tmp_path: Path) -> None:

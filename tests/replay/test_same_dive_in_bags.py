@@ -21,6 +21,7 @@ def tables(log: Path, output: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.glob("*.csv")}
 
 
+@pytest.mark.nightly
 def test_every_kind_of_log_gives_the_tables_of_its_mcap(tmp_path: Path) -> None:
     log = tmp_path / "mcap" / "dive.mcap"
     log.parent.mkdir()
