@@ -491,3 +491,19 @@ def test_without_checksums_no_mutation_brings_a_traceback(tmp_path: Path) -> Non
                 read_dive(path, Config(), allow_damaged=allow_damaged)
             except (LogError, ConfigError):
                 continue
+
+
+@pytest.mark.parametrize("container", ["zstd", "no message index"])
+def test_a_chunk_that_two_readers_lose_is_lost_once(container: str, tmp_path: Path) -> None:
+    data = small_log(container)
+    start, end = records(data, CHUNK)[-1]
+    path = tmp_path / "dive.mcap"
+    path.write_bytes(changed(data, (start + end) // 2, bytes(40)))
+    part = open_recording(path, allow_damaged=True).parts[0]
+    ids = [channel.id for channel in part.channels]
+    first = part.blocks(ids)
+    count = len(next(first))
+    again = sum(len(block) for block in part.blocks(ids))
+    count += sum(len(block) for block in first)
+    assert count == again < MESSAGES
+    assert len(part.damages) == 1

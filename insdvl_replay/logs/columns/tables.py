@@ -352,6 +352,9 @@ class _Builder:
         self.every = max(1, math.ceil(announced / MOST_SAMPLED))
         self.count = 0
         self.seen = Counter[int]()  # messages by channel
+        # Found before any message is read, since they look through the whole file themselves.
+        self.clock = log.one_clock
+        self.side = log.one_side
         self.others = 0
         self.has_whole_times = False
         self.runs: list[
@@ -405,12 +408,12 @@ class _Builder:
 
     def _of_one_clock(self, block: Block) -> Block:
         """Return the messages of a block with the clock that is used. Rows of a side count among those of its part."""
-        if self.log.one_clock is not None:
-            block = block.part(np.flatnonzero(self.log.one_clock.holds(block.log_time)))
-        if self.log.one_side is not None:
+        if self.clock is not None:
+            block = block.part(np.flatnonzero(self.clock.holds(block.log_time)))
+        if self.side is not None:
             first = self.seen[block.channel_id]
             self.seen[block.channel_id] += len(block)
-            used = self.log.one_side.holds_rows(block.channel_id, first, block.log_time)
+            used = self.side.holds_rows(block.channel_id, first, block.log_time)
             block = block.part(np.flatnonzero(used))
         return block
 

@@ -620,8 +620,10 @@ class ChunkedFile(LogFile):
                 self._lose(chunk)
 
     def _lose(self, chunk: Chunk) -> None:
-        self._chunks.remove(chunk)
-        self._lost.append(chunk)
+        """Leave a chunk out; another reader of the same file, that was further, may have lost it already."""
+        if chunk in self._chunks:
+            self._chunks.remove(chunk)
+            self._lost.append(chunk)
 
     def _counts(self) -> Counter[int]:
         """Count the messages of each channel."""
