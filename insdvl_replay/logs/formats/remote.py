@@ -501,20 +501,24 @@ def _within(
     """Do work that waits for a server, in a thread that is left alone if it takes too long or is no longer wanted."""
     outcome = Future[T]()
 
+    def require_wanted() -> None:
+        if is_stopped():
+            raise InterruptedError("stopped")
+
     def do() -> None:
         try:
             outcome.set_result(work())
         except BaseException as error:
             outcome.set_exception(error)
 
+    require_wanted()  # before a short transfer is over
     Thread(target=do, daemon=True).start()
     until_s = time.monotonic() + longest_s
     while not outcome.done():
         left_s = until_s - time.monotonic()
         if left_s <= 0.0:
             raise TimeoutError(f"it takes longer than {longest_s:g} s")
-        if is_stopped():
-            raise InterruptedError("stopped")
+        require_wanted()
         wait([outcome], timeout=min(left_s, _LOOKED_S))
     return outcome.result()
 
