@@ -295,6 +295,12 @@ class Navigation(Section, frozen=True):
         str | None, Comment("field path, m above the ellipsoid; left out: by type")
     ] = None
     depth: Annotated[str | None, Comment("field path, m; replaces height")] = None
+    local_position: Annotated[
+        str | None,
+        Comment(
+            "field path, m from the initial place, in these axes; left out: by type; latitude goes before it"
+        ),
+    ] = None
     velocity_n: Annotated[
         str | None,
         Comment(
@@ -377,6 +383,7 @@ TOPIC_KEYS: Final = (
     "longitude",
     "height",
     "depth",
+    "local_position",
     "velocity_n",
     "velocity_b",
     "quaternion",

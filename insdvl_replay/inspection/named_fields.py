@@ -9,6 +9,7 @@ from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.units import (
     ANGULAR_RATE_UNITS,
+    LENGTH_UNITS,
     SPECIFIC_FORCE_UNITS,
     VELOCITY_UNITS,
 )
@@ -25,6 +26,7 @@ from insdvl_replay.logs.columns.flags import flag_columns
 from insdvl_replay.logs.columns.named_columns import (
     ATTITUDE,
     PLACE,
+    positions_by_direction,
     reference_columns,
     velocity_columns,
 )
@@ -324,7 +326,8 @@ def reference_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterato
     for quantity, path in fields.items():
         yield Setting(f"reference.{quantity}", path)
     angles = [fields[quantity] for quantity in (*PLACE, *ATTITUDE) if quantity in fields]
-    yield _angle_unit(best, angles)
+    if angles:
+        yield _angle_unit(best, angles)
     yield from _stamp_setting(log, best, "reference")
 
 
@@ -348,16 +351,31 @@ def _reference_fields(topic: ProbedTopic) -> dict[str, str]:
             found = {
                 quantity: path for quantity, path in found.items() if quantity not in together
             }
-    if not found.keys() & {*PLACE, *ATTITUDE}:
+    if "latitude" not in found:
+        found |= _positions_in_metres(topic)
+    if not found.keys() & {*PLACE, *ATTITUDE, "local_position"}:
         return {}
     if "latitude" in found and "depth" not in found:
         height = _negative_altitude(topic)
         if height is not None:
             found["height"] = height
     velocity = velocity_columns(topic.scalars)
-    if velocity is not None:
+    # The velocities are named north, east and down: `axes` would turn them, too.
+    if velocity is not None and found.get("axes") != "enu_flu":
         found["velocity_n"] = velocity
     return found
+
+
+def _positions_in_metres(topic: ProbedTopic) -> dict[str, str]:
+    """Find positions that are named by directions, and the axes that these are; none that are in another unit."""
+    by_direction = positions_by_direction(topic.scalars)
+    if by_direction is None:
+        return {}
+    path, axes = by_direction
+    stated = topic.stated_unit(path)
+    if stated and stated not in LENGTH_UNITS:
+        return {}
+    return {"local_position": path, "axes": axes}
 
 
 def _negative_altitude(topic: ProbedTopic) -> str | None:

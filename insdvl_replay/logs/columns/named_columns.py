@@ -19,11 +19,14 @@ ATTITUDE: Final = ("roll", "pitch", "heading")
 _HEIGHT: Final = re.compile(r"(^|[._])height([._]|$)")
 _NORTH: Final = re.compile(r"(?i)(.*(?:v|vel|velocity)_?)(n|north)((?:_mps|_m_s)?)")
 _EAST_AND_DOWN: Final = {"n": ("e", "d"), "north": ("east", "down")}
+_NORTH_AND_UP: Final = {"e": ("n", "u"), "east": ("north", "up")}
 # Positions in metres, and quaternions, by their components; a table such as EuRoC's writes ``p_RS_R_x``.
 _LOCAL: Final = re.compile(
     r"((?:.*_)?(?:p|pos|position|t|trans|translation|p_rs_r)_?|pose_|)([xyz])((?:_m)?)"
 )
-_IN_NED: Final = re.compile(r"((?:(?:.*_)?(?:p|pos|position)_)?)(north|n)((?:_m)?)")
+_IN_NED: Final = re.compile(r"((?:(?:.*_)?(?:p|pos|position)_?)?)(north|n)((?:_m)?)")
+_IN_ENU: Final = re.compile(r"((?:(?:.*_)?(?:p|pos|position)_?)?)(east|e)((?:_m)?)")
+_WITHOUT_HEIGHT: Final = re.compile(r"((?:(?:.*_)?(?:p|pos|position|utm)_?)?)(easting|east)((?:_m)?)")
 _QUATERNION: Final = re.compile(
     r"((?:.*_)?(?:q|quat|quaternion|orientation|rot|rotation|q_rs)_?)([xyzw])()"
 )
@@ -42,6 +45,24 @@ class NamedColumns:
 def velocity_columns(names: Collection[str]) -> str | None:
     """Return three columns such as ``vn``, ``ve``, ``vd`` or ``vel_north``, ``vel_east``, ``vel_down``."""
     return _family(names, _NORTH, _EAST_AND_DOWN)
+
+
+def positions_by_direction(names: Collection[str]) -> tuple[str, str] | None:
+    """Return two or three columns of positions in metres that are named by directions, and the axes that these are.
+
+    They are such as ``north, east, down``, ``pos_e, pos_n, pos_u`` or ``easting, northing``; the axes are those of the
+    settings.
+    """
+    in_ned = _family(names, _IN_NED, _EAST_AND_DOWN)
+    if in_ned is not None:
+        return in_ned, "ned_frd"
+    in_enu = _family(names, _IN_ENU, _NORTH_AND_UP)
+    if in_enu is not None:
+        return in_enu, "enu_flu"
+    flat = _family(names, _WITHOUT_HEIGHT, {"easting": ("northing",), "east": ("north",)})
+    if flat is not None:
+        return flat, "enu_flu"
+    return None
 
 
 def trajectory_columns(names: Iterable[str]) -> NamedColumns:

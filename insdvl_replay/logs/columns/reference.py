@@ -71,6 +71,8 @@ _NORTHS: Final = (("pose_frame", _NED), ("local_frame", _OLD_NED))
 SIZE: Final = 9  # velocity error, misalignment and position error
 DP: Final = slice(6, 9)
 _LARGEST: Final = 1e30  # powers of larger variances are no numbers
+_FLAT: Final = 2  # numbers of a position without a height
+_FARTHEST_M: Final = 100e3  # of a position from where the dive began
 _LONGER: Final = 0.01  # of a quaternion, more than rounding
 
 
@@ -213,7 +215,18 @@ def _drop_beyond_poles(cleaner: Cleaner, latitude: Floats) -> None:
     cleaner.keep_possible(possible, impossible_deg, "impossible latitudes")
     if not possible[cleaner.rows].all() or not cleaner.rows.size:
         what = f"{count} of {possible.size} latitudes are beyond the poles"
+        if _are_degrees_and_minutes(impossible_deg):
+            what += (
+                f", such as {impossible_deg[0]:.8g}: degrees and minutes, as NMEA 0183 writes them"
+            )
+            hint = "write them as degrees"
         raise LogError(what, hint, *cleaner.table.where)
+
+
+def _are_degrees_and_minutes(latitudes: Floats) -> bool:
+    """Return whether numbers are 100 times degrees, and then minutes: NMEA 0183 writes 48 deg 7.038 min as 4807.038."""
+    degrees, minutes = np.divmod(np.abs(latitudes), 100.0)
+    return bool((degrees <= 90.0).all() and (minutes < 60.0).all())
 
 
 def heights_without_marks(cleaner: Cleaner, height_m: Floats) -> Floats:
@@ -280,7 +293,7 @@ def _position(
     if "latitude" in table:
         return _position_on_earth(table, settings, cleaner)
     if "local_position" in table:
-        return _position_from_origin(table, settings, initial)
+        return _position_from_origin(table, settings, initial, cleaner)
     return None
 
 
@@ -299,7 +312,9 @@ def _position_on_earth(table: Table, settings: Navigation, cleaner: Cleaner) -> 
     return np.stack([latitude, -wrap_angle(-longitude), height_m], axis=1)
 
 
-def _position_from_origin(table: Table, settings: Navigation, initial: Initial) -> Floats | None:
+def _position_from_origin(
+    table: Table, settings: Navigation, initial: Initial, cleaner: Cleaner
+) -> Floats | None:
     """Return positions that are given in metres from the messages' own origin, else from the initial position.
 
     None without an origin, and where all are zero: then the messages are about something else.
@@ -317,6 +332,7 @@ def _position_from_origin(table: Table, settings: Navigation, initial: Initial) 
         origin = given
     if np.isnan(origin).all():
         return None
+    _count_from_first(cleaner, moved_n)
     latitude = origin[:, 0] * DEG
     longitude = origin[:, 1] * DEG
     height_m = origin[:, 2]
@@ -326,8 +342,28 @@ def _position_from_origin(table: Table, settings: Navigation, initial: Initial) 
     return np.stack([north, east, height_m - down_m], axis=1)
 
 
+def _count_from_first(cleaner: Cleaner, moved_n: Floats) -> None:
+    """Count positions of a grid, such as UTM, from the first one: no dive is so far from where it began."""
+    rows = cleaner.rows[np.isfinite(moved_n[cleaner.rows, :2]).all(axis=1)]
+    if not rows.size:
+        return
+    first_m = moved_n[rows[0], :2].copy()
+    if np.abs(first_m).max() < _FARTHEST_M:
+        return
+    moved_n[:, :2] -= first_m
+    north_m, east_m = first_m.tolist()
+    cleaner.note("grid", len(rows), north_m=north_m, east_m=east_m)
+
+
 def local_position_n(table: Table, settings: Navigation) -> Floats:
-    """Return the displacements from the origin that positions in metres have, shape (k, 3), north, east, down."""
+    """Return the displacements from the origin that positions in metres have, shape (k, 3), north, east, down.
+
+    Those without a third number have NaN as down.
+    """
+    local_m = table.values("local_position")
+    if local_m.shape[1] == _FLAT:
+        north_east_m = local_m if settings.axes == "ned_frd" else local_m[:, ::-1]
+        return np.column_stack([north_east_m, np.full(len(table), np.nan)])
     local_m = table.values("local_position", 3)
     if "local_valid" in table:
         local_m = np.where(table.values("local_valid", 2)[:, [0, 0, 1]] > 0.0, local_m, np.nan)

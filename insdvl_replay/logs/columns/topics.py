@@ -119,6 +119,7 @@ _KINDS: Final = {
     "increment_s": ("time", ""),
     "depth": ("length", ""),
     "height": ("length", ""),
+    "local_position": ("length", ""),
     **dict.fromkeys(
         ("latitude", "longitude", "roll", "pitch", "heading"), ("angle", "angle_unit")
     ),
@@ -464,7 +465,7 @@ ROLES: Final = {
         quantities=TOPIC_KEYS,
         groups=("nav_solution", "odometry"),
         if_named=(*_FIXES, "poses", "flown"),
-        enough=_MOTION,
+        enough=(*_MOTION, {"local_position"}),
         together=_ANGLES,
     ),
     "fix": TopicRole("fix", groups=_FIXES, enough=[_POSITION]),
