@@ -26,7 +26,9 @@ _LOCAL: Final = re.compile(
 )
 _IN_NED: Final = re.compile(r"((?:(?:.*_)?(?:p|pos|position)_?)?)(north|n)((?:_m)?)")
 _IN_ENU: Final = re.compile(r"((?:(?:.*_)?(?:p|pos|position)_?)?)(east|e)((?:_m)?)")
-_WITHOUT_HEIGHT: Final = re.compile(r"((?:(?:.*_)?(?:p|pos|position|utm)_?)?)(easting|east)((?:_m)?)")
+_WITHOUT_HEIGHT: Final = re.compile(
+    r"((?:(?:.*_)?(?:p|pos|position|utm)_?)?)(easting|east)((?:_m)?)"
+)
 _QUATERNION: Final = re.compile(
     r"((?:.*_)?(?:q|quat|quaternion|orientation|rot|rotation|q_rs)_?)([xyzw])()"
 )

@@ -53,7 +53,7 @@ from insdvl_replay.core.states import (
 )
 from insdvl_replay.core.units import ANGLE_UNITS
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
-from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
+from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU, north_east_m
 from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, skew, wrap_angle
 from insdvl_replay.logs.columns.clean import Cleaner, note_lost_samples, stand_for_none
 from insdvl_replay.logs.columns.named_columns import PLACE
@@ -80,6 +80,11 @@ _FEW_AGAIN: Final = 0.2  # share of rows up to which values repeat by chance, su
 _LONGEST_AGAIN_S: Final = 2.5  # in which a topic repeats a value
 _LEAST_VALUES: Final = 20
 
+
+_LEAST_OFF_M: Final = 10.0  # by which a position is off that is no noise of a receiver
+_TIMES_NOISE: Final = 10.0
+_MOST_TOGETHER: Final = 5  # positions that follow one another and are off
+_FEW_OFF: Final = 0.05  # share of positions up to which those are off, and not the others
 
 # What one topic gives of `_SHAPES`, and which of its messages were taken.
 Part = tuple[Cleaner, dict[str, Floats]]
@@ -156,6 +161,8 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
         cleaner.keep(np.isfinite(position[:, 0]), "no_fix satellites")
         cleaner.drop_repeated_values(position)
     cleaner.drop_repeated_times()
+    if position is not None and isinstance(settings, Reference):
+        _clear_outliers(cleaner, position)  # a solution is judged with those that it has
     mat_nb = attitude(table, settings, cleaner)
     velocity_n = _velocity_n(table, settings, mat_nb)
     if velocity_n is not None:
@@ -202,6 +209,33 @@ def _clear_zero(cleaner: Cleaner, position: Floats) -> None:
             zero.size,
             zero,
         )
+
+
+def _clear_outliers(cleaner: Cleaner, position: Floats) -> None:
+    """Take out a few positions, (k, 3), to which and from which no vehicle moves: a satellite fix may be an echo.
+
+    Where the positions stay beyond a jump, nobody can tell which side of it is right, and both stay as they are.
+    """
+    rows = cleaner.rows[np.isfinite(position[cleaner.rows, :2]).all(axis=1)]
+    if len(rows) < _LEAST_VALUES:
+        return
+    north_m, east_m = north_east_m(position[rows], position[rows[0]], position[rows[0]])
+    place_m = north_m + 1j * east_m
+    steps_m = np.diff(place_m)
+    # Noise alone may look like a speed where positions follow one another closely.
+    noise_m = float(np.median(np.abs(np.diff(steps_m))))
+    time_s = seconds(cleaner.time_ns[rows], cleaner.time_ns[rows[0]])
+    reach_m = FASTEST_MPS * np.diff(time_s) + max(_LEAST_OFF_M, _TIMES_NOISE * noise_m)
+    piece = np.append(0, np.cumsum(np.abs(steps_m) > reach_m))
+    is_short = np.bincount(piece) <= _MOST_TOGETHER
+    is_off = is_short[piece]
+    count = int(np.count_nonzero(is_off))
+    if not count or count > _FEW_OFF * len(rows):
+        return
+    usual_m = np.interp(time_s, time_s[~is_off], place_m[~is_off])
+    largest_m = float(np.abs(place_m - usual_m)[is_off].max())
+    position[rows[is_off]] = np.nan
+    cleaner.note("impossible positions", count, rows[is_off], largest_m=largest_m)
 
 
 def _drop_beyond_poles(cleaner: Cleaner, latitude: Floats) -> None:
