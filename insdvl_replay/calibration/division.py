@@ -6,12 +6,14 @@ from enum import Enum, auto
 from typing import Final
 
 import msgspec
+import numpy as np
 
 from insdvl_replay.calibration.free_mounting import velocities_of
 from insdvl_replay.calibration.innovations import ReadDive
 from insdvl_replay.core.config import Config, Span
-from insdvl_replay.core.dive_columns import seconds
+from insdvl_replay.core.dive_columns import NS_PER_S, nanoseconds, seconds
 from insdvl_replay.core.errors import ConfigError, hint_for
+from insdvl_replay.nav.levelling import FEWEST_SAMPLES, LONGEST_PAUSE_S, levelling_samples
 
 HELD_OUT_SHARE: Final = 0.3  # of several dives, where nobody says which
 FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
@@ -61,7 +63,7 @@ class Division:
             return cls._without(dives, _spread(HELD_OUT_SHARE, len(dives)))
         (dive,) = dives
         from_s, to_s = dive.span_s
-        divide_s = from_s + FITTED_SHARE * (to_s - from_s)
+        divide_s = _start_near(dive, from_s + FITTED_SHARE * (to_s - from_s))
         earlier = _within(dive, from_s, divide_s)
         later = _within(dive, divide_s, to_s)
         return cls((earlier,), (later,), By.TIME)
@@ -122,6 +124,19 @@ def _spread(share: float, dives: int) -> set[int]:
 
 
 # --- Parts of a dive.
+
+
+def _start_near(dive: ReadDive, at_s: float) -> float:
+    """Return the first time from which the IMU measures for long enough to find the level: not just before a pause."""
+    imu = dive.dive.imu
+    first_ns = int(imu.time_ns[0])
+    at_ns = first_ns + nanoseconds(at_s)
+    pauses = np.flatnonzero(np.diff(imu.time_ns) > nanoseconds(LONGEST_PAUSE_S))
+    ends_ns = imu.time_ns[pauses + 1]
+    for start_ns in (at_ns, *ends_ns[ends_ns > at_ns].tolist()):
+        if len(levelling_samples(imu, start_ns).time_ns) >= FEWEST_SAMPLES:
+            return float(start_ns - first_ns) / NS_PER_S
+    return at_s
 
 
 def middle(dive: ReadDive) -> ReadDive:

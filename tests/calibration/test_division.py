@@ -56,6 +56,31 @@ def test_what_cannot_be_held_out_is_an_error(asked: list[str], read: ReadDive) -
         Division.asked(named(read, "abc"), asked)
 
 
+@pytest.mark.parametrize(
+    ("pauses_s", "from_s"),
+    [
+        ([], 20.0),
+        ([(20.1, 21.0)], 21.0),  # one sample would be left to find the level
+        ([(19.0, 21.5)], 20.0),  # the next sample is far enough from the next pause
+        ([(21.0, 22.0), (23.0, 24.0)], 24.0),
+        ([(23.0, 24.0)], 20.0),
+        ([(second + 0.1, second + 0.9) for second in range(20, 40)], 20.0),  # no place is better
+    ],
+)
+def test_what_tests_a_fit_does_not_begin_just_before_a_pause(
+    pauses_s: list[tuple[float, float]], from_s: float, read: ReadDive
+) -> None:
+    imu = read.dive.imu
+    time_s = seconds(imu.time_ns, imu.time_ns[0])
+    is_read = np.ones(len(time_s), bool)
+    for begin_s, end_s in pauses_s:
+        is_read &= (time_s < begin_s) | (time_s >= end_s)
+    paused = replace(read, dive=replace(read.dive, imu=imu.rows(is_read)))
+    division = Division.found([paused])
+    assert division.held_out[0].config.span.start_s == pytest.approx(from_s, abs=0.01)
+    assert division.fitted[0].config.span.end_s == pytest.approx(from_s, abs=0.01)
+
+
 def test_a_number_may_be_the_name_of_a_dive(read: ReadDive) -> None:
     division = Division.asked(named(read, "123"), ["2"])
     assert (names(division.fitted), names(division.held_out)) == ("13", "2")
