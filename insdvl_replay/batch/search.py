@@ -356,11 +356,19 @@ def _outcomes_by_groups(
         yield from contradicting
         return
     own = []
-    for dive in others:
+    for outcome in contradicting:
+        dive = outcome.job
         of_dive = settings_of_one(found, dive.target.name, common)
         known = _with_settings(dive, of_dive.config, of_dive.notes, of_dive.text)
-        own.append(replace(known, found_sha256=found.digests.get(dive.logs, "")))
-    # What the common settings gave is replaced.
+        # What the common settings gave is replaced, also where nothing was there before this run.
+        is_written = isinstance(outcome.result, Report)
+        own.append(
+            replace(
+                known,
+                found_sha256=found.digests.get(dive.logs, ""),
+                replaces=dive.replaces or is_written,
+            )
+        )
     yield from _outcomes_by_groups(own, given, common, replace(how, force=True))
 
 

@@ -7,12 +7,18 @@ import msgspec
 import numpy as np
 import pytest
 
+from insdvl_replay.batch import search
+from insdvl_replay.batch.found import FoundDive
+from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, plan_jobs
+from insdvl_replay.batch.replaying import Replaying
 from insdvl_replay.calibration.found import FoundSettings, Given, stored_settings
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.report import Report
+from insdvl_replay.inspection import automatic
 from insdvl_replay.inspection.automatic import settings_of_one
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.run import fitted_start
@@ -63,6 +69,51 @@ def test_stored_settings_are_those_found_beside_the_same_given_ones(tmp_path: Pa
     assert stored_settings(tmp_path, more) is None
     file.write_text(replace(found, given=()).text)
     assert stored_settings(tmp_path, given) is None
+
+
+def dives_of_two_axes(folder: Path, given: Given) -> list[ReplayJob]:
+    """Two dives of one vehicle, planned with the settings of the first; the IMU of the second is turned."""
+    dive = simulate_dive("figure-eight", seed=2, duration_s=20.0, imu_rate_hz=20.0)
+    turn = np.array([-1.0, -1.0, 1.0])
+    imu = replace(
+        dive.imu,
+        specific_force_b=dive.imu.specific_force_b * turn,
+        angular_rate_b=dive.imu.angular_rate_b * turn,
+    )
+    logs = [folder / "dive_1.mcap", folder / "dive_2.mcap"]
+    write_dive(logs[0], dive)
+    write_dive(logs[1], replace(dive, imu=imu))
+    found = FoundSettings(given.config, (), tuple(given.keys))
+    options = ReplayOptions(given.config, histories=False, vehicle=found.text)
+    return plan_jobs([*map(FoundDive, logs)], folder / "results", options)
+
+
+def test_result_of_common_settings_is_replaced_by_that_of_own_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where this run has written it, and without --force; a second run finds it up to date."""
+    common = load_config("fog", overrides=["evaluation.starts=1"])
+    own = load_config("fog", overrides=["evaluation.starts=1", "imu.axes=-x-y+z"])
+    given = Given(common)
+    dives = dives_of_two_axes(tmp_path, given)
+    searched = []
+
+    def find_own(logs: list[tuple[Path, ...]], *_: object, **__: object) -> FoundSettings:
+        searched.append(logs)
+        return FoundSettings(own, (), tuple(given.keys))
+
+    monkeypatch.setattr(automatic, "find_settings", find_own)
+    outcomes = [*search._outcomes_by_groups(dives, given, common, Replaying())]
+    assert searched == [[dives[1].logs]]
+    assert [outcome.job.target.name for outcome in outcomes] == ["dive_1", "dive_2"]
+    axes = []
+    for outcome in outcomes:
+        assert isinstance(outcome.result, Report)
+        axes.append(outcome.result.config["imu"]["axes"])
+    assert axes == [common.imu.axes, "-x-y+z"]
+    again = [*search.outcomes_without_settings(dives, Replaying())]
+    assert [outcome.unchanged for outcome in again] == [True, True]
+    assert [outcome.result for outcome in again] == [outcome.result for outcome in outcomes]
 
 
 @pytest.mark.nightly
