@@ -16,8 +16,9 @@ from insdvl_replay.batch.runs import replay_jobs
 from insdvl_replay.batch.workers import Pool, WorkerLostError, cluster_pool, local_pool
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note, TargetError, UserError
-from insdvl_replay.core.misfit import MISREAD, MOST_NIS, MisfitError
+from insdvl_replay.core.misfit import MISREAD, MOST_NIS, MOST_REJECTED, MisfitError
 from insdvl_replay.core.notes import note
+from insdvl_replay.core.quantities import is_used
 from insdvl_replay.core.report import Report
 from insdvl_replay.core.settings_layers import SettingsLayers
 from insdvl_replay.results.lake import LakeWriter, require_lake
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 SEARCHING = "finding the settings"
 SEARCHING_SINGLE = "finding the settings of single dives"
 FOUND_NOTHING = "found_nothing"
+# Notes of a dive that its filters could not follow.
+_DIVERGED: Final = frozenset({"gate_reopened", "not_evaluated"})
 SHARD: Final = "--shard"
 """The option with which settings that fit are not searched for, since they are found by all dives together."""
 _HINT_FOR_SHARDS: Final = (
@@ -389,12 +392,31 @@ def _contradicts(outcome: Outcome, first: Outcome) -> bool:
         return _settings_may_help(outcome)
     if _misread(outcome.result) - _misread(first.result):
         return True
+    if _has_diverged(outcome.result) and not _has_diverged(first.result):
+        return True
     return _nis_per_dof(outcome.result) > MOST_NIS >= _nis_per_dof(first.result)
 
 
 def _misread(report: Report) -> frozenset[str]:
     """Return the codes of notes that settings misread a dive."""
     return MISREAD.intersection(note.code for note in report.notes)
+
+
+def _has_diverged(report: Report) -> bool:
+    """Return whether the baseline was set to the DVL again so often that no candidate has a verdict.
+
+    A candidate that diverges alone says nothing of the settings: the baseline then rejects few velocities.
+    """
+    codes = {note.code for note in report.notes}
+    return codes >= _DIVERGED and _rejected_by_baseline(report) > MOST_REJECTED
+
+
+def _rejected_by_baseline(report: Report) -> float:
+    """Return the share of the velocities that the gate of the baseline rejects; 0 without any."""
+    for row in report.tables.consistency:
+        if row.filter == report.baseline and is_used(row.measurement):
+            return row.rejected / max(row.used + row.rejected, 1)
+    return 0.0
 
 
 def _nis_per_dof(report: Report) -> float:

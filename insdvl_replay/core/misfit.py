@@ -7,6 +7,8 @@ from insdvl_replay.core.errors import LogError
 # mean NIS/dof of a baseline whose settings fit the dive
 LEAST_NIS: Final = 0.4
 MOST_NIS: Final = 2.5
+# Share of the velocities that such a baseline rejects at most; one that diverges rejects several in a row each time.
+MOST_REJECTED: Final = 0.02
 # Warnings that name a unit, axes, a sign or a scale that is wrong.
 MISREAD: Final = frozenset(
     {

@@ -6,10 +6,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from made_reports import report as made_report
 
 from insdvl_replay.batch import search
 from insdvl_replay.batch.found import FoundDive
-from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, plan_jobs
+from insdvl_replay.batch.jobs import Outcome, ReplayJob, ReplayOptions, plan_jobs
 from insdvl_replay.batch.replaying import Replaying
 from insdvl_replay.calibration.found import FoundSettings, Given, stored_settings
 from insdvl_replay.cli import run_command_line
@@ -114,6 +115,34 @@ def test_result_of_common_settings_is_replaced_by_that_of_own_ones(
     again = [*search.outcomes_without_settings(dives, Replaying())]
     assert [outcome.unchanged for outcome in again] == [True, True]
     assert [outcome.result for outcome in again] == [outcome.result for outcome in outcomes]
+
+
+@pytest.mark.parametrize(
+    ("codes", "rejected", "contradicts"),
+    [
+        (("gate_reopened", "not_evaluated"), 36, True),
+        (("gate_reopened", "not_evaluated"), 0, False),  # the candidate diverged alone
+        (("gate_reopened",), 36, False),  # it came back, and has a verdict
+        ((), 36, False),
+    ],
+)
+def test_dive_whose_baseline_diverges_contradicts_one_that_is_followed(
+    codes: tuple[str, ...], rejected: int, contradicts: bool, tmp_path: Path
+) -> None:
+    (job,) = plan_jobs([FoundDive(tmp_path / "dive.mcap")], tmp_path, ReplayOptions(Config()))
+    followed = made_report()
+    rows = []
+    for row in followed.tables.consistency:
+        if row.filter == followed.baseline:
+            row = msgspec.structs.replace(row, used=750 - rejected, rejected=rejected)
+        rows.append(row)
+    other = msgspec.structs.replace(
+        followed,
+        tables=msgspec.structs.replace(followed.tables, consistency=rows),
+        notes=[Note(code, "as it was met") for code in codes],
+    )
+    assert search._contradicts(Outcome(job, other), Outcome(job, followed)) == contradicts
+    assert not search._contradicts(Outcome(job, other), Outcome(job, other))
 
 
 @pytest.mark.nightly
