@@ -21,7 +21,12 @@ from insdvl_replay.inspection.probed_topics import (
     time_paths,
 )
 from insdvl_replay.inspection.settings import Alternative, Setting
-from insdvl_replay.inspection.unit_by_size import FORCE_UNITS, SPEED_UNITS, speed_units
+from insdvl_replay.inspection.unit_by_size import (
+    FORCE_UNITS,
+    SPEED_UNITS,
+    force_units,
+    speed_units,
+)
 from insdvl_replay.logs.columns.flags import flag_columns
 from insdvl_replay.logs.columns.named_columns import (
     ATTITUDE,
@@ -182,12 +187,16 @@ def _imu_fields(topic: ProbedTopic) -> _ImuFields:
 
 
 def _force_unit(topic: ProbedTopic, force: FieldMatch) -> Setting:
-    """Propose the unit of a specific force by the size of gravity, else as a table states it."""
+    """Propose the unit of a specific force by the size of gravity, else as a table states it.
+
+    Where gravity has its size in the unit that is stated, this one counts: 980 may be cm/s2 or, nearly, mg.
+    """
     key = "imu.specific_force_unit"
-    if force.force_unit:
-        return Setting(key, force.force_unit, "gravity has this size in this unit")
     stated = topic.stated_unit(force.path)
-    if stated in SPECIFIC_FORCE_UNITS:
+    is_known = stated in SPECIFIC_FORCE_UNITS
+    if force.force_unit and not (is_known and stated in force_units(force.size, stated)):
+        return Setting(key, force.force_unit, "gravity has this size in this unit")
+    if is_known:
         return Setting(key, stated, _STATED)
     text = (
         f"{', '.join(FORCE_UNITS)}; gravity is 9.81, 1 or 1000, but the size is {force.size:.3g}"

@@ -327,7 +327,7 @@ def _measured_units(imu: ImuColumns, settings: Imu) -> Iterator[Setting]:
     read_in = settings.specific_force_unit or "m/s2"
     size_mps2 = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1)))
     size = size_mps2 / SPECIFIC_FORCE_UNITS[read_in]
-    units = force_units(size)
+    units = force_units(size, read_in)
     if units and read_in not in units:
         text = f"the size is {size:.3g}, which is gravity in this unit"
         yield Setting("imu.specific_force_unit", units[0], text)

@@ -27,6 +27,7 @@ from insdvl_replay.core.notes import note
 from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2
 from insdvl_replay.core.units import (
+    ANGULAR_RATE_UNITS,
     SPECIFIC_FORCE_UNITS,
     VELOCITY_UNITS,
 )
@@ -62,6 +63,8 @@ from insdvl_replay.logs.columns.imu import FRD, decode_imu, in_frd, measured_vec
 from insdvl_replay.logs.columns.tables import Table, read_tables
 from insdvl_replay.logs.columns.topics import Source
 from insdvl_replay.logs.file_clocks import align_files
+from insdvl_replay.logs.formats.fields import TABLE, split_paths
+from insdvl_replay.logs.formats.readers import column_of
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.read import (
     Finding,
@@ -95,6 +98,7 @@ class _ImuTopic:
     columns: ImuColumns
     settings: Imu  # with which it was read, and no axes
     as_read: Hypothesis  # by its type and the settings
+    is_rate_stated: bool = False  # whether the settings or the titles have the unit of the rates
 
 
 @dataclass(frozen=True)
@@ -178,7 +182,7 @@ def read_roles(
         align_files(log, sources_of(proposed.values()), draft)
         imu_sources = by_type["imu"].candidates or proposed["imu"].sources
         dvl_sources = by_type["dvl"].candidates or proposed["dvl"].sources
-        imus = _imu_topics(log, imu_sources, draft, left_out)
+        imus = _imu_topics(log, imu_sources, draft, given, left_out)
         singles = single_references(place, log.channels, given)
         references = _References(log, draft, given, left_out, proposed["reference"].sources)
         references.wait(singles, without)
@@ -561,7 +565,7 @@ def _as_configured(
         values = {"axes": given.axes, "specific_force_axes": given.specific_force_axes}
     elif best.axes == best.force_axes:
         values["specific_force_axes"] = None
-    unit, scale = _rate_unit(best)
+    unit, scale = _rate_unit(imu, best)
     if unit:
         values["angular_rate_unit"] = unit
     if scale != 1.0:
@@ -572,9 +576,11 @@ def _as_configured(
     return msgspec.structs.replace(settings, **values)
 
 
-def _rate_unit(best: Hypothesis) -> tuple[str, float]:
-    """Return deg/s where the rates are nearer to these than to rad/s, and the scale in this unit."""
-    if best.rate_scale > np.sqrt(DEG_PER_S):
+def _rate_unit(imu: _ImuTopic, best: Hypothesis) -> tuple[str, float]:
+    """Return deg/s where rates of no stated unit are nearer to these than to rad/s, and the scale in this unit."""
+    is_in_radians = imu.settings.angular_rate_unit in (None, "rad/s")
+    is_open = is_in_radians and not imu.is_rate_stated
+    if is_open and best.rate_scale > np.sqrt(DEG_PER_S):
         return "deg/s", best.rate_scale / DEG_PER_S
     return "", best.rate_scale
 
@@ -583,6 +589,7 @@ def _imu_topics(
     log: Recording,
     sources: Sequence[Source],
     draft: Config,
+    given: Config,
     left_out: _LeftOut,
 ) -> list[_ImuTopic]:
     """Read the topics that could be the IMU; those that cannot are left out.
@@ -592,7 +599,7 @@ def _imu_topics(
     imus = []
     for source in sources:
         try:
-            imus.append(_imu_topic(log, source, draft))
+            imus.append(_imu_topic(log, source, draft, given))
         except UserError as error:
             left_out.add("imu", source.topic, error)
     if not imus and sources:
@@ -612,7 +619,12 @@ def _increment_s(table: Table, size: float, known: Imu) -> float | None:
     return None
 
 
-def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
+def _imu_topic(
+    log: Recording,
+    source: Source,
+    draft: Config,
+    given: Config,
+) -> _ImuTopic:
     """Read a topic in SI units, by the size of gravity and of the rates; LogError where it cannot be the IMU."""
     (table,) = read_tables(log, [source])
     is_meant = draft.imu.topic in (None, source.topic)
@@ -638,7 +650,12 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     values |= _force_scale(table, size, known)
     if "increment_s" in values:
         turning /= values["increment_s"]
-    if is_rate_in_degrees(turning) and known.angular_rate_unit != "deg/s":
+    is_given = is_meant and given.imu.angular_rate_unit is not None
+    is_rate_stated = is_given or _titles_have_rate_unit(source)
+    if is_rate_stated:
+        with error_context(place, source.topic):
+            _require_possible_rate(turning / known.angular_rate_scale, known)
+    elif is_rate_in_degrees(turning):
         values["angular_rate_unit"] = "deg/s"
     settings = msgspec.structs.replace(own, **values)
     columns, _ = decode_imu(table, settings)
@@ -652,7 +669,26 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
         raise refused
     if (error := length_refusal(place, columns)) is not None:
         raise error
-    return _ImuTopic(source.topic, columns, settings, as_read)
+    return _ImuTopic(source.topic, columns, settings, as_read, is_rate_stated)
+
+
+def _titles_have_rate_unit(source: Source) -> bool:
+    """Return whether the titles of a table state the unit of the angular rate."""
+    channel = source.channels[0]
+    if channel.encoding != TABLE:
+        return False
+    first = split_paths(source.fields["angular_rate"])[0]
+    return channel.metadata.get(column_of(channel, first)) in ANGULAR_RATE_UNITS
+
+
+def _require_possible_rate(median: float, known: Imu) -> None:
+    """Raise a LogError where a median rate is too fast for a vehicle in the unit that is stated."""
+    median_radps = median * ANGULAR_RATE_UNITS[known.angular_rate_unit or "rad/s"]
+    if not is_rate_in_degrees(median_radps):
+        return
+    what = f"the median angular rate is {median_radps:.3g} rad/s in the unit that is stated, too fast for a vehicle"
+    hint = 'name the unit that the gyros have, such as imu.angular_rate_unit = "deg/s"'
+    raise LogError(what, hint)
 
 
 def _median(values: Floats) -> float:
@@ -666,7 +702,7 @@ def _median(values: Floats) -> float:
 def _force_scale(table: Table, size: float, known: Imu) -> dict[str, Any]:
     """Return the settings by which a median size of readings is that of gravity: a unit, an increment, or a scale."""
     unit = known.specific_force_unit or "m/s2"
-    fitting = force_units(size)
+    fitting = force_units(size, unit)
     if fitting and unit not in fitting:
         return {"specific_force_unit": fitting[0]}
     step_s = _increment_s(table, size, known)
@@ -691,13 +727,13 @@ def _imu_note(pairs: Sequence[_Pair], best: Hypothesis, imus: Sequence[_ImuTopic
         ratios = ", ".join(f"{topic} {ratio:.3g} times" for topic, ratio in rivals.items())
         parts.append(f"innovations of others: {ratios}")
     parts += _axes_words(imu, best)
-    parts += _unit_words(imu.settings, best)
+    parts += _unit_words(imu, best)
     for other in imus:
         if other is not imu:
             parts += _other_rates(imu, other)
     is_rivalled = any(ratio * CLEARLY < 1.0 for ratio in rivals.values())
     severity = Severity.INFO
-    if is_rivalled or _is_unusual(imu.settings, best):
+    if is_rivalled or _is_unusual(imu, best):
         severity = Severity.WARNING
     return note(
         "found_imu",
@@ -728,12 +764,14 @@ def _axes_words(imu: _ImuTopic, best: Hypothesis) -> Iterator[str]:
         yield f"built in with roll, pitch, heading {_rpy(best.imu_rpy_deg)} deg"
 
 
-def _unit_words(settings: Imu, best: Hypothesis) -> Iterator[str]:
+def _unit_words(imu: _ImuTopic, best: Hypothesis) -> Iterator[str]:
     """State in which units an IMU reads, and its scales."""
-    unit, _ = _rate_unit(best)
-    if unit or settings.angular_rate_unit == "deg/s":
-        yield "rates in deg/s"
-    scale = _gyro_scale(settings, best)
+    settings = imu.settings
+    found_unit, _ = _rate_unit(imu, best)
+    unit = found_unit or settings.angular_rate_unit or "rad/s"
+    if unit != "rad/s":
+        yield f"rates in {unit}"
+    scale = _gyro_scale(imu, best)
     if scale != 1.0:
         yield f"gyros read {scale:.3g} times the true rate"
     if settings.specific_force_unit is not None:
@@ -744,16 +782,17 @@ def _unit_words(settings: Imu, best: Hypothesis) -> Iterator[str]:
         yield f"accelerometers read {settings.specific_force_scale:.3g} times gravity"
 
 
-def _is_unusual(settings: Imu, best: Hypothesis) -> bool:
+def _is_unusual(imu: _ImuTopic, best: Hypothesis) -> bool:
     """Return whether an IMU reads increments, or something else than the truth."""
-    is_scaled = _gyro_scale(settings, best) != 1.0 or settings.specific_force_scale != 1.0
+    settings = imu.settings
+    is_scaled = _gyro_scale(imu, best) != 1.0 or settings.specific_force_scale != 1.0
     return is_scaled or settings.increment_s is not None
 
 
-def _gyro_scale(settings: Imu, best: Hypothesis) -> float:
+def _gyro_scale(imu: _ImuTopic, best: Hypothesis) -> float:
     """Return what the gyros read over the true rate, in their unit."""
-    _, scale = _rate_unit(best)
-    return scale * settings.angular_rate_scale
+    _, scale = _rate_unit(imu, best)
+    return scale * imu.settings.angular_rate_scale
 
 
 def _other_rates(imu: _ImuTopic, other: _ImuTopic) -> Iterator[str]:

@@ -16,11 +16,14 @@ _GRAVITY_OFF: Final = 0.1  # share by which the size of gravity may be off
 _SPEEDS_MPS: Final = (0.1, 5.0)  # over ground of a vehicle under way
 
 
-def force_units(size: float) -> list[str]:
-    """Return the units in which the size of a specific force is that of gravity."""
+def force_units(size: float, stated: str = "m/s2") -> list[str]:
+    """Return the units in which the size of a specific force is that of gravity: the stated one, else usual ones."""
     least_mps2 = (1.0 - _GRAVITY_OFF) * GRAVITY_MPS2
     most_mps2 = (1.0 + _GRAVITY_OFF) * GRAVITY_MPS2
-    return _fitting(size, FORCE_UNITS, SPECIFIC_FORCE_UNITS, (least_mps2, most_mps2))
+    limits_mps2 = (least_mps2, most_mps2)
+    if _fitting(size, (stated,), SPECIFIC_FORCE_UNITS, limits_mps2):
+        return [stated]
+    return _fitting(size, FORCE_UNITS, SPECIFIC_FORCE_UNITS, limits_mps2)
 
 
 def nearest_force_unit(size: float, unit: str) -> str:
