@@ -59,6 +59,7 @@ from insdvl_replay.inspection.unit_by_size import (
     nearest_force_unit,
     speed_units,
 )
+from insdvl_replay.inspection.unit_by_track import unit_by_track
 from insdvl_replay.logs.columns.imu import FRD, decode_imu, in_frd, measured_vectors
 from insdvl_replay.logs.columns.tables import Table, read_tables
 from insdvl_replay.logs.columns.topics import Source
@@ -360,18 +361,25 @@ def _dvl_topic(
 ) -> _DvlTopic:
     """Read a topic in the unit in which its speeds are those of the reference, or of a vehicle."""
     (table,) = read_tables(log, [source])
-    pings = _decoded(log, table, draft)
+    pings, velocities = _pings_and_velocities(log, table, draft)
     own_unit = ""
-    unit = _velocity_unit(median_speed_mps(pings), reference, draft)
+    unit = _velocity_unit(pings, velocities, reference, draft)
     if unit != (draft.dvl.velocity_unit or "m/s") and given.dvl.velocity_unit is None:
         own_unit = unit
-        draft = with_values(draft, "dvl", velocity_unit=unit)
-        pings = _decoded(log, table, draft)
-    velocities = pings
+        in_unit = with_values(draft, "dvl", velocity_unit=unit)
+        pings, velocities = _pings_and_velocities(log, table, in_unit)
+    return _DvlTopic(source.topic, pings, velocities, own_unit)
+
+
+def _pings_and_velocities(
+    log: Recording, table: Table, config: Config
+) -> tuple[DvlColumns, DvlColumns]:
+    """Read pings, and those with the velocities that the instrument computed, else the pings again."""
+    pings = _decoded(log, table, config)
     if pings.velocity_d is None and "velocity" in table:
         with suppress(UserError):
-            velocities = _decoded(log, table, with_values(draft, "dvl", kind="velocity"))
-    return _DvlTopic(source.topic, pings, velocities, own_unit)
+            return pings, _decoded(log, table, with_values(config, "dvl", kind="velocity"))
+    return pings, pings
 
 
 def _decoded(log: Recording, table: Table, config: Config) -> DvlColumns:
@@ -399,9 +407,19 @@ def _stamp_notes(proposal: Proposal) -> Iterator[Note]:
     )
 
 
-def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: Config) -> str:
-    """Return the unit in which a median speed, read as in the draft, is that of the reference, else of a vehicle."""
+def _velocity_unit(
+    pings: DvlColumns, velocities: DvlColumns, reference: ReferenceColumns | None, draft: Config
+) -> str:
+    """Return the unit in which velocities, read as in the draft, are those of the reference, else of a vehicle."""
     read_in = draft.dvl.velocity_unit or "m/s"
+    unit = _unit_by_speed(median_speed_mps(pings), reference, read_in)
+    if unit == "m/s" == read_in and reference is not None:
+        return unit_by_track(velocities, reference) or unit
+    return unit
+
+
+def _unit_by_speed(speed_mps: float, reference: ReferenceColumns | None, read_in: str) -> str:
+    """Return the unit in which a median speed is that of the reference, else of a vehicle."""
     size = speed_mps / VELOCITY_UNITS[read_in]
     known_mps = 0.0 if reference is None else _reference_speed_mps(reference)
     if known_mps / SAME_SPEED < speed_mps < known_mps * SAME_SPEED:
@@ -464,6 +482,8 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
         others += free.alternatives(in_vehicle)
     notes.append(_imu_note(pairs, in_vehicle, read.imus))
     notes.append(dvl_note(pair.dvl.topic, in_vehicle, others))
+    if pair.dvl.unit:
+        notes.append(note("found_dvl unit", topic=pair.dvl.topic, unit=pair.dvl.unit))
     if read.clocks:
         times = "; ".join(
             f"{setting.key} {setting.value}, {setting.seen}" for setting in read.clocks

@@ -1,0 +1,111 @@
+"""In which unit a DVL measures, by how far the positions of a reference move at the same time.
+
+A mounting that is tilted far enough explains a wrong unit as well, so that the unit is found before any mounting.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.checks.dvl import LEAST_MOVED_M
+from insdvl_replay.checks.imu import ENOUGH, LONGEST_STEP_S, lies_within
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    DvlColumns,
+    Floats,
+    Integers,
+    Mask,
+    ReferenceColumns,
+    TimeNs,
+    in_pauses,
+    nanoseconds,
+    seconds,
+)
+from insdvl_replay.core.units import VELOCITY_UNITS
+from insdvl_replay.geometry.frames import Complex, north_east_m
+
+# Units in which the speeds of a vehicle could be m/s, so that their size alone does not tell them.
+TRACK_UNITS: Final = ("kn", "ft/s", "km/h")
+_NEAR: Final = 0.04  # share by which a ratio may be off; ft/s and km/h are 9 % apart
+# Share of the ratio within which half of the legs agree; a current spreads them further.
+_SPREAD: Final = 0.2
+_LEG_NS: Final = 10 * NS_PER_S
+_STRAIGHT: Final = 0.97  # least length of a leg over that of its halves
+_LEVEL: Final = 0.3  # largest change of height over the length of a leg
+_ONE_WAY: Final = 0.9  # length of the mean direction from which all legs go one way
+
+
+def unit_by_track(dvl: DvlColumns, reference: ReferenceColumns) -> str | None:
+    """Return the unit in which velocities of a DVL, read as m/s, are as fast as the positions move; None for m/s.
+
+    None as well where the dive does not tell: without positions, without straight legs, or where all legs go one way,
+    so that a current explains the ratio too.
+    """
+    ratios, legs_m = _legs(dvl, reference)
+    if len(ratios) < ENOUGH or abs(np.mean(legs_m / np.abs(legs_m))) > _ONE_WAY:
+        return None
+    low, ratio, high = np.quantile(ratios, [0.25, 0.5, 0.75])
+    if high - low > _SPREAD * ratio:
+        return None
+    for unit in TRACK_UNITS:
+        if abs(ratio * VELOCITY_UNITS[unit] - 1.0) < _NEAR:
+            return unit
+    return None
+
+
+def _legs(dvl: DvlColumns, reference: ReferenceColumns) -> tuple[Floats, Complex]:
+    """Return for straight legs how far the DVL moves over how far the positions do, and the legs themselves, m."""
+    nothing = np.empty(0), np.empty(0, complex)
+    if dvl.velocity_d is None:
+        return nothing
+    complete = np.isfinite(dvl.velocity_d).all(axis=1)
+    ping_ns = dvl.time_ns[complete]
+    if len(ping_ns) < ENOUGH:
+        return nothing
+    fixes = np.flatnonzero(reference.known["positions"])
+    fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
+    if len(fixes) < ENOUGH:
+        return nothing
+    fix_ns = reference.time_ns[fixes]
+    first, middle, last = _rows_of_legs(fix_ns, ping_ns)
+    position = reference.position[fixes]
+    moved_m, straight = _straight_legs(position, first, middle, last)
+    by_dvl_m = _moved_by_dvl(ping_ns, dvl.velocity_d[complete], fix_ns)
+    dvl_m = np.linalg.norm(by_dvl_m[last] - by_dvl_m[first], axis=1)[straight]
+    return dvl_m / np.abs(moved_m), moved_m
+
+
+def _rows_of_legs(fix_ns: TimeNs, ping_ns: TimeNs) -> tuple[Integers, Integers, Integers]:
+    """Return the first, middle and last row of each leg in which the DVL does not pause."""
+    last = np.searchsorted(fix_ns, fix_ns + _LEG_NS)
+    first = np.flatnonzero(last < len(fix_ns))
+    last = last[first]
+    middle = np.searchsorted(fix_ns, fix_ns[first] + _LEG_NS // 2)
+    paused = in_pauses(fix_ns[first], fix_ns[last], ping_ns, nanoseconds(LONGEST_STEP_S))
+    usable = ~paused & (fix_ns[last] - fix_ns[first] < 2 * _LEG_NS)
+    return first[usable], middle[usable], last[usable]
+
+
+def _straight_legs(
+    position: Floats, first: Integers, middle: Integers, last: Integers
+) -> tuple[Complex, Mask]:
+    """Return the legs that are straight, level and long enough, m north plus i times east, and which these are."""
+    north_m, east_m = north_east_m(position, position[0], position[0])
+    place_m = north_m + 1j * east_m
+    moved_m = place_m[last] - place_m[first]
+    length_m = np.abs(moved_m)
+    halves_m = np.abs(place_m[middle] - place_m[first]) + np.abs(place_m[last] - place_m[middle])
+    climbed_m = np.nan_to_num(np.abs(position[last, 2] - position[first, 2]))
+    straight = length_m >= np.maximum(_STRAIGHT * halves_m, LEAST_MOVED_M)
+    straight &= climbed_m <= _LEVEL * length_m
+    return moved_m[straight], straight
+
+
+def _moved_by_dvl(ping_ns: TimeNs, velocity_d: Floats, at_ns: TimeNs) -> Floats:
+    """Sum velocities in the axes of the DVL up to some times, m, shape (k, 3)."""
+    ping_s = seconds(ping_ns, ping_ns[0])
+    steps_m = 0.5 * (velocity_d[1:] + velocity_d[:-1]) * np.diff(ping_s)[:, np.newaxis]
+    moved_m = np.vstack([np.zeros(3), np.cumsum(steps_m, axis=0)])
+    at_s = seconds(at_ns, ping_ns[0])
+    columns = [np.interp(at_s, ping_s, column) for column in moved_m.T]
+    return np.stack(columns, axis=1)
