@@ -1,4 +1,4 @@
-"""In which unit a DVL measures, by how far the positions of a reference move at the same time.
+"""In which unit a DVL measures, by how far a reference moves at the same time.
 
 A mounting that is tilted far enough explains a wrong unit as well, so that the unit is found before any mounting.
 """
@@ -22,7 +22,7 @@ from insdvl_replay.core.dive_columns import (
     seconds,
 )
 from insdvl_replay.core.units import VELOCITY_UNITS
-from insdvl_replay.geometry.frames import Complex, north_east_m
+from insdvl_replay.geometry.frames import Complex, horizontal, north_east_down_m
 
 # Units in which the speeds of a vehicle could be m/s, so that their size alone does not tell them.
 TRACK_UNITS: Final = ("kn", "ft/s", "km/h")
@@ -36,9 +36,9 @@ _ONE_WAY: Final = 0.9  # length of the mean direction from which all legs go one
 
 
 def unit_by_track(dvl: DvlColumns, reference: ReferenceColumns) -> str | None:
-    """Return the unit in which velocities of a DVL, read as m/s, are as fast as the positions move; None for m/s.
+    """Return the unit in which velocities of a DVL, read as m/s, are as fast as the reference moves; None for m/s.
 
-    None as well where the dive does not tell: without positions, without straight legs, or where all legs go one way,
+    None as well where the dive does not tell: without straight legs, or where all legs go one way,
     so that a current explains the ratio too.
     """
     ratios, legs_m = _legs(dvl, reference)
@@ -54,7 +54,7 @@ def unit_by_track(dvl: DvlColumns, reference: ReferenceColumns) -> str | None:
 
 
 def _legs(dvl: DvlColumns, reference: ReferenceColumns) -> tuple[Floats, Complex]:
-    """Return for straight legs how far the DVL moves over how far the positions do, and the legs themselves, m."""
+    """Return for straight legs how far the DVL moves over how far the reference does, and the legs themselves, m."""
     nothing = np.empty(0), np.empty(0, complex)
     if dvl.velocity_d is None:
         return nothing
@@ -62,50 +62,61 @@ def _legs(dvl: DvlColumns, reference: ReferenceColumns) -> tuple[Floats, Complex
     ping_ns = dvl.time_ns[complete]
     if len(ping_ns) < ENOUGH:
         return nothing
-    fixes = np.flatnonzero(reference.known["positions"])
-    fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
-    if len(fixes) < ENOUGH:
+    time_ns, place_m = _track(reference)
+    within = lies_within(time_ns, ping_ns)
+    if np.count_nonzero(within) < ENOUGH:
         return nothing
-    fix_ns = reference.time_ns[fixes]
-    first, middle, last = _rows_of_legs(fix_ns, ping_ns)
-    position = reference.position[fixes]
-    moved_m, straight = _straight_legs(position, first, middle, last)
-    by_dvl_m = _moved_by_dvl(ping_ns, dvl.velocity_d[complete], fix_ns)
+    time_ns = time_ns[within]
+    first, middle, last = _rows_of_legs(time_ns, ping_ns)
+    moved_m, straight = _straight_legs(place_m[within], first, middle, last)
+    by_dvl_m = _summed_m(ping_ns, dvl.velocity_d[complete], time_ns)
     dvl_m = np.linalg.norm(by_dvl_m[last] - by_dvl_m[first], axis=1)[straight]
     return dvl_m / np.abs(moved_m), moved_m
 
 
-def _rows_of_legs(fix_ns: TimeNs, ping_ns: TimeNs) -> tuple[Integers, Integers, Integers]:
+def _track(reference: ReferenceColumns) -> tuple[TimeNs, Floats]:
+    """Return north, east, down by the positions, else by the velocities, m, shape (k, 3); NaN for unknown heights."""
+    placed = reference.known["positions"]
+    if placed.any():
+        position = reference.position[placed]
+        return reference.time_ns[placed], north_east_down_m(position, position[0])
+    moving = reference.known["velocities"]
+    time_ns = reference.time_ns[moving]
+    if not len(time_ns):
+        return time_ns, np.empty((0, 3))
+    return time_ns, _summed_m(time_ns, reference.velocity_n[moving], time_ns)
+
+
+def _rows_of_legs(time_ns: TimeNs, ping_ns: TimeNs) -> tuple[Integers, Integers, Integers]:
     """Return the first, middle and last row of each leg in which the DVL does not pause."""
-    last = np.searchsorted(fix_ns, fix_ns + _LEG_NS)
-    first = np.flatnonzero(last < len(fix_ns))
+    last = np.searchsorted(time_ns, time_ns + _LEG_NS)
+    first = np.flatnonzero(last < len(time_ns))
     last = last[first]
-    middle = np.searchsorted(fix_ns, fix_ns[first] + _LEG_NS // 2)
-    paused = in_pauses(fix_ns[first], fix_ns[last], ping_ns, nanoseconds(LONGEST_STEP_S))
-    usable = ~paused & (fix_ns[last] - fix_ns[first] < 2 * _LEG_NS)
+    middle = np.searchsorted(time_ns, time_ns[first] + _LEG_NS // 2)
+    paused = in_pauses(time_ns[first], time_ns[last], ping_ns, nanoseconds(LONGEST_STEP_S))
+    usable = ~paused & (time_ns[last] - time_ns[first] < 2 * _LEG_NS)
     return first[usable], middle[usable], last[usable]
 
 
 def _straight_legs(
-    position: Floats, first: Integers, middle: Integers, last: Integers
+    track_m: Floats, first: Integers, middle: Integers, last: Integers
 ) -> tuple[Complex, Mask]:
     """Return the legs that are straight, level and long enough, m north plus i times east, and which these are."""
-    north_m, east_m = north_east_m(position, position[0], position[0])
-    place_m = north_m + 1j * east_m
+    place_m = horizontal(track_m)
     moved_m = place_m[last] - place_m[first]
     length_m = np.abs(moved_m)
     halves_m = np.abs(place_m[middle] - place_m[first]) + np.abs(place_m[last] - place_m[middle])
-    climbed_m = np.nan_to_num(np.abs(position[last, 2] - position[first, 2]))
+    climbed_m = np.nan_to_num(np.abs(track_m[last, 2] - track_m[first, 2]))
     straight = length_m >= np.maximum(_STRAIGHT * halves_m, LEAST_MOVED_M)
     straight &= climbed_m <= _LEVEL * length_m
     return moved_m[straight], straight
 
 
-def _moved_by_dvl(ping_ns: TimeNs, velocity_d: Floats, at_ns: TimeNs) -> Floats:
-    """Sum velocities in the axes of the DVL up to some times, m, shape (k, 3)."""
-    ping_s = seconds(ping_ns, ping_ns[0])
-    steps_m = 0.5 * (velocity_d[1:] + velocity_d[:-1]) * np.diff(ping_s)[:, np.newaxis]
+def _summed_m(time_ns: TimeNs, velocity_mps: Floats, at_ns: TimeNs) -> Floats:
+    """Sum velocities, (k, 3), in the axes that they have, up to some times, m, shape (n, 3)."""
+    time_s = seconds(time_ns, time_ns[0])
+    steps_m = 0.5 * (velocity_mps[1:] + velocity_mps[:-1]) * np.diff(time_s)[:, np.newaxis]
     moved_m = np.vstack([np.zeros(3), np.cumsum(steps_m, axis=0)])
-    at_s = seconds(at_ns, ping_ns[0])
-    columns = [np.interp(at_s, ping_s, column) for column in moved_m.T]
+    at_s = seconds(at_ns, time_ns[0])
+    columns = [np.interp(at_s, time_s, column) for column in moved_m.T]
     return np.stack(columns, axis=1)

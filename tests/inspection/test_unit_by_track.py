@@ -1,4 +1,4 @@
-"""A DVL in knots, ft/s or km/h: the unit is found by the positions of the reference, and by nothing less."""
+"""A DVL in knots, ft/s or km/h: the unit is found by how far the reference moves, and by nothing less."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -77,10 +77,15 @@ def test_a_dive_that_goes_one_way_does_not_tell() -> None:
     assert unit_by_track(scaled(straight, 1.0 / VELOCITY_UNITS["kn"]), fixes(straight)) is None
 
 
-def test_without_positions_nothing_is_found(turning: Dive) -> None:
-    reference = fixes(turning)
-    nowhere = replace(reference, position=np.full_like(reference.position, np.nan))
-    assert unit_by_track(scaled(turning, 1.0 / VELOCITY_UNITS["kn"]), nowhere) is None
+def test_velocities_stand_for_positions_that_are_unknown(turning: Dive) -> None:
+    """As in an odometry whose origin nobody knows."""
+    truth = turning.reference
+    assert truth is not None
+    moving = replace(truth, position=np.full_like(truth.position, np.nan))
+    assert unit_by_track(scaled(turning, 1.0 / VELOCITY_UNITS["kn"]), moving) == "kn"
+    assert unit_by_track(turning.dvl, moving) is None
+    unknown = replace(moving, velocity_n=np.full_like(truth.velocity_n, np.nan))
+    assert unit_by_track(scaled(turning, 1.0 / VELOCITY_UNITS["kn"]), unknown) is None
 
 
 def in_knots(dive: Dive, path: Path) -> Path:
