@@ -154,6 +154,14 @@ def test_unit_of_a_log_written_later_is_reported_by_its_size(factor: float, unit
     assert stamp_unit(np.array([1.7e9 * factor]), ns(np.zeros(1)))[1] == unit
 
 
+@pytest.mark.parametrize(("factor", "unit"), UNITS)
+def test_unit_of_a_number_is_told_where_the_last_row_is_earlier_than_the_first(
+    factor: float, unit: str
+) -> None:
+    at_s = np.arange(200)[::-1] * 0.05
+    assert stamp_unit((3.0 + at_s) * factor, ns(at_s))[1] == unit
+
+
 # In logs
 
 

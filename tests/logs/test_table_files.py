@@ -255,6 +255,17 @@ def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
             open_recording(tmp_path / name)
 
 
+def test_settings_that_the_hint_for_tables_names_are_enough(tmp_path: Path) -> None:
+    folder = write_pair(tmp_path)
+    values = {"topic": "dvl.csv", "velocity": "vx, vy, vz"}
+    with pytest.raises(LogError, match=r"has no DVL: no setting names a table") as raised:
+        read_dive(folder, Config(imu=IMU))
+    hint = raised.value.hint.partition("to name its fields: ")[2]
+    assert hint == "dvl.topic with dvl.beam_velocity or dvl.velocity"
+    named = {key: value for key, value in values.items() if f"dvl.{key}" in hint}
+    assert len(read_dive(folder, Config(imu=IMU, dvl=Dvl(**named))).dvl.time_ns) == 50
+
+
 @pytest.mark.parametrize(
     ("above", "left_out"),
     [

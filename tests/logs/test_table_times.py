@@ -21,6 +21,7 @@ from insdvl_replay.logs.formats.table_times import (
     shift_ns,
     text_times,
     unwrapped,
+    usual_step,
 )
 from insdvl_replay.preparation.prepared import read_checked_dive
 
@@ -110,6 +111,42 @@ def test_days_with_few_digits_say_to_what_they_are_exact(tmp_path: Path) -> None
 )  # fmt: skip
 def test_a_unit_is_told_by_the_step_and_the_calendar(step: float, first: float, unit: str) -> None:
     assert likely_unit(first + step * np.arange(100)) == unit
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e3, 1e6, 1e9])
+def test_rows_in_no_order_do_not_change_the_unit(factor: float) -> None:
+    rising = np.rint((1.7e9 + 0.2 * np.arange(900)) * 1e3) / 1e3 * factor
+    unit = likely_unit(rising)
+    shuffled = np.random.default_rng(8).permutation(rising)
+    for times in (shuffled, rising[::-1]):
+        assert likely_unit(times) == unit
+        assert usual_step(times) == pytest.approx(0.2 * factor, rel=1e-3)
+
+
+def test_two_runs_or_two_sensors_in_a_table_are_not_sorted_for_their_step() -> None:
+    """Sorted, rows of both would be 1e-4 s apart, which no sensor is."""
+    at_s = 0.01 * np.arange(1000)
+    begun_anew = np.concatenate([at_s, at_s + 1e-4])
+    interleaved = np.stack([at_s + 1e-4, at_s], axis=1).ravel()
+    for times in (begun_anew, interleaved):
+        assert usual_step(times) == pytest.approx(0.01, rel=0.02)
+        assert likely_unit(times) == "s"
+
+
+def test_a_shuffled_table_is_read_as_the_sorted_one_and_its_rows_are_counted(
+    tmp_path: Path,
+) -> None:
+    since_s = START.timestamp() + 0.02 * np.arange(3000)
+    imu = [f"{time_s:.6f}" for time_s in since_s]
+    pings = imu[::10]
+    shuffled = np.random.default_rng(8).permutation(pings).tolist()
+    read = read_dive(dive(tmp_path / "dive", imu, shuffled), Config(imu=IMU, dvl=DVL))
+    # UNIX seconds are stored to a quarter of a microsecond.
+    np.testing.assert_allclose(
+        read.dvl.time_ns - read.imu.time_ns[0], 200_000_000 * np.arange(300), atol=1000
+    )
+    (late,) = (note for note in read.notes if note.code == "dvl_out_of_order")
+    assert 250 < late.count < 300
 
 
 def test_times_in_no_possible_unit_are_an_error_with_the_step_and_a_guess(tmp_path: Path) -> None:

@@ -714,7 +714,8 @@ def stamp_unit(values: Array, log_time_ns: TimeNs) -> tuple[int, str]:
     ran = float(values[-1]) - float(values[0])
     recorded_s = float(log_time_ns[-1] - log_time_ns[0]) * 1e-9
     for unit in _UNITS:
-        if abs(ran * unit[0] * 1e-9 - recorded_s) < _IN_STEP * recorded_s:
+        # The last row of a table that is out of order may be earlier than its first.
+        if abs(ran * unit[0] * 1e-9 - recorded_s) < _IN_STEP * abs(recorded_s):
             return unit
     size = float(np.median(np.abs(values)))
     for unit in _UNITS:

@@ -666,9 +666,9 @@ def _is_of_instrument(channels: Sequence[LogChannel]) -> bool:
 
 
 def _hint_for_tables(role: TopicRole) -> str:
-    """Say how tables are given whole, and which keys name the fields of a role."""
+    """Say how tables are given whole, and which keys name the table of a role and its fields."""
     ways = []
     for quantities in role.enough:
         ways.append(" and ".join(f"{role.name}.{name}" for name in sorted(quantities)))
     whole = "give the folder of all tables, or all of them with --one-dive"
-    return f"{whole}; to name its fields: {' or '.join(ways)}"
+    return f"{whole}; to name its fields: {role.key} with {' or '.join(ways)}"

@@ -25,7 +25,8 @@ _SINCE_1970_S: Final = (1e9, 4e9)  # times of a clock that counts from then, fro
 # 2000 to 2050, days since 1970
 _FIRST_DAY: Final = 10_957
 _LAST_DAY: Final = 29_220
-_FEW: Final = 0.05  # share of the cells that may be no times
+_FEW: Final = 0.05  # share of the cells that may be no times, and of the steps that may fall
+_AS_FAR: Final = 0.3  # shuffled times fall by more than this share of how far they rise
 _COARSE: Final = 0.1  # share of the usual step by which rounded times may be wrong
 _MOST_DIGITS: Final = 12
 _CELL: Final = re.compile(
@@ -89,11 +90,29 @@ def in_ns(values: Array, unit: str) -> TimeNs:
 
 
 def usual_step(values: Array) -> float:
-    """Return the median step between times that rise; 0 where none does."""
-    steps = np.diff(values.astype(np.float64))
+    """Return the median step between times that rise; 0 where none does. Rows in no order are sorted for it."""
+    numbers = values.astype(np.float64)
+    steps = np.diff(numbers)
+    if _is_shuffled(steps):
+        steps = np.diff(np.sort(numbers))
     if (steps > 0.0).any():
         return float(np.median(steps[steps > 0.0]))
     return 0.0
+
+
+def _is_shuffled(steps: Floats) -> bool:
+    """Return whether times with these steps are in no order: many fall, and about as far as others rise.
+
+    Times that begin anew fall only once, and those of two interleaved sensors fall by little. Sorted, their rows would
+    be closer together than those of a sensor.
+    """
+    is_fall = steps < 0.0
+    if np.count_nonzero(is_fall) <= _FEW * steps.size:
+        return False
+    rises = steps[steps > 0.0]
+    if not rises.size:
+        return True
+    return float(np.median(-steps[is_fall])) > _AS_FAR * float(np.median(rises))
 
 
 def likely_unit(values: Array) -> str:
