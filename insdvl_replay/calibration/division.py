@@ -63,7 +63,7 @@ class Division:
             return cls._without(dives, _spread(HELD_OUT_SHARE, len(dives)))
         (dive,) = dives
         from_s, to_s = dive.span_s
-        divide_s = _start_near(dive, from_s + FITTED_SHARE * (to_s - from_s))
+        divide_s = _start_near(dive, from_s + FITTED_SHARE * (to_s - from_s), to_s)
         earlier = _within(dive, from_s, divide_s)
         later = _within(dive, divide_s, to_s)
         return cls((earlier,), (later,), By.TIME)
@@ -126,14 +126,18 @@ def _spread(share: float, dives: int) -> set[int]:
 # --- Parts of a dive.
 
 
-def _start_near(dive: ReadDive, at_s: float) -> float:
-    """Return the first time from which the IMU measures for long enough to find the level: not just before a pause."""
+def _start_near(dive: ReadDive, at_s: float, to_s: float) -> float:
+    """Return the first time from which the IMU measures for long enough to find the level: not just before a pause.
+
+    Where there is none before the end, it is the time that was asked for.
+    """
     imu = dive.dive.imu
     first_ns = int(imu.time_ns[0])
     at_ns = first_ns + nanoseconds(at_s)
     pauses = np.flatnonzero(np.diff(imu.time_ns) > nanoseconds(LONGEST_PAUSE_S))
     ends_ns = imu.time_ns[pauses + 1]
-    for start_ns in (at_ns, *ends_ns[ends_ns > at_ns].tolist()):
+    in_part = (ends_ns > at_ns) & (ends_ns < first_ns + nanoseconds(to_s))
+    for start_ns in (at_ns, *ends_ns[in_part].tolist()):
         if len(levelling_samples(imu, start_ns).time_ns) >= FEWEST_SAMPLES:
             return float(start_ns - first_ns) / NS_PER_S
     return at_s

@@ -229,7 +229,7 @@ class TrackFit:
     is_in_radians: bool = False  # the positions fit only if what was read as degrees are radians
 
 
-def _pairs_of_fixes(fix_ns: TimeNs, ping_ns: TimeNs, sample_ns: TimeNs) -> tuple[Rows, Rows]:
+def pairs_of_fixes(fix_ns: TimeNs, ping_ns: TimeNs, sample_ns: TimeNs) -> tuple[Rows, Rows]:
     """Return the rows of fixes that are ten seconds apart.
 
     No pair has a part in a long pause of the pings or of the IMU, where nobody saw how the vehicle moved.
@@ -286,7 +286,7 @@ def _moves_of(reference: ReferenceColumns, ping_ns: TimeNs, sample_ns: TimeNs) -
     fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
     fix_ns = reference.time_ns[fixes]
     position = reference.position[fixes]
-    first, last = _pairs_of_fixes(fix_ns, ping_ns, sample_ns)
+    first, last = pairs_of_fixes(fix_ns, ping_ns, sample_ns)
     if not len(first):
         return None
     side, kept = _side_of_pauses(fix_ns[first], sample_ns)

@@ -679,17 +679,21 @@ def _imu_topic(
         values["angular_rate_unit"] = "deg/s"
     settings = msgspec.structs.replace(own, **values)
     columns, _ = decode_imu(table, settings)
+    _require_usable(place, source.topic, columns, settings)
+    return _ImuTopic(source.topic, columns, settings, as_read, is_rate_stated)
+
+
+def _require_usable(place: str, topic: str, columns: ImuColumns, settings: Imu) -> None:
+    """Raise a LogError where readings are too few, too slow or too short for trials."""
     if len(columns.time_ns) < ENOUGH:
         what = f"has {counted(len(columns.time_ns), 'sample')}, too few to try settings"
-        raise LogError(what, "", place, source.topic)
-    refused = rate_remark(
-        place, columns, msgspec.structs.replace(settings, min_rate_hz=own.min_rate_hz)
-    )
+        raise LogError(what, "", place, topic)
+    refused = rate_remark(place, columns, settings)
     if isinstance(refused, LogError):
         raise refused
-    if (error := length_refusal(place, columns)) is not None:
+    error = length_refusal(place, columns)
+    if error is not None:
         raise error
-    return _ImuTopic(source.topic, columns, settings, as_read, is_rate_stated)
 
 
 def _titles_have_rate_unit(source: Source) -> bool:

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.checks.dvl import LEAST_MOVED_M
-from insdvl_replay.checks.imu import ENOUGH, LONGEST_STEP_S, lies_within
+from insdvl_replay.checks.dvl import LEAST_MOVED_M, pairs_of_fixes
+from insdvl_replay.checks.imu import ENOUGH, lies_within
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     DvlColumns,
@@ -17,8 +17,6 @@ from insdvl_replay.core.dive_columns import (
     Mask,
     ReferenceColumns,
     TimeNs,
-    in_pauses,
-    nanoseconds,
     seconds,
 )
 from insdvl_replay.core.units import VELOCITY_UNITS
@@ -29,7 +27,7 @@ TRACK_UNITS: Final = ("kn", "ft/s", "km/h")
 _NEAR: Final = 0.04  # share by which a ratio may be off; ft/s and km/h are 9 % apart
 # Share of the ratio within which half of the legs agree; a current spreads them further.
 _SPREAD: Final = 0.2
-_LEG_NS: Final = 10 * NS_PER_S
+_HALF_A_LEG_NS: Final = 5 * NS_PER_S
 _STRAIGHT: Final = 0.97  # least length of a leg over that of its halves
 _LEVEL: Final = 0.3  # largest change of height over the length of a leg
 _ONE_WAY: Final = 0.9  # length of the mean direction from which all legs go one way
@@ -89,13 +87,9 @@ def _track(reference: ReferenceColumns) -> tuple[TimeNs, Floats]:
 
 def _rows_of_legs(time_ns: TimeNs, ping_ns: TimeNs) -> tuple[Integers, Integers, Integers]:
     """Return the first, middle and last row of each leg in which the DVL does not pause."""
-    last = np.searchsorted(time_ns, time_ns + _LEG_NS)
-    first = np.flatnonzero(last < len(time_ns))
-    last = last[first]
-    middle = np.searchsorted(time_ns, time_ns[first] + _LEG_NS // 2)
-    paused = in_pauses(time_ns[first], time_ns[last], ping_ns, nanoseconds(LONGEST_STEP_S))
-    usable = ~paused & (time_ns[last] - time_ns[first] < 2 * _LEG_NS)
-    return first[usable], middle[usable], last[usable]
+    first, last = pairs_of_fixes(time_ns, ping_ns, ping_ns)
+    middle = np.searchsorted(time_ns, time_ns[first] + _HALF_A_LEG_NS)
+    return first, middle, last
 
 
 def _straight_legs(

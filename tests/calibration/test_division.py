@@ -81,6 +81,15 @@ def test_what_tests_a_fit_does_not_begin_just_before_a_pause(
     assert division.fitted[0].config.span.end_s == pytest.approx(from_s, abs=0.01)
 
 
+def test_what_tests_a_fit_begins_before_the_end_of_the_span(read: ReadDive) -> None:
+    imu = read.dive.imu
+    time_s = seconds(imu.time_ns, imu.time_ns[0])
+    paused = replace(read.dive, imu=imu.rows((time_s < 10.1) | (time_s > 25.0)))
+    division = Division.found([ReadDive(paused, load_config(overrides=["span.end_s=20"]))])
+    assert division.held_out[0].config.span.start_s == pytest.approx(10.0, abs=0.01)
+    assert division.held_out[0].config.span.end_s == pytest.approx(20.0, abs=0.01)
+
+
 def test_a_number_may_be_the_name_of_a_dive(read: ReadDive) -> None:
     division = Division.asked(named(read, "123"), ["2"])
     assert (names(division.fitted), names(division.held_out)) == ("13", "2")
